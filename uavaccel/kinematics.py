@@ -1,0 +1,21 @@
+"""What the drone does at one instant: the record that commands, wire and metrics exchange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """Ground truth at `time_ns` of simulated time: NED world frame, angular quantities in the FRD body frame."""
+
+    time_ns: int
+    position_m: Vector
+    orientation_wxyz: Quaternion
+    linear_velocity_m_s: Vector
+    angular_velocity_rad_s: Vector
+    linear_acceleration_m_s2: Vector = (0.0, 0.0, 0.0)
+    angular_acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)

@@ -1,0 +1,139 @@
+"""SimpleFlight's cascade: position, velocity, angle, rate, mixer, once a tick.
+
+Sources: AirSim v1.8.1, simple_flight/firmware: CascadeController, PositionController, VelocityController,
+AngleLevelController, AngleRateController, PidController, OffboardApi (goal timeout), Mixer. All gains are
+proportional but for the vertical velocity's leaky integrator, which starts anew whenever the mode of z changes.
+
+Two peculiarities are AirSim's own and kept: velocities are regulated along the *body's* axes, so a tilted drone
+climbs; and in `moveByVelocityZ` the height goal takes part in the rotation of the horizontal velocity goal.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from uavaccel.sim.quadrotor import Record, world_to_body
+
+VELOCITY, POSITION = 0, 1  # modes of x, y and of z
+RATE, ANGLE = 0, 1  # modes of yaw
+UNSET = -1
+
+
+@njit(cache=True, nogil=True)
+def clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)
+
+
+@njit(cache=True, nogil=True)
+def shortest_turn(goal_rad: float, angle_rad: float) -> float:
+    """The difference of two angles, within half a turn."""
+    turn = goal_rad - angle_rad
+    return turn - 2 * math.pi * math.floor((turn + math.pi) / (2 * math.pi))
+
+
+@njit(cache=True, nogil=True)
+def hold_position(state: Record) -> None:
+    """Position mode at the present position, yaw rate zero (OffboardApi::update after the goal timeout)."""
+    state.goal[0], state.goal[1], state.goal[2] = state.position[0], state.position[1], state.position[2]
+    state.goal[3] = 0.0
+    state.xy_mode, state.z_mode, state.yaw_mode = POSITION, POSITION, RATE
+
+
+@njit(cache=True, nogil=True)
+def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
+    """Velocity that the position controller of one axis asks for, in m/s along that world axis."""
+    error = state.goal[axis] - state.position[axis]
+    return clip(parameters.position_gain[axis] * error, 1.0) * parameters.velocity_limit_m_s
+
+
+@njit(cache=True, nogil=True)
+def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float, float]:
+    """Velocity goals along the body's axes, in m/s.
+
+    In velocity mode the whole goal is rotated; a position controller rotates its own axis alone.
+    """
+    goal = state.goal
+    gx, gy, gz = world_to_body(state.quaternion, (goal[0], goal[1], goal[2]))
+    if state.xy_mode == POSITION:
+        gx = world_to_body(state.quaternion, (velocity_goal(parameters, state, 0), 0.0, 0.0))[0]
+        gy = world_to_body(state.quaternion, (0.0, velocity_goal(parameters, state, 1), 0.0))[1]
+    if state.z_mode == POSITION:
+        gz = world_to_body(state.quaternion, (0.0, 0.0, velocity_goal(parameters, state, 2)))[2]
+    return gx, gy, gz
+
+
+@njit(cache=True, nogil=True)
+def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
+    """Throttle from the vertical velocity error: proportional and leaky integral, each clipped to 1."""
+    if state.z_integral_mode != state.z_mode:  # a new controller: its first update sees no time pass
+        state.z_integral_mode = state.z_mode
+        state.z_integral = 0.0
+    else:
+        gathered = parameters.tick_s * error_m_s * parameters.z_integral_gain
+        state.z_integral = clip(state.z_integral * parameters.z_integral_keep + gathered, 1.0)
+    output = clip(parameters.velocity_gain[2] * error_m_s + state.z_integral, 1.0)
+    return max((1.0 - output) / 2, parameters.min_throttle)
+
+
+@njit(cache=True, nogil=True)
+def rate_goal(parameters: Record, axis: int, error_rad: float) -> float:
+    """Angle controller: rad/s to turn with so as to close an angle error."""
+    return clip(parameters.angle_gain[axis] * error_rad, 1.0) * parameters.rate_limit_rad_s
+
+
+@njit(cache=True, nogil=True)
+def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: float, yaw: float) -> None:
+    """Quad-X mixer: shift a command below zero up, scale one above 1 down (Mixer.hpp)."""
+    if throttle < parameters.min_mixed_throttle:
+        state.rotor_input[:] = max(throttle, 0.0)
+        return
+    m0 = throttle - roll + pitch + yaw  # front right
+    m1 = throttle + roll - pitch + yaw  # rear left
+    m2 = throttle + roll + pitch - yaw  # front left
+    m3 = throttle - roll - pitch - yaw  # rear right
+    shift = max(-min(m0, m1, m2, m3), 0.0)
+    scale = max(max(m0, m1, m2, m3) + shift, 1.0)
+    state.rotor_input[0] = min(max((m0 + shift) / scale, 0.0), 1.0)
+    state.rotor_input[1] = min(max((m1 + shift) / scale, 0.0), 1.0)
+    state.rotor_input[2] = min(max((m2 + shift) / scale, 0.0), 1.0)
+    state.rotor_input[3] = min(max((m3 + shift) / scale, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def control(parameters: Record, state: Record) -> None:
+    """One update of the firmware at the state's tick: sets the rotors' commands."""
+    if state.tick == state.hover_tick:
+        hold_position(state)
+    if state.armed == 0:
+        state.rotor_input[:] = 0.0
+        return
+
+    velocity = (state.velocity[0], state.velocity[1], state.velocity[2])
+    vx, vy, vz = world_to_body(state.quaternion, velocity)
+    gx, gy, gz = body_velocity_goal(parameters, state)
+    w, x, y, z = state.quaternion[0], state.quaternion[1], state.quaternion[2], state.quaternion[3]
+
+    throttle = vertical(parameters, state, gz - vz)
+    pitch_goal = -clip(parameters.velocity_gain[0] * (gx - vx), 1.0) * parameters.tilt_limit_rad
+    roll_goal = clip(parameters.velocity_gain[1] * (gy - vy), 1.0) * parameters.tilt_limit_rad
+    pitch = math.asin(clip(2 * (w * y - z * x), 1.0))
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+
+    p_goal = rate_goal(parameters, 0, shortest_turn(roll_goal, roll))
+    q_goal = rate_goal(parameters, 1, shortest_turn(pitch_goal, pitch))
+    r_goal = state.goal[3]
+    if state.yaw_mode == ANGLE:
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        r_goal = rate_goal(parameters, 2, shortest_turn(state.goal[3], yaw))
+
+    gain = parameters.rate_gain
+    mix(
+        parameters,
+        state,
+        throttle,
+        clip(gain[0] * (p_goal - state.rate[0]), 1.0),
+        clip(gain[1] * (q_goal - state.rate[1]), 1.0),
+        clip(gain[2] * (r_goal - state.rate[2]), 1.0),
+    )

@@ -1,0 +1,148 @@
+"""The hot loop: autopilot, rotors, drag and MuJoCo's own `mj_step`, without Python and without the GIL.
+
+AirSim integrates by velocity Verlet: the pose moves with the mean velocity of the tick, and the velocity it
+reports belongs to the tick's end (FastPhysicsEngine.hpp). MuJoCo's semi-implicit Euler step kicks, then drifts.
+Both are one and the same leapfrog if MuJoCo's velocity is read as the one half a tick behind, so here
+
+    mj_step           kick with the accelerations of the last tick, drift to the pose of this one
+    accelerate        the next kick, from the rotors and from the pose before the drift, as AirSim takes it
+    velocity          MuJoCo's velocity plus half the next kick
+
+and the poses equal AirSim's to rounding, while contacts, images and poses stay those of MuJoCo's own state.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from uavaccel.sim.autopilot import control
+from uavaccel.sim.quadrotor import NEVER, Record, accelerate, turn_rotors
+
+# One row of the recorder: tick, position, quaternion, velocity, body rate.
+SAMPLE_COLUMNS = 1 + 3 + 4 + 3 + 3
+
+RECORDER_DTYPE = np.dtype([("next_tick", "i8"), ("period", "i8"), ("count", "i8"), ("dropped", "i8")])
+
+
+def mj_step_address() -> int:
+    """Address of `mj_step` in the library that the mujoco package has loaded."""
+    library = next(Path(mujoco.__file__).parent.glob("*mujoco*.[sd][oyl]*"))
+    function = ctypes.CDLL(str(library)).mj_step
+    return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+
+
+@intrinsic
+def call_mj_step(typingctx: Any, address: Any, model: Any, data: Any) -> Any:
+    """`mj_step(model, data)` through its address; an argument, since numba cannot cache a global pointer."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = ir.IntType(8).as_pointer()
+        function_type = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+        function = builder.inttoptr(arguments[0], function_type.as_pointer())
+        builder.call(function, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), codegen
+
+
+@njit(cache=True, nogil=True)
+def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
+    """MuJoCo's pose into the state, NED and FRD (units.py's half turn about x, unrolled)."""
+    state.position[0], state.position[1], state.position[2] = qpos[0], -qpos[1], -qpos[2]
+    state.quaternion[0], state.quaternion[1] = qpos[3], qpos[4]
+    state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
+
+
+@njit(cache=True, nogil=True)
+def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+    """Compute the next kick from the state's pose and MuJoCo's velocity, and the velocity at the tick."""
+    velocity = (qvel[0], -qvel[1], -qvel[2])
+    rate = (qvel[3], -qvel[4], -qvel[5])
+    accelerate(parameters, state, velocity, rate)
+    half = 0.5 * parameters.tick_s
+    for axis in range(3):
+        state.velocity[axis] = velocity[axis] + half * state.acceleration[axis]
+        state.rate[axis] = rate[axis] + half * state.angular_acceleration[axis]
+
+    mass, inertia = parameters.mass_kg, parameters.inertia_kg_m2
+    p, q, r = rate
+    # MuJoCo adds gravity and the gyroscopic term itself.
+    force[0] = mass * state.acceleration[0]
+    force[1] = -mass * state.acceleration[1]
+    force[2] = -mass * (state.acceleration[2] - parameters.gravity_m_s2)
+    force[3] = inertia[0] * state.angular_acceleration[0] + (inertia[2] - inertia[1]) * q * r
+    force[4] = -(inertia[1] * state.angular_acceleration[1] + (inertia[0] - inertia[2]) * r * p)
+    force[5] = -(inertia[2] * state.angular_acceleration[2] + (inertia[1] - inertia[0]) * p * q)
+
+
+@njit(cache=True, nogil=True)
+def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> None:
+    """Append the state to the bounded buffer if its tick is on the recorder's grid."""
+    if state.tick != recorder.next_tick:
+        return
+    recorder.next_tick += recorder.period
+    if recorder.count == len(samples):
+        recorder.dropped += 1
+        return
+    row = samples[recorder.count]
+    recorder.count += 1
+    row[0] = state.tick
+    for axis in range(3):
+        row[1 + axis] = state.position[axis]
+        row[8 + axis] = state.velocity[axis]
+        row[11 + axis] = state.rate[axis]
+    for component in range(4):
+        row[4 + component] = state.quaternion[component]
+
+
+@njit(cache=True, nogil=True)
+def fly(
+    mj_step: int,
+    model: int,
+    data: int,
+    qpos: NDArray[np.float64],
+    qvel: NDArray[np.float64],
+    force: NDArray[np.float64],
+    contact: NDArray[np.float64],
+    parameters: Record,
+    state: Record,
+    recorder: Record,
+    samples: NDArray[np.float64],
+    ticks: int,
+) -> int:
+    """Fly up to `ticks` ticks and return how many; fewer if something is touched for the first time.
+
+    The contact sensor speaks of the pose at which a step began: the tick before.
+    """
+    for flown in range(ticks):
+        call_mj_step(mj_step, model, data)
+        touched = contact[0] > 0.0 and state.collision_tick == NEVER
+        if touched:
+            state.collision_tick = state.tick
+        kick(parameters, state, qvel, force)
+        turn_rotors(parameters, state)
+        read_pose(state, qpos)
+        state.tick += 1
+        control(parameters, state)
+        record(recorder, samples, state)
+        if touched:
+            return flown + 1
+    return ticks
+
+
+@njit(cache=True, nogil=True)
+def stand_still(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> int:
+    """Let `ticks` ticks pass for a frozen vehicle; the recorder goes on."""
+    for _ in range(ticks):
+        state.tick += 1
+        record(recorder, samples, state)
+    return ticks

@@ -1,0 +1,60 @@
+"""The two timing behaviours: `native`, where TCSC costs no accuracy, and `airsim`, the subject of the paper.
+
+Times are in ticks of the profile's physics step. Source of the right-hand column: AirSim v1.8.1,
+SimModeWorldBase.h (3 ms), SimpleFlightApi.hpp (50 Hz commands), Params.hpp (api_goal_timeout).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+from uavaccel.units import NS_PER_S, exact, ticks_exactly
+
+
+@dataclass(frozen=True)
+class Profile:
+    """How a simulation steps, ends commands, continues and keeps up."""
+
+    name: str
+    tick_ns: int
+    goal_period_ticks: int  # a command ends on this grid, counted from its acceptance
+    hover_after_ticks: int  # position hold sets in so long after a command has returned
+    recorder_ticks: int
+    exact_times: bool  # times that the tick does not divide are refused, continue-for ends on the tick
+    catch_up_wall_ns: int  # backlog that is made good; beyond it simulated time is lost
+
+    @property
+    def tick_s(self) -> float:
+        return self.tick_ns / NS_PER_S
+
+    def command_ticks(self, duration_s: float, name: str = "duration") -> int:
+        """Ticks that a command of `duration_s` lasts; raises UserError in an exact profile if it does not fit."""
+        if self.exact_times:
+            return ticks_exactly(duration_s, self.tick_ns, name)
+        period_ns = self.goal_period_ticks * self.tick_ns
+        return self.goal_period_ticks * ceil(exact(duration_s) * NS_PER_S / period_ns)
+
+
+NATIVE = Profile(
+    name="native",
+    tick_ns=2_000_000,
+    goal_period_ticks=1,
+    hover_after_ticks=30,
+    recorder_ticks=25,
+    exact_times=True,
+    catch_up_wall_ns=100_000_000,
+)
+
+# The 20 ms goal loop falls on the 3 ms grid every 21 ms; `> 60 ms` after the last goal is 63 ms.
+AIRSIM = Profile(
+    name="airsim",
+    tick_ns=3_000_000,
+    goal_period_ticks=7,
+    hover_after_ticks=21,
+    recorder_ticks=17,
+    exact_times=False,
+    catch_up_wall_ns=0,
+)
+
+PROFILES = {profile.name: profile for profile in (NATIVE, AIRSIM)}

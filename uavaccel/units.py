@@ -1,0 +1,88 @@
+"""Frames and units, converted here and nowhere else.
+
+Outside MuJoCo everything is NED in the world and FRD in the body, as in AirSim; inside, MuJoCo's axes are
+x forward, y left, z up. One turns into the other by half a turn about x, which is its own inverse.
+Simulated time is an integer count of nanoseconds or of physics steps ("ticks").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from uavaccel.errors import UserError
+
+NS_PER_S = 1_000_000_000
+_FLIP_VECTOR = np.array([1.0, -1.0, -1.0])
+_FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
+
+
+def ned_to_mujoco(vector: ArrayLike) -> NDArray[np.float64]:
+    """Turn (..., 3) NED or FRD components into MuJoCo's; positions, velocities and rates alike."""
+    return np.asarray(vector, dtype=np.float64) * _FLIP_VECTOR
+
+
+mujoco_to_ned: Callable[[ArrayLike], NDArray[np.float64]] = ned_to_mujoco
+
+
+def quaternion_ned_to_mujoco(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Turn (..., 4) wxyz attitudes FRD to NED into MuJoCo's FLU to NWU."""
+    return np.asarray(quaternion, dtype=np.float64) * _FLIP_QUATERNION
+
+
+quaternion_mujoco_to_ned: Callable[[ArrayLike], NDArray[np.float64]] = quaternion_ned_to_mujoco
+
+
+def euler_from_quaternion(quaternion: ArrayLike) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in radians (z-y-x order) of one wxyz quaternion."""
+    w, x, y, z = (float(value) for value in np.asarray(quaternion))
+    roll = float(np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
+    pitch = float(np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0)))
+    yaw = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return roll, pitch, yaw
+
+
+def attitude_difference_rad(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Angle in radians of the rotation between wxyz quaternions of shape (..., 4)."""
+    dot = np.abs(np.sum(np.asarray(a, float) * np.asarray(b, float), axis=-1))
+    return np.asarray(2.0 * np.arccos(np.clip(dot, 0.0, 1.0)))
+
+
+def exact(number: float | int | str | Fraction) -> Fraction:
+    """The decimal number a person wrote, without binary rounding: 0.1 is 1/10."""
+    return number if isinstance(number, Fraction) else Fraction(str(number))
+
+
+def seconds_to_ns(seconds: float) -> int:
+    """Seconds as the nearest integer count of nanoseconds."""
+    return round(seconds * NS_PER_S)
+
+
+def ticks_exactly(duration_s: float, tick_ns: int, name: str) -> int:
+    """Count of ticks in `duration_s`.
+
+    Raises UserError where the tick does not divide it, with both numbers and the nearest times that fit.
+    """
+    ticks = exact(duration_s) * NS_PER_S / tick_ns
+    if ticks.denominator == 1 and ticks > 0:
+        return int(ticks)
+    lower = max(int(ticks), 1)
+    near = [f"{float(exact(count) * tick_ns / NS_PER_S):g}" for count in (lower, lower + 1)]
+    raise UserError(
+        f"{name}: {duration_s:g} s is not a positive multiple of the physics step of {tick_ns / 1e6:g} ms; "
+        f"{near[0]} and {near[1]} s are"
+    )
+
+
+def ceil_div(numerator: int, denominator: int) -> int:
+    """Integer division rounded up."""
+    return -(-numerator // denominator)
+
+
+def plain(value: Any) -> Any:
+    """NumPy scalars and arrays as plain Python numbers and lists, for JSON and msgpack."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
