@@ -1,0 +1,161 @@
+"""Position errors, speed-ups and intervals against values known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uavaccel.metrics.intervals import bootstrap_interval, mcnemar_exact, median_interval, wilson_interval
+from uavaccel.metrics.speedup import (
+    combined_provenance,
+    effective_speedup,
+    speedup_interval,
+    timing_provenance,
+)
+from uavaccel.metrics.trajectory import (
+    Trajectory,
+    command_gaps_s,
+    distinct,
+    duration_error_s,
+    mean_position_rmse,
+    position_rmse,
+    quartiles,
+)
+
+
+def straight(
+    duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0
+) -> Trajectory:
+    time_s = np.arange(round(duration_s / step_s) + 1) * step_s
+    return Trajectory(
+        time_s, np.column_stack([speed_m_s * time_s, np.full_like(time_s, offset_m), 0 * time_s])
+    )
+
+
+def test_rmse_of_a_constant_offset_is_the_offset() -> None:
+    assert position_rmse(*straight(5), *straight(5, offset_m=0.25)) == pytest.approx(0.25, abs=1e-15)
+
+
+def test_rmse_of_itself_is_exactly_zero() -> None:
+    assert position_rmse(*straight(5), *straight(5)) == 0.0
+
+
+def test_rmse_stops_at_the_shorter_end() -> None:
+    assert position_rmse(*straight(5), *straight(9)) == 0.0
+    assert position_rmse(*straight(9), *straight(5)) == 0.0
+
+
+@pytest.mark.parametrize("step_s", [0.051, 0.02, 0.3])
+def test_rmse_interpolates_another_grid(step_s: float) -> None:
+    assert position_rmse(*straight(6), *straight(6, step_s=step_s)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rmse_of_a_delay_is_speed_times_delay() -> None:
+    late = straight(10)
+    flight = Trajectory(late.time_s + 0.12, late.position_m)
+    assert position_rmse(*straight(10), *flight) == pytest.approx(0.12, abs=1e-12)
+
+
+def test_rmse_without_overlap_is_nan() -> None:
+    early, late = straight(1), straight(1)
+    assert np.isnan(position_rmse(*early, late.time_s + 5, late.position_m))
+
+
+def test_mean_rmse_over_references() -> None:
+    references = [straight(4, offset_m=y) for y in (0.0, 0.2, 0.2)]
+    assert mean_position_rmse([straight(4)], references) == pytest.approx([0.4 / 3])
+    assert mean_position_rmse(references, references, exclude_self=True) == pytest.approx([0.2, 0.1, 0.1])
+
+
+def test_exclude_self_needs_the_same_games() -> None:
+    with pytest.raises(ValueError, match="exclude_self"):
+        mean_position_rmse([straight(1)], [straight(1), straight(2)], exclude_self=True)
+
+
+def test_no_references_is_an_error() -> None:
+    with pytest.raises(ValueError, match="reference"):
+        mean_position_rmse([straight(1)], [])
+
+
+def test_distinct_keeps_order_and_counts_bytes_not_values() -> None:
+    flights = [straight(1), straight(2), straight(1), straight(2)]
+    unique, index = distinct(flights)
+    assert [flight.time_s.size for flight in unique] == [21, 41]
+    assert index.tolist() == [0, 1, 0, 1]
+
+
+def test_durations_gaps_and_quartiles() -> None:
+    assert duration_error_s([4.0, 4.2], [4.1, 5.1]) == pytest.approx([0.0, 1.0])
+    assert command_gaps_s([0.0, 1.2, 2.3], [1.0, 2.2, 3.3]) == pytest.approx([0.2, 0.1])
+    assert quartiles([1.0, 2.0, 3.0, 4.0, 5.0]) == (2.0, 3.0, 4.0)
+
+
+def test_speedup_is_a_ratio_of_means() -> None:
+    assert effective_speedup([96.0, 104.0], [1.0, 3.0]) == 50.0
+
+
+@pytest.mark.parametrize("wall_s", [[], [0.0], [-1.0], [float("nan")]])
+def test_speedup_refuses_senseless_wall_times(wall_s: list[float]) -> None:
+    with pytest.raises(ValueError, match="wall times"):
+        effective_speedup([1.0], wall_s)
+
+
+@given(st.lists(st.floats(0.1, 10.0), min_size=2, max_size=20), st.integers(0, 2**32))
+def test_speedup_interval_holds_the_estimate_of_constant_baselines(wall_s: list[float], seed: int) -> None:
+    low, high = speedup_interval([10.0, 10.0], wall_s, seed)
+    assert 10.0 / max(wall_s) <= low + 1e-9
+    assert low <= high <= 10.0 / min(wall_s) + 1e-9
+
+
+def test_provenance() -> None:
+    assert timing_provenance("wall") == "measured"
+    assert timing_provenance("virtual") == timing_provenance("lockstep") == "modelled"
+    assert combined_provenance("measured", "measured") == "measured"
+    assert combined_provenance("measured", "modelled") == "mixed"
+
+
+def test_bootstrap_repeats_by_seed_and_covers_the_mean() -> None:
+    values = np.random.default_rng(7).normal(3.0, 1.0, 200)
+    first = bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
+    assert first == bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
+    half = 1.96 * values.std() / np.sqrt(200)
+    assert first == pytest.approx((values.mean() - half, values.mean() + half), abs=0.02)
+
+
+def test_identical_games_have_an_interval_of_zero_width() -> None:
+    assert median_interval([2.0, 2.0, 2.0], seed=0) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("successes", "low", "high"),
+    [(23, 15.8, 32.2), (21, 14.2, 30.0), (30, 21.9, 39.6), (1, 0.2, 5.4), (0, 0.0, 3.7)],
+)
+def test_wilson_of_the_papers_table(successes: int, low: float, high: float) -> None:
+    assert np.multiply(wilson_interval(successes, 100), 100) == pytest.approx([low, high], abs=0.06)
+
+
+@given(st.integers(1, 500), st.data())
+def test_wilson_holds_the_ratio(games: int, data: st.DataObject) -> None:
+    successes = data.draw(st.integers(0, games))
+    low, high = wilson_interval(successes, games)
+    assert 0.0 <= low <= successes / games <= high <= 1.0
+
+
+def test_wilson_refuses_impossible_counts() -> None:
+    with pytest.raises(ValueError, match="successes"):
+        wilson_interval(3, 2)
+
+
+def test_mcnemar_counts_discordant_games_only() -> None:
+    first = [True] * 10 + [True] * 6 + [False] * 4
+    second = [True] * 10 + [False] * 6 + [False] * 4
+    result = mcnemar_exact(first, second)
+    assert result == (6, 0, pytest.approx(2 * 0.5**6))
+    assert mcnemar_exact(first, first).p_value == 1.0
+
+
+def test_mcnemar_needs_pairs() -> None:
+    with pytest.raises(ValueError, match="paired"):
+        mcnemar_exact([True], [True, False])

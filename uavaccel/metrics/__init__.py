@@ -1,0 +1,1 @@
+"""Pure functions on arrays: trajectory distances, speed-ups and their intervals."""

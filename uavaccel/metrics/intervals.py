@@ -1,0 +1,83 @@
+"""Uncertainty of what games show: bootstrap over games, Wilson interval, exact paired McNemar test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, norm
+
+RESAMPLES = 2000
+
+Statistic = Callable[..., np.ndarray]
+
+
+def bootstrap_interval(
+    samples: Sequence[ArrayLike],
+    statistic: Statistic,
+    seed: int,
+    level: float = 0.95,
+    resamples: int = RESAMPLES,
+) -> tuple[float, float]:
+    """Percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its own games.
+
+    `samples` holds arrays (games,), one value a game: pairs of games are not independent and must be
+    averaged before. `statistic` reduces the last axis. The same seed gives the same interval.
+    """
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for sample in samples:
+        values = np.asarray(sample, dtype=np.float64)
+        if values.size == 0:
+            raise ValueError("a bootstrap needs at least one game")
+        drawn.append(values[rng.integers(values.size, size=(resamples, values.size))])
+    tail = (1.0 - level) / 2.0
+    low, high = np.quantile(statistic(*drawn), (tail, 1.0 - tail))
+    return float(low), float(high)
+
+
+def median_interval(values: ArrayLike, seed: int, level: float = 0.95) -> tuple[float, float]:
+    """Bootstrap interval over games of the median of `values` (games,)."""
+    return bootstrap_interval((values,), _median, seed, level)
+
+
+def wilson_interval(successes: int, games: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson score interval of a success ratio, in [0, 1]; ValueError unless 0 <= successes <= games > 0."""
+    if games <= 0 or not 0 <= successes <= games:
+        raise ValueError(f"need 0 <= successes <= games > 0, got {successes} of {games}")
+    z = float(norm.ppf(0.5 + level / 2.0))
+    ratio = successes / games
+    centre = ratio + z * z / (2 * games)
+    half = z * np.sqrt(ratio * (1 - ratio) / games + z * z / (4 * games * games))
+    scale = 1 + z * z / games
+    low = 0.0 if successes == 0 else float((centre - half) / scale)  # exact where rounding would miss the end
+    high = 1.0 if successes == games else float((centre + half) / scale)
+    return low, high
+
+
+class McNemar(NamedTuple):
+    """Games only the first condition won, games only the second won, two-sided exact p-value."""
+
+    only_first: int
+    only_second: int
+    p_value: float
+
+
+def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
+    """Exact McNemar test of two conditions on the same lanes: two bool arrays (games,), paired by index.
+
+    Only discordant games count; with none, p is 1. Raises ValueError on lengths that differ.
+    """
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    if a.shape != b.shape or a.ndim != 1:
+        raise ValueError(f"paired outcomes need one length, got {a.shape} and {b.shape}")
+    only_first, only_second = int(np.sum(a & ~b)), int(np.sum(b & ~a))
+    discordant = only_first + only_second
+    p_value = float(binomtest(only_first, discordant).pvalue) if discordant else 1.0
+    return McNemar(only_first, only_second, p_value)
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.median(values, axis=-1))

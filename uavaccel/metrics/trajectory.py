@@ -1,0 +1,128 @@
+"""Position errors between two recorded flights, and the handling of identical replicas.
+
+Times are seconds from the tick at which a game's first command was accepted; positions are metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+
+class Trajectory(NamedTuple):
+    """Time-stamped points of one flight: `time_s` (n,) ascending, `position_m` (n, 3)."""
+
+    time_s: FloatArray
+    position_m: FloatArray
+
+
+def trajectory(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
+    """A checked `Trajectory`; raises ValueError on empty, misshapen, non-finite or unsorted input."""
+    times = np.ascontiguousarray(time_s, dtype=np.float64)
+    points = np.ascontiguousarray(position_m, dtype=np.float64)
+    if times.ndim != 1 or times.size == 0 or points.ndim != 2 or len(points) != times.size:
+        raise ValueError(f"a trajectory needs times (n,), points (n, 3), not {times.shape}, {points.shape}")
+    if not (np.isfinite(times).all() and np.isfinite(points).all()):
+        raise ValueError("a trajectory's times and points must be finite")
+    if np.any(np.diff(times) < 0):
+        raise ValueError("a trajectory's times must ascend")
+    return Trajectory(times, points)
+
+
+def position_rmse(ref_t: ArrayLike, ref_p: ArrayLike, t: ArrayLike, p: ArrayLike) -> float:
+    """Root mean square distance in metres between two flights at equal simulated times.
+
+    Compared at the reference's sample times, the other flight interpolated linearly, up to the end of the
+    shorter one; NaN if the two do not overlap in time. Unlike STLC it sees a lap too few or too late.
+    """
+    return _rmse(trajectory(ref_t, ref_p), trajectory(t, p))
+
+
+def _rmse(reference: Trajectory, flight: Trajectory) -> float:
+    shared = min(reference.time_s.size, flight.time_s.size)
+    if np.array_equal(reference.time_s[:shared], flight.time_s[:shared]):  # one grid: nothing to interpolate
+        difference = flight.position_m[:shared] - reference.position_m[:shared]
+    else:
+        difference = _difference_on_reference_grid(reference, flight)
+    if difference.size == 0:
+        return float("nan")
+    return float(np.sqrt(np.mean(np.einsum("ij,ij->i", difference, difference))))
+
+
+def _difference_on_reference_grid(reference: Trajectory, flight: Trajectory) -> FloatArray:
+    inside = (reference.time_s >= flight.time_s[0]) & (reference.time_s <= flight.time_s[-1])
+    grid = reference.time_s[inside]
+    columns = [np.interp(grid, flight.time_s, column) for column in flight.position_m.T]
+    return np.column_stack(columns) - reference.position_m[inside]
+
+
+def mean_position_rmse(
+    games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False
+) -> FloatArray:
+    """Each game's `position_rmse` averaged over the references, (games,); see `mean_over_references`."""
+    unique_games, game_index = distinct(games)
+    unique_references, reference_index = distinct(references)
+    matrix = np.array([[_rmse(reference, game) for reference in unique_references] for game in unique_games])
+    return mean_over_references(matrix, game_index, reference_index, exclude_self)
+
+
+def duration_error_s(reference_duration_s: ArrayLike, duration_s: ArrayLike) -> FloatArray:
+    """Each game's simulated duration minus the references' mean duration, seconds (games,)."""
+    return np.asarray(duration_s, dtype=np.float64) - float(np.mean(np.asarray(reference_duration_s)))
+
+
+def command_gaps_s(command_start_s: ArrayLike, command_end_s: ArrayLike) -> FloatArray:
+    """Simulated seconds between a command's end and the next one's acceptance, (commands - 1,)."""
+    start = np.asarray(command_start_s, dtype=np.float64)
+    end = np.asarray(command_end_s, dtype=np.float64)
+    return start[1:] - end[:-1]
+
+
+def quartiles(values: ArrayLike) -> tuple[float, float, float]:
+    """Lower quartile, median and upper quartile (linear interpolation); NaN where a value is NaN."""
+    q25, median, q75 = np.quantile(np.asarray(values, dtype=np.float64), (0.25, 0.5, 0.75))
+    return float(q25), float(median), float(q75)
+
+
+def distinct(flights: Sequence[Trajectory]) -> tuple[list[Trajectory], IndexArray]:
+    """The byte-wise distinct flights in order of appearance, and each flight's index among them.
+
+    Replicas of a native TCSC game are identical, so whatever is computed per pair is computed once.
+    """
+    seen: dict[tuple[bytes, bytes], int] = {}
+    unique: list[Trajectory] = []
+    index = np.empty(len(flights), dtype=np.intp)
+    for i, flight in enumerate(flights):
+        key = (flight.time_s.tobytes(), flight.position_m.tobytes())
+        if key not in seen:
+            seen[key] = len(unique)
+            unique.append(flight)
+        index[i] = seen[key]
+    return unique, index
+
+
+def mean_over_references(
+    matrix: FloatArray, game_index: IndexArray, reference_index: IndexArray, exclude_self: bool
+) -> FloatArray:
+    """Mean over the references of a measure known for distinct flights only, (games,).
+
+    `matrix` is (distinct games, distinct references). With `exclude_self` the games are the references, in
+    one order, and a game is not compared with itself; a lone reference has nothing to compare with: NaN.
+    Raises ValueError if there are no references, or if `exclude_self` meets lists of different lengths.
+    """
+    if reference_index.size == 0:
+        raise ValueError("a mean over references needs at least one reference")
+    full = matrix[np.ix_(game_index, reference_index)]
+    if not exclude_self:
+        return np.asarray(full.mean(axis=1))
+    if full.shape[0] != full.shape[1]:
+        raise ValueError("exclude_self needs the games themselves as references")
+    if full.shape[0] == 1:
+        return np.full(1, np.nan)
+    return np.asarray(np.mean(full, axis=1, where=~np.eye(full.shape[0], dtype=bool)))
