@@ -28,7 +28,7 @@ from uavaccel.metrics.trajectory import (
 def straight(
     duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0
 ) -> Trajectory:
-    time_s = np.arange(round(duration_s / step_s) + 1) * step_s
+    time_s = np.arange(round(duration_s / step_s) + 1, dtype=np.float64) * step_s
     return Trajectory(
         time_s, np.column_stack([speed_m_s * time_s, np.full_like(time_s, offset_m), 0 * time_s])
     )
@@ -152,7 +152,8 @@ def test_mcnemar_counts_discordant_games_only() -> None:
     first = [True] * 10 + [True] * 6 + [False] * 4
     second = [True] * 10 + [False] * 6 + [False] * 4
     result = mcnemar_exact(first, second)
-    assert result == (6, 0, pytest.approx(2 * 0.5**6))
+    assert (result.only_first, result.only_second) == (6, 0)
+    assert result.p_value == pytest.approx(2 * 0.5**6)
     assert mcnemar_exact(first, first).p_value == 1.0
 
 
