@@ -1,0 +1,180 @@
+"""Strict configurations: one clear line about what is wrong with one, and stable YAML of what is right.
+
+A suite declares a subclass of `Config`; the key `suite` of an experiment's YAML says which. Values are
+checked as JSON is: "3" is no number, yes is no integer, a list may fill a tuple.
+"""
+
+import copy
+import difflib
+import json
+import reprlib
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from uavaccel.errors import UsageError, UserError
+from uavaccel.yaml_io import dump_yaml, load_yaml, parse_yaml
+
+__all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "validate", "validate_experiment"]
+
+
+class Config(BaseModel):
+    """Base of every configuration: it has no unknown keys, its numbers are finite, it never changes.
+
+    A docstring below a field is that field's description in the JSON schema.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
+    )
+
+
+_YAML_WORDS = {
+    "list_type": "should be a list",
+    "tuple_type": "should be a list",
+    "model_type": "should be a mapping",
+    "model_attributes_type": "should be a mapping",
+    "dict_type": "should be a mapping",
+}
+
+ConfigType = TypeVar("ConfigType", bound=Config)
+
+
+def apply_overrides(mapping: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
+    """A copy of `mapping` with each "dotted.key=value" applied in turn; values are YAML.
+
+    A number indexes a list; mappings on the way to a new key are made. Raises UsageError if an override is
+    not key=value, UserError if its key leads through something without keys, or its value is not YAML.
+    """
+    result = copy.deepcopy(dict(mapping))
+    for override in overrides:
+        dotted, equals, text = override.partition("=")
+        parts = dotted.split(".")
+        if not equals or not all(parts):
+            raise UsageError(f"--set {override}: must be dotted.key=value")
+        _assign(result, parts, parse_yaml(text, source=f"--set {override}"), override)
+    return result
+
+
+def _assign(target: Any, parts: list[str], value: Any, override: str) -> None:
+    for depth in range(1, len(parts)):
+        position = _position(target, parts[:depth], override)
+        if isinstance(target, dict) and target.get(position) is None:
+            target[position] = {}
+        target = target[position]
+    target[_position(target, parts, override)] = value
+
+
+def _position(container: Any, parts: list[str], override: str) -> str | int:
+    """The last of `parts` as a key or index of `container`."""
+    part = parts[-1]
+    if isinstance(container, dict):
+        return part
+    if isinstance(container, list) and part.isdecimal() and int(part) < len(container):
+        return int(part)
+    held = f"elements 0 to {len(container) - 1}" if isinstance(container, list) else reprlib.repr(container)
+    raise UserError(f"--set {override}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
+
+
+def validate(cls: type[ConfigType], mapping: Mapping[str, Any], source: str) -> ConfigType:
+    """An instance of `cls` from plain data.
+
+    Raises UserError: one line that names `source` (a file), the dotted key, the bad value and what would be
+    right.
+    """
+    try:
+        return cls.model_validate_json(json.dumps(mapping), strict=True)
+    except ValidationError as error:
+        raise UserError(f"{source}: {_explain(cls, mapping, error)}") from error
+    except UserError as error:  # raised by a validator
+        raise type(error)(f"{source}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
+
+
+def validate_experiment(
+    suites: Mapping[str, type[ConfigType]], mapping: Mapping[str, Any], source: str
+) -> ConfigType:
+    """The configuration of the suite that the key `suite` names; the suite's class has that field too.
+
+    Raises UserError as `validate`, and if the suite is missing or unknown.
+    """
+    suite = mapping.get("suite")
+    if not isinstance(suite, str) or suite not in suites:
+        found = "key 'suite' is missing" if suite is None else f"suite = {suite!r} is unknown"
+        raise UserError(f"{source}: {found}{_suggestion(str(suite), list(suites))}")
+    return validate(suites[suite], mapping, source)
+
+
+def to_yaml(config: Config) -> str:
+    """YAML of a configuration, keys in the order of its fields: equal configurations give equal text."""
+    return dump_yaml(config.model_dump(mode="json"))
+
+
+def schema(cls: type[Config]) -> dict[str, Any]:
+    """JSON schema of a configuration's YAML, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **cls.model_json_schema()}
+
+
+def _explain(cls: type[Config], mapping: Mapping[str, Any], error: ValidationError) -> str:
+    """The first of a validation's errors, an unknown key before all: it explains a key that is missing."""
+    errors = sorted(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
+    first = errors[0]
+    key = _dotted(mapping, first)
+    if first["type"] == "extra_forbidden":
+        *above, unknown = first["loc"]
+        return f"unknown key {key!r}{_suggestion(str(unknown), _keys_below(cls, above))}"
+    if first["type"] == "missing":
+        return f"key {key!r} is missing"
+    wanted = _YAML_WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ").removeprefix(
+        "Input "
+    )
+    return f"{key} = {reprlib.repr(first['input'])}: {wanted}" if key else wanted
+
+
+def _dotted(mapping: Mapping[str, Any], error: ErrorDetails) -> str:
+    """The key of an error as `apply_overrides` takes it, without pydantic's names for a union's members."""
+    parts: list[str] = []
+    value: Any = mapping
+    for depth, part in enumerate(error["loc"], start=1):
+        inside = _holds(value, part)
+        absent = depth == len(error["loc"]) and error["type"] in ("missing", "extra_forbidden")
+        if inside or absent:
+            parts.append(str(part))
+        if inside and not absent:
+            value = value[part]
+    return ".".join(parts)
+
+
+def _holds(container: Any, part: str | int) -> bool:
+    if isinstance(container, dict):
+        return part in container
+    return isinstance(container, list) and isinstance(part, int) and part < len(container)
+
+
+def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
+    """Keys that the configuration at `path` below `cls` may have."""
+    models = [cls]
+    for part in path:
+        below = [each for model in models for each in _models_in(model, str(part))]
+        models = below or models
+    return [key for model in models for key in model.model_fields]
+
+
+def _models_in(model: type[BaseModel], field: str) -> list[type[BaseModel]]:
+    if field not in model.model_fields:
+        return []
+    found, pending = [], [model.model_fields[field].annotation]
+    while pending:
+        annotation = pending.pop()
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found.append(annotation)
+        pending.extend(get_args(annotation))
+    return found
+
+
+def _suggestion(word: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"

@@ -1,0 +1,42 @@
+"""Where the files that travel with the package lie: `assets/` (scenes) and `experiments/` (YAML).
+
+A wheel carries both folders inside the package. In a source tree, installed editable or not, they lie beside
+it.
+"""
+
+from importlib.resources import files
+from pathlib import Path
+
+from uavaccel.errors import UserError
+
+_PACKAGE = Path(str(files("uavaccel")))
+
+
+def source_tree() -> Path | None:
+    """The checkout that the package runs from; None where it was installed from a wheel."""
+    root = _PACKAGE.parent
+    return root if (root / "pyproject.toml").is_file() and (root / "assets").is_dir() else None
+
+
+def asset(name: str) -> Path:
+    """Path of an asset, e.g. "mjcf/blocks.xml". Raises UserError if there is none of that name."""
+    return _find("assets", name)
+
+
+def experiment(name: str) -> Path:
+    """Path of an experiment that ships, e.g. "dp1.yaml". Raises UserError if there is none of that name."""
+    return _find("experiments", name)
+
+
+def _find(folder: str, name: str) -> Path:
+    root = _folder(folder)
+    path = root / name
+    if not path.exists():
+        present = sorted(entry.name for entry in path.parent.glob("*")) or ["nothing"]
+        raise UserError(f"no {name!r} among the {folder}; {path.parent} holds {', '.join(present)}")
+    return path
+
+
+def _folder(name: str) -> Path:
+    packaged = _PACKAGE / name
+    return packaged if packaged.is_dir() else _PACKAGE.parent / name

@@ -1,0 +1,89 @@
+"""YAML as plain data, read and written by the same rules.
+
+They differ from PyYAML's own in three points: 1e-3 is a number, as YAML 1.2 has it; a date is text; a key
+that stands twice in one mapping is refused.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from yaml.constructor import ConstructorError
+
+from uavaccel.errors import UserError
+
+_FLOAT = "tag:yaml.org,2002:float"
+_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_EXPONENT_ALONE = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
+
+
+def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
+    rules = {
+        first: [(tag, pattern) for tag, pattern in rules if tag != _TIMESTAMP]
+        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    for first in "-+0123456789":
+        rules.setdefault(first, []).append((_FLOAT, _EXPONENT_ALONE))
+    return rules
+
+
+class _Loader(yaml.SafeLoader):
+    yaml_implicit_resolvers = _resolvers()
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise ConstructorError(problem="a key is not text", problem_mark=key.start_mark)
+            if key.value in seen:
+                problem = f"key {key.value!r} stands twice in one mapping"
+                raise ConstructorError(problem=problem, problem_mark=key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+class _Dumper(yaml.SafeDumper):
+    yaml_implicit_resolvers = _resolvers()
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True  # a value that stands twice is written twice
+
+
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """The mapping in a YAML file.
+
+    Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a
+    key twice or is not a mapping.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: not UTF-8 text") from error
+    value = parse_yaml(text, source=str(path))
+    if not isinstance(value, dict):
+        found = "nothing" if value is None else f"a {type(value).__name__}"
+        raise UserError(f"{path}: must be a mapping, lines of 'key: value', but holds {found}")
+    return value
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """The value of a YAML text; `source` names it in the UserError raised if it is none."""
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f" line {mark.line + 1}:" if mark else ""
+        raise UserError(f"{source}:{line} {error.problem or error.context}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{source}: not YAML: {str(error).splitlines()[0]}") from error
+
+
+def dump_yaml(mapping: Mapping[str, Any]) -> str:
+    """YAML of plain data, keys in their order, inner lists on one line: equal mappings give equal text."""
+    return yaml.dump(
+        dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
+    )
