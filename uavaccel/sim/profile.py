@@ -46,7 +46,8 @@ NATIVE = Profile(
     catch_up_wall_ns=100_000_000,
 )
 
-# The 20 ms goal loop falls on the 3 ms grid every 21 ms; `> 60 ms` after the last goal is 63 ms.
+# The 20 ms goal loop falls on the 3 ms grid every 21 ms; `> 60 ms` after the last goal is 63 ms. AirSim's executor
+# makes no backlog good (ScheduledExecutor.hpp); 5 ms is the grain of the server's own loop.
 AIRSIM = Profile(
     name="airsim",
     tick_ns=3_000_000,
@@ -54,7 +55,7 @@ AIRSIM = Profile(
     hover_after_ticks=21,
     recorder_ticks=17,
     exact_times=False,
-    catch_up_wall_ns=0,
+    catch_up_wall_ns=5_000_000,
 )
 
 PROFILES = {profile.name: profile for profile in (NATIVE, AIRSIM)}

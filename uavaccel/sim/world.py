@@ -142,11 +142,11 @@ class World:
         """Position hold sets in at `tick`; None: not at all."""
         self.state["hover_tick"] = NEVER if tick is None else tick
 
-    def kinematics(self) -> Kinematics:
-        """The state at the present tick, NED and FRD."""
+    def kinematics(self, origin_ns: int = 0) -> Kinematics:
+        """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
         state = self.state
         return Kinematics(
-            self.tick * self.profile.tick_ns,
+            origin_ns + self.tick * self.profile.tick_ns,
             tuple(state["position"].tolist()),
             tuple(state["quaternion"].tolist()),
             tuple(state["velocity"].tolist()),

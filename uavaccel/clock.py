@@ -1,0 +1,137 @@
+"""The owner of wall time: the only module that imports `time`, and the only one that sleeps.
+
+A `WallClock` is either the machine's monotonic clock or a simulated one that costs nothing to wait on. A `Pacer`
+says how many ticks of simulated time are due at a wall time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import selectors
+import sys
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from fractions import Fraction
+from typing import Any, Protocol
+
+from uavaccel.errors import UserError
+from uavaccel.units import NS_PER_S, ceil_div, exact
+
+SPIN_NS = 100_000  # a sleep ends this much early and spins: the kernel wakes a process late
+_PR_SET_TIMERSLACK = 29
+
+
+class WallClock(Protocol):
+    """Wall time in nanoseconds."""
+
+    def now_ns(self) -> int: ...
+
+    def sleep_until(self, deadline_ns: int) -> None: ...
+
+    def charge(self, duration_ns: int) -> None:
+        """Account for modelled work; a real clock ignores it, since the work itself took the time."""
+        ...
+
+
+class MonotonicClock:
+    """The machine's monotonic clock, shared by all processes of the host."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        while (left := deadline_ns - time.monotonic_ns()) > 0:
+            if left > SPIN_NS:
+                time.sleep((left - SPIN_NS) / NS_PER_S)
+
+    def charge(self, duration_ns: int) -> None:
+        pass
+
+
+class VirtualClock:
+    """A simulated wall clock: waiting jumps, work is charged."""
+
+    def __init__(self, now_ns: int = 0) -> None:
+        self._now_ns = now_ns
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        self._now_ns = max(self._now_ns, deadline_ns)
+
+    def charge(self, duration_ns: int) -> None:
+        self._now_ns += duration_ns
+
+
+class Pacer:
+    """How many ticks are due at a wall time: `tick0 + floor((wall - wall0) * clock_speed / tick_ns)`.
+
+    Exact: `ticks_due(wall_due(n)) == n` for every n. With floats a virtual clock could spin for ever.
+    """
+
+    def __init__(self, clock_speed: float, tick_ns: int) -> None:
+        self.tick_ns = tick_ns
+        self._wall0_ns = 0
+        self._tick0 = 0
+        self.set_clock_speed(clock_speed)
+
+    def set_clock_speed(self, clock_speed: float) -> None:
+        """Change the speed; anchor again before the next use."""
+        self.clock_speed = positive_clock_speed(clock_speed)
+        self._numerator, denominator = self.clock_speed.as_integer_ratio()
+        self._tick_wall = self.tick_ns * denominator  # wall ns of `numerator` ticks
+
+    def anchor(self, wall_ns: int, tick: int) -> None:
+        """Let `tick` be due at `wall_ns`."""
+        self._wall0_ns, self._tick0 = wall_ns, tick
+
+    def ticks_due(self, wall_ns: int) -> int:
+        """The last tick due at `wall_ns`."""
+        return self._tick0 + (wall_ns - self._wall0_ns) * self._numerator // self._tick_wall
+
+    def wall_due(self, tick: int) -> int:
+        """The first nanosecond of wall time at which `tick` is due."""
+        return self._wall0_ns + ceil_div((tick - self._tick0) * self._tick_wall, self._numerator)
+
+
+def positive_clock_speed(clock_speed: float) -> Fraction:
+    """The exact decimal that was written. Raises UserError unless it is a finite number above 0."""
+    try:
+        speed = exact(clock_speed)
+    except ValueError:
+        speed = Fraction(0)
+    if speed <= 0:
+        raise UserError(f"clock_speed must be a finite number above 0, for example 1, 1.5 or 100; not {clock_speed}")
+    return speed
+
+
+def wait_for_sockets(
+    selector: selectors.BaseSelector, deadline_ns: int | None
+) -> Sequence[tuple[selectors.SelectorKey, Any]]:
+    """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever)."""
+    if deadline_ns is None:
+        return selector.select(None)
+    return selector.select(max(deadline_ns - time.monotonic_ns(), 0) / NS_PER_S)
+
+
+def ask_for_fine_timers() -> None:
+    """Let the kernel wake this process on time: Linux groups timers within 50 us unless told otherwise."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def timer_grain_ns(samples: int = 50) -> list[int]:
+    """How late short sleeps of 100 us end, sorted, in nanoseconds."""
+    late = []
+    for _ in range(samples):
+        due = time.monotonic_ns() + 100_000
+        time.sleep(100e-6)
+        late.append(time.monotonic_ns() - due)
+    return sorted(late)
+
+
+def calendar_time() -> str:
+    """Date and time of day in UTC, ISO 8601, for names and manifests; never for measuring."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

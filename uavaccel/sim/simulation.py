@@ -1,0 +1,311 @@
+"""A free-running simulation and the commands that fly it, told the wall time by whoever owns it.
+
+Pull, not push: `advance_to(wall_ns)` runs every tick that is due by then; between two calls nothing moves. No
+thread, no socket, no sleep. A message handled at wall time w sees every tick due at w, and its goal acts from the
+next tick; whatever ends at tick n is seen by messages before tick n + 1.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from uavaccel.clock import Pacer
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.profile import Profile
+from uavaccel.sim.recording import Recording
+from uavaccel.sim.world import LEVEL, START_M, World
+from uavaccel.units import NS_PER_S, exact
+
+COMMAND_LOG_LENGTH = 1 << 16
+
+
+class Pending:
+    """A reply that is not yet due: `join` of a command, or a continue-for."""
+
+    def __init__(self) -> None:
+        self.value: Any = None
+        self.due_wall_ns: int | None = None
+        self.on_due: Callable[[Pending], None] | None = None
+
+    def resolve(self, value: Any, wall_ns: int) -> None:
+        """Fix the reply and the wall time before which it may not leave."""
+        self.value, self.due_wall_ns = value, wall_ns
+        if self.on_due is not None:
+            self.on_due(self)
+
+
+@dataclass(frozen=True)
+class VelocityGoal:
+    """What `moveByVelocity` and `moveByVelocityZ` ask for: NED m/s; `height_m` is NED z, or None."""
+
+    velocity_m_s: Vector
+    height_m: float | None = None
+    yaw: float = 0.0  # rad/s, or rad where yaw_is_rate is false
+    yaw_is_rate: bool = True
+
+
+@dataclass
+class _Command:
+    end_tick: int
+    reply: Pending
+
+
+@dataclass
+class _Continue:
+    """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
+
+    reply: Pending
+    end_tick: int | None = None
+    end_wall_ns: int | None = None
+
+
+@dataclass
+class Speed:
+    """Simulated and wall time passed while the clock ran, and the wall time given up as lost."""
+
+    simulated_ns: int = 0
+    wall_ns: int = 0
+    lost_wall_ns: int = 0
+
+    @property
+    def real_time_factor(self) -> float:
+        """Achieved simulated seconds a wall second; 0 before the clock ran."""
+        return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
+
+
+@dataclass
+class Trace:
+    """What the simulation did and when: (event, wall ns, simulated ns); kept only while switched on."""
+
+    events: list[tuple[str, int, int]] = field(default_factory=list)
+    enabled: bool = False
+
+
+class Simulation:
+    """Clock, commands and recorder over one `World`.
+
+    `catch_up_wall_ns`: backlog of wall time that is made good; what exceeds it is lost and counted. None: no
+    bound, for a simulated wall clock, which is never late.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        clock_speed: float = 1.0,
+        wall_ns: int = 0,
+        catch_up_wall_ns: int | None = None,
+    ) -> None:
+        self.world = world
+        self.profile: Profile = world.profile
+        self.pacer = Pacer(clock_speed, self.profile.tick_ns)
+        self.catch_up_wall_ns = catch_up_wall_ns
+        self.paused = False
+        self.api_control = False
+        self.trace = Trace()
+        self._time0_ns = 0
+        self._wall_ns = wall_ns
+        self._start_over(wall_ns)
+
+    # --- time -------------------------------------------------------------------------------------------------
+
+    @property
+    def clock_speed(self) -> Fraction:
+        """Requested simulated seconds a wall second."""
+        return self.pacer.clock_speed
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time since the simulation was made; a reset does not set it back, as in AirSim."""
+        return self._time0_ns + self.world.tick * self.profile.tick_ns
+
+    def advance_to(self, wall_ns: int) -> None:
+        """Fly every tick that is due by `wall_ns`, and end what ends on the way."""
+        if not self.paused:
+            self._drop_backlog(wall_ns)
+        while not self.paused:
+            end_tick = self._next_event_tick()
+            target = self.pacer.ticks_due(wall_ns)
+            self._fly_to(target if end_tick is None else min(target, end_tick))
+            if end_tick is None or end_tick > target:
+                break
+            self._end_at_tick(self.pacer.wall_due(end_tick))
+        if not self.paused and self._continue and self._continue.end_wall_ns is not None:
+            if wall_ns >= self._continue.end_wall_ns:
+                self._finish_continue(wall_ns)
+        self._account(wall_ns)
+
+    def next_event_wall_ns(self) -> int | None:
+        """When something will end unless a message comes first; None while nothing will."""
+        if self.paused:
+            return None
+        walls = [] if (tick := self._next_event_tick()) is None else [self.pacer.wall_due(tick)]
+        if self._continue and self._continue.end_wall_ns is not None:
+            walls.append(self._continue.end_wall_ns)
+        return min(walls, default=None)
+
+    def _drop_backlog(self, wall_ns: int) -> None:
+        if self.catch_up_wall_ns is None:
+            return
+        lost = wall_ns - self.pacer.wall_due(self.world.tick + 1) - self.catch_up_wall_ns
+        if lost > 0:
+            self.speed.lost_wall_ns += lost
+            self.pacer.anchor(wall_ns - self.catch_up_wall_ns, self.world.tick)
+
+    def _fly_to(self, tick: int) -> None:
+        while (ticks := tick - self.world.tick) > 0:
+            self.speed.simulated_ns += self.world.advance(ticks) * self.profile.tick_ns
+
+    def _account(self, wall_ns: int) -> None:
+        if not self.paused:
+            self.speed.wall_ns += wall_ns - self._wall_ns
+        self._wall_ns = wall_ns
+
+    def _next_event_tick(self) -> int | None:
+        ticks = [self._command.end_tick] if self._command else []
+        if self._continue and self._continue.end_tick is not None:
+            ticks.append(self._continue.end_tick)
+        return min(ticks, default=None)
+
+    def _end_at_tick(self, wall_ns: int) -> None:
+        tick = self.world.tick
+        if self._command and self._command.end_tick <= tick:
+            self._end_command(True, wall_ns)
+        if self._continue and self._continue.end_tick is not None and self._continue.end_tick <= tick:
+            self._finish_continue(wall_ns)
+
+    def _note(self, event: str, wall_ns: int) -> None:
+        if self.trace.enabled:
+            self.trace.events.append((event, wall_ns, self.time_ns))
+
+    # --- clock commands ---------------------------------------------------------------------------------------
+
+    def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
+        """Go on at another speed. Raises UserError unless it is above 0."""
+        self.pacer.set_clock_speed(clock_speed)
+        self.pacer.anchor(wall_ns, self.world.tick)
+
+    def pause(self, wall_ns: int) -> None:
+        """Stop simulated time; a running continue-for replies at once."""
+        if not self.paused:
+            self._account(wall_ns)
+            self.paused = True
+            self._note("pause", wall_ns)
+        if self._continue:
+            reply, self._continue = self._continue.reply, None
+            reply.resolve(None, wall_ns)
+
+    def run(self, wall_ns: int) -> None:
+        """Let simulated time go on; ends a continue-for's period, as simPause(False) does."""
+        if self.paused:
+            self.paused = False
+            self._wall_ns = wall_ns
+            self.pacer.anchor(wall_ns, self.world.tick)
+            self._note("run", wall_ns)
+        if self._continue:
+            reply, self._continue = self._continue.reply, None
+            reply.resolve(None, wall_ns)
+
+    def continue_for(self, duration_ns: int, wall_ns: int) -> Pending:
+        """Run for `duration_ns` of simulated time, then pause; a second one replaces the first.
+
+        Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
+        """
+        self.run(wall_ns)
+        self._continue = _Continue(Pending())
+        if self.profile.exact_times:
+            ticks = round(Fraction(duration_ns, self.profile.tick_ns))
+            self._continue.end_tick = self.world.tick + ticks
+        else:
+            self._continue.end_wall_ns = wall_ns + round(duration_ns / self.clock_speed)
+        reply = self._continue.reply
+        self.advance_to(wall_ns)  # it may be over already
+        return reply
+
+    def continue_for_wall(self, seconds: float, wall_ns: int) -> Pending:
+        """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
+        return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
+
+    def _finish_continue(self, wall_ns: int) -> None:
+        self.pause(wall_ns)
+
+    # --- flight commands --------------------------------------------------------------------------------------
+
+    def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> Pending:
+        """Fly a velocity for a simulated time; a running command ends with False (latest wins).
+
+        Raises UserError where an exact profile's tick does not divide the time. Without API control the command
+        takes its time and has no effect (OffboardApi.hpp).
+        """
+        ticks = self.profile.command_ticks(duration_s)
+        self._end_command(False, wall_ns)
+        if self.api_control:
+            vx, vy, vz = goal.velocity_m_s
+            held = goal.height_m is not None
+            third = vz if goal.height_m is None else goal.height_m
+            self.world.fly_velocity((vx, vy, third), held, goal.yaw, goal.yaw_is_rate)
+            self.world.hold_from(None)
+        if not self.commands and self.world.recording:
+            self.world.start_recording()  # t = 0 is the tick at which the first command is accepted
+        self._command = _Command(self.world.tick + ticks, Pending())
+        self.commands.append((self.world.tick, self.world.tick + ticks))
+        self._note("accept", wall_ns)
+        return self._command.reply
+
+    def cancel(self, wall_ns: int) -> None:
+        """End the running command, if any, with False; position hold follows after the goal timeout."""
+        self._end_command(False, wall_ns)
+
+    def _end_command(self, completed: bool, wall_ns: int) -> None:
+        if self._command is None:
+            return
+        command, self._command = self._command, None
+        if not completed:
+            self.commands[-1] = (self.commands[-1][0], self.world.tick)
+        if self.api_control:
+            self.world.hold_from(self.world.tick + self.profile.hover_after_ticks)
+        self._note("end", wall_ns)
+        command.reply.resolve(completed, wall_ns)
+
+    def arm(self, armed: bool) -> bool:
+        """Switch the rotors on or off; needs API control (OffboardApi::arm)."""
+        if self.api_control:
+            self.world.state["armed"] = int(armed)
+        return self.api_control
+
+    # --- start and record -------------------------------------------------------------------------------------
+
+    def reset(self, wall_ns: int, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
+        """Back to a settled hover, API control off; running commands and continue-fors are released with False."""
+        self._end_command(False, wall_ns)
+        if self._continue:
+            self.pause(wall_ns)
+        self._time0_ns = self.time_ns
+        self.world.reset(position_m, orientation_wxyz)
+        self.api_control = False
+        self._start_over(wall_ns)
+
+    def _start_over(self, wall_ns: int) -> None:
+        self._command: _Command | None = None
+        self._continue: _Continue | None = None
+        self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+        self.speed = Speed()
+        self._wall_ns = wall_ns
+        self.pacer.anchor(wall_ns, self.world.tick)
+
+    def kinematics(self) -> Kinematics:
+        """The state at the present tick, stamped with `time_ns`."""
+        return self.world.kinematics(self._time0_ns)
+
+    def recording(self) -> Recording:
+        """What the recorder and the command log hold since the first command after the last reset."""
+        origin = self.commands[0][0] if self.commands else 0
+        rows = self.world.samples()
+        rows[:, 0] -= origin
+        log = np.array(self.commands, dtype=np.int64).reshape(-1, 2) - origin
+        return Recording(rows, log, self.profile.tick_ns, self.world.samples_dropped)

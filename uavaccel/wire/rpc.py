@@ -1,0 +1,90 @@
+"""msgpack-rpc as AirSim's rpclib speaks it: messages, framing and error texts. No socket.
+
+Request [0, id, method, params], response [1, id, error, result], notification [2, method, params].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgpack
+
+REQUEST, RESPONSE, NOTIFY = 0, 1, 2
+MAX_MESSAGE_BYTES = 1 << 20
+
+
+class RpcError(Exception):
+    """A call failed; the text is what the client gets."""
+
+
+class ProtocolError(Exception):
+    """Bytes that are no msgpack-rpc; the connection cannot go on."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A call; `message_id` is None for a notification, which gets no answer."""
+
+    message_id: int | None
+    method: str
+    params: Sequence[Any]
+
+
+class Decoder:
+    """Turns a byte stream into requests, or responses; raises ProtocolError on anything else."""
+
+    def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES) -> None:
+        self._unpacker = msgpack.Unpacker(
+            raw=False,
+            unicode_errors="surrogateescape",  # clients of msgpack 0.5 send bytes as text
+            strict_map_key=False,
+            max_buffer_size=max_message_bytes,
+        )
+
+    def messages(self, data: bytes) -> Iterator[list[Any]]:
+        """Whole messages that `data` completes."""
+        try:
+            self._unpacker.feed(data)
+            for message in self._unpacker:
+                if not isinstance(message, list) or not message:
+                    raise ProtocolError(f"not a msgpack-rpc message: {type(message).__name__}")
+                yield message
+        except (ValueError, TypeError, msgpack.UnpackException, msgpack.BufferFull, RecursionError) as error:
+            raise ProtocolError(f"not msgpack: {error}") from error
+
+
+def parse_request(message: list[Any]) -> Request:
+    """The request that a message is. Raises ProtocolError if it is none."""
+    match message:
+        case [0, int(message_id), str(method), list(params)] if not isinstance(message_id, bool):
+            return Request(message_id, method, params)
+        case [2, str(method), list(params)]:
+            return Request(None, method, params)
+    raise ProtocolError("not a msgpack-rpc request")
+
+
+def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
+    return bytes(msgpack.packb([REQUEST, message_id, method, list(params)]))
+
+
+def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
+    return bytes(msgpack.packb([RESPONSE, message_id, error, result]))
+
+
+def unknown_method(method: str, count: int) -> RpcError:
+    return RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
+
+
+def wrong_arity(method: str, expected: int, got: int) -> RpcError:
+    return RpcError(
+        f"rpclib: Function '{method}' was called with an invalid number of arguments. Expected: {expected}, got: {got}"
+    )
+
+
+def threw(method: str, count: int, message: str) -> RpcError:
+    return RpcError(
+        f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
+        f"The exception contained this information: {message}."
+    )

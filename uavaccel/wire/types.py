@@ -1,0 +1,95 @@
+"""AirSim's wire types: maps by field name, and the checks that arguments have to pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
+
+HOME_LATITUDE, HOME_LONGITUDE, HOME_ALTITUDE_M = 47.641468, -122.140165, 122.0
+EARTH_RADIUS_M = 6378137.0
+
+
+def vector_map(vector: Vector) -> dict[str, float]:
+    return dict(zip(("x_val", "y_val", "z_val"), vector, strict=True))
+
+
+def quaternion_map(quaternion: Quaternion) -> dict[str, float]:
+    return dict(zip(("w_val", "x_val", "y_val", "z_val"), quaternion, strict=True))
+
+
+def kinematics_map(kinematics: Kinematics) -> dict[str, Any]:
+    """KinematicsState."""
+    return {
+        "position": vector_map(kinematics.position_m),
+        "orientation": quaternion_map(kinematics.orientation_wxyz),
+        "linear_velocity": vector_map(kinematics.linear_velocity_m_s),
+        "angular_velocity": vector_map(kinematics.angular_velocity_rad_s),
+        "linear_acceleration": vector_map(kinematics.linear_acceleration_m_s2),
+        "angular_acceleration": vector_map(kinematics.angular_acceleration_rad_s2),
+    }
+
+
+def pose_map(kinematics: Kinematics) -> dict[str, Any]:
+    return {
+        "position": vector_map(kinematics.position_m),
+        "orientation": quaternion_map(kinematics.orientation_wxyz),
+    }
+
+
+def geo_point_map(position_m: Vector) -> dict[str, float]:
+    """GeoPoint of an NED position around AirSim's default origin, on a sphere."""
+    north, east, down = position_m
+    circle = EARTH_RADIUS_M * math.cos(math.radians(HOME_LATITUDE))
+    return {
+        "latitude": HOME_LATITUDE + math.degrees(north / EARTH_RADIUS_M),
+        "longitude": HOME_LONGITUDE + math.degrees(east / circle),
+        "altitude": HOME_ALTITUDE_M - down,
+    }
+
+
+def no_collision_map() -> dict[str, Any]:
+    """CollisionInfo of a vehicle that has touched nothing."""
+    zero = vector_map((0.0, 0.0, 0.0))
+    return {
+        "has_collided": False,
+        "penetration_depth": 0.0,
+        "time_stamp": 0,
+        "normal": zero,
+        "impact_point": zero,
+        "position": zero,
+        "object_name": "",
+        "object_id": -1,
+    }
+
+
+def rc_data_map() -> dict[str, Any]:
+    """RCData of a vehicle without a remote control."""
+    sticks = dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0)
+    return {"timestamp": 0, **sticks, "switches": 0, "vendor_id": "", "is_initialized": False, "is_valid": False}
+
+
+def number(value: Any, name: str) -> float:
+    """A finite number; raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name} must be a number, not {type(value).__name__}")
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, not {value}")
+    return float(value)
+
+
+def flag(value: Any, name: str) -> bool:
+    """A truth value; raises ValueError."""
+    if not isinstance(value, bool | int):
+        raise ValueError(f"{name} must be true or false, not {type(value).__name__}")
+    return bool(value)
+
+
+def yaw_mode(value: Any) -> tuple[bool, float]:
+    """YawMode {is_rate, yaw_or_rate in degrees or deg/s} as (is_rate, rad or rad/s); raises ValueError."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"yaw_mode must be a map, not {type(value).__name__}")
+    is_rate = flag(value.get("is_rate", True), "yaw_mode.is_rate")
+    return is_rate, math.radians(number(value.get("yaw_or_rate", 0.0), "yaw_mode.yaw_or_rate"))
