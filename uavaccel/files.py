@@ -1,0 +1,100 @@
+"""Files that a crash leaves whole, in which equal values are equal bytes."""
+
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from uavaccel.errors import UserError
+
+UNFINISHED = ".unfinished"
+"""Suffix of a file that is still being written; a crash may leave one behind."""
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write that takes the place of `path` once it is whole and on disk."""
+    unfinished = path.with_name(path.name + UNFINISHED)
+    with unfinished.open("wb") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write an .npz whose bytes depend on the names and values alone: sorted, C-contiguous, undated."""
+    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name in sorted(arrays):
+            undated = zipfile.ZipInfo(f"{name}.npy")
+            with archive.open(undated, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(arrays[name], order="C"), allow_pickle=False)
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an .npz. Raises UserError if it is missing or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path}: cannot be read: {error}") from error
+
+
+def to_json(value: Any, indent: int | None = None) -> str:
+    """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
+    return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def append_line(path: Path, entry: Mapping[str, Any]) -> None:
+    """Add a line of JSON, on disk on return."""
+    line = to_json(entry).encode() + b"\n"
+    with path.open("ab") as file:
+        file.write(line)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The whole lines that `append_line` wrote; one cut short, or still being written, is left out.
+
+    No file is no lines. Raises UserError, naming the line, if one is not a JSON object.
+    """
+    if not path.exists():
+        return []
+    whole = path.read_bytes().split(b"\n")[:-1]
+    return [_parse_line(line, f"{path}: line {number}") for number, line in enumerate(whole, start=1)]
+
+
+def _parse_line(line: bytes, where: str) -> dict[str, Any]:
+    try:
+        entry = json.loads(line)
+    except ValueError as error:
+        raise UserError(f"{where}: not JSON: {error}") from error
+    if not isinstance(entry, dict):
+        raise UserError(f"{where}: not a JSON object")
+    return entry
+
+
+def drop_cut_line(path: Path) -> None:
+    """Remove what a crash left of a last line, so that the next one starts afresh."""
+    if path.exists():
+        whole, newline, _ = path.read_bytes().rpartition(b"\n")
+        os.truncate(path, len(whole + newline))

@@ -1,0 +1,97 @@
+"""What a run was made with: versions, source, host and threads."""
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import uavaccel
+from uavaccel.resources import source_tree
+
+_PACKAGES = (
+    "gymnasium",
+    "llvmlite",
+    "mujoco",
+    "numba",
+    "numpy",
+    "opencv-python-headless",
+    "scipy",
+    "stable-baselines3",
+    "torch",
+)
+_ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def describe_run(
+    command_line: Sequence[str], seed: int, start_time: str, gl_renderer: str | None = None
+) -> dict[str, Any]:
+    """Plain data for a run directory's manifest.json.
+
+    `start_time` is ISO 8601 text from the caller's clock, `gl_renderer` the GL_RENDERER of its context, if any.
+    """
+    return {
+        "command_line": list(command_line),
+        "start_time": start_time,
+        "seed": seed,
+        "versions": _versions(),
+        "git": _git(),
+        "host": _host(),
+        "gl_renderer": gl_renderer,
+        "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
+    }
+
+
+def _versions() -> dict[str, str | None]:
+    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = None
+    return versions
+
+
+def _git() -> dict[str, Any] | None:
+    """Commit of the source tree, and whether files under version control differ from it; None outside one."""
+    root = source_tree()
+    if root is None:
+        return None
+    command = ["git", "-C", str(root)]
+    try:
+        commit = _output([*command, "rev-parse", "HEAD"])
+        changes = _output([*command, "status", "--porcelain", "--untracked-files=no"])
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": commit, "dirty": bool(changes)}
+
+
+def _output(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    return done.stdout.strip()
+
+
+def _host() -> dict[str, Any]:
+    return {
+        "platform": platform.platform(),
+        "cpu_model": _cpu_model(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_bytes": _memory_bytes(),
+    }
+
+
+def _cpu_model() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    except OSError:
+        models = []
+    return models[0] if models else platform.processor() or platform.machine()
+
+
+def _memory_bytes() -> int | None:
+    if sys.platform == "win32":
+        return None
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

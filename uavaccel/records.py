@@ -1,0 +1,181 @@
+"""The run directory: where runs and reports meet.
+
+    config.yaml    the resolved configuration       manifest.json  what the run was made with
+    rows.jsonl     one line a finished case         arrays/        its raw samples, one .npz a case
+    timing.jsonl   what is never the same twice     summary.json, report.md, figures/  made from all these
+
+A case's arrays are in place before its row is: whatever a crash leaves behind, the cases with a whole row are
+done and the others can be flown again.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavaccel.config import Config, to_yaml
+from uavaccel.errors import UserError
+from uavaccel.files import (
+    UNFINISHED,
+    append_line,
+    drop_cut_line,
+    read_arrays,
+    read_lines,
+    replacing,
+    to_json,
+    write_arrays,
+)
+from uavaccel.yaml_io import load_yaml, parse_yaml
+
+
+class RunDirectory:
+    """The run directory at `path`. Raises UserError if there is none."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not (self.path / "config.yaml").is_file():
+            raise UserError(f"{self.path}: not a run directory: no config.yaml in it")
+        self._done = {row.get("case") for row in self.rows()}
+
+    @classmethod
+    def create(
+        cls, path: str | Path, config: Config, manifest: Mapping[str, Any], resume: bool = False
+    ) -> "RunDirectory":
+        """Start a run at `path`, or with `resume` go on with the one that is there, if one is.
+
+        Going on, a line that was cut short is dropped, and `manifest` is added to the run's. Raises UserError
+        if the folder exists and `resume` is False, or if the run has another configuration.
+        """
+        path = Path(path)
+        if path.exists() and not resume:
+            raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
+        if (path / "config.yaml").is_file():
+            _refuse_other_config(path, config)
+            _clear_after_crash(path)
+        else:
+            _start(path, config)
+        run = cls(path)
+        run._add_manifest(manifest)
+        return run
+
+    def append_row(self, row: Mapping[str, Any]) -> None:
+        """Add the row of a finished case, whole and on disk on return; `row["case"]` is the case's id.
+
+        Keys are sorted, floats read back equal, one that is not finite is null. Raises ValueError if the case
+        has a row already.
+        """
+        if row["case"] in self._done:
+            raise ValueError(f"case {row['case']} has a row already")
+        append_line(self.path / "rows.jsonl", row)
+        self._done.add(row["case"])
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Every whole row, in the order in which they were added."""
+        return read_lines(self.path / "rows.jsonl")
+
+    def done_cases(self) -> set[str]:
+        """Ids of the cases that have a row."""
+        return set(self._done)
+
+    def append_timing(self, entry: Mapping[str, Any]) -> None:
+        """Add an entry to timing.jsonl: host times, loads, retries."""
+        append_line(self.path / "timing.jsonl", entry)
+
+    def timings(self) -> list[dict[str, Any]]:
+        """Every whole entry of timing.jsonl."""
+        return read_lines(self.path / "timing.jsonl")
+
+    def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> str:
+        """Write a case's arrays, in place of those of an attempt without a row; their path in the run."""
+        name = f"arrays/{case}.npz"
+        write_arrays(self.file(name), arrays)
+        return name
+
+    def load_arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Arrays by the path that `save_arrays` returned. Raises UserError if missing or damaged."""
+        return read_arrays(self.path / name)
+
+    def file(self, name: str) -> Path:
+        """Path of a file of the run, e.g. "figures/figure5.png", in a folder that exists."""
+        path = self.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a file of the run all at once; its path."""
+        path = self.file(name)
+        with replacing(path) as file:
+            file.write(text.encode())
+        return path
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Write plain data and numpy's by the rules of `append_row`; the file's path."""
+        return self.write_text(name, to_json(value, indent=2) + "\n")
+
+    def read_json(self, name: str) -> Any:
+        """The value in a JSON file of the run. Raises UserError if it is missing or damaged."""
+        path = self.path / name
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UserError(f"{path}: {error.strerror}") from error
+        except ValueError as error:
+            raise UserError(f"{path}: not JSON: {error}") from error
+
+    def config(self) -> dict[str, Any]:
+        """The mapping in config.yaml."""
+        return load_yaml(self.path / "config.yaml")
+
+    def manifest(self) -> dict[str, Any]:
+        """What the run was started with; under "resumed" what it was gone on with, each time."""
+        manifest: dict[str, Any] = self.read_json("manifest.json")
+        return manifest
+
+    def _add_manifest(self, manifest: Mapping[str, Any]) -> None:
+        if (self.path / "manifest.json").exists():
+            first = self.manifest()
+            manifest = {**first, "resumed": [*first.get("resumed", []), manifest]}
+        self.write_json("manifest.json", manifest)
+
+
+def _start(path: Path, config: Config) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        strangers = [entry.name for entry in path.iterdir() if not entry.name.endswith(UNFINISHED)]
+        if strangers:
+            raise UserError(f"{path}: not a run directory, but holds {min(strangers)}; take another --out")
+        with replacing(path / "config.yaml") as file:
+            file.write(to_yaml(config).encode())
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+
+
+def _clear_after_crash(path: Path) -> None:
+    for leftover in path.rglob(f"*{UNFINISHED}"):
+        leftover.unlink()
+    drop_cut_line(path / "rows.jsonl")
+    drop_cut_line(path / "timing.jsonl")
+
+
+def _refuse_other_config(path: Path, config: Config) -> None:
+    there = _leaves(load_yaml(path / "config.yaml"))
+    here = _leaves(parse_yaml(to_yaml(config), source="configuration"))
+    differing = [
+        f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)"
+        for key in sorted(there.keys() | here.keys())
+        if there.get(key) != here.get(key)
+    ]
+    if differing:
+        raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
+
+
+def _leaves(value: Any, key: str = "") -> dict[str, str]:
+    """Dotted keys of a configuration and the JSON of their values."""
+    if not isinstance(value, dict) or not value:
+        return {key: json.dumps(value)}
+    leaves: dict[str, str] = {}
+    for name, inner in value.items():
+        leaves |= _leaves(inner, f"{key}.{name}" if key else name)
+    return leaves
