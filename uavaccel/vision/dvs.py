@@ -1,0 +1,225 @@
+"""A dynamic vision sensor after v2e's pixel model, as pure functions on arrays.
+
+A pixel memorises a log intensity and emits one event for each whole contrast threshold by which the present one differs
+from it. Source: v2e (SensorsINI/v2e, commit cac6384, `EventEmulator.generate_events`); given the same random numbers,
+counts and time stamps equal v2e's to the last event. Events of one stamp and polarity stay in raster order, where v2e
+shuffles them.
+
+    sensor = make_sensor(PRESETS["clean"], (144, 256), seed=0)
+    state = init_state(sensor, first_frame)
+    state, on, off = step(sensor, state, frame, t_s=0.33)
+"""
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.vision import dvs_kernels as kernels
+from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, DvsSensor, make_sensor
+
+__all__ = [
+    "PRESETS",
+    "DvsParameters",
+    "DvsSensor",
+    "DvsState",
+    "init_state",
+    "luma",
+    "make_sensor",
+    "step",
+    "step_with_events",
+    "time_stamps",
+]
+
+Frame = NDArray[np.uint8]
+Counts = NDArray[np.int32]
+Events = NDArray[np.float32]
+Floats = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+LINEAR_UP_TO = 20  # intensity up to which a line replaces the logarithm
+SHOT_NOISE_AT_WHITE = 0.25  # shot noise of the brightest pixel relative to that of a black one
+NO_EVENTS = np.empty((0, 4), np.float32)
+
+
+class DvsState(NamedTuple):
+    """What a sensor remembers between frames. Arrays are (H, W) and never changed in place."""
+
+    base_log: Floats
+    filtered_log: Floats
+    last_event_s: NDArray[np.float32]
+    time_s: float
+    frame_index: int
+    noise_seed: int
+
+
+class _Burst(NamedTuple):
+    """The events that the pixels of one frame are due, before the refractory period takes some away."""
+
+    signed: Counts
+    stamps_s: NDArray[np.float32]
+    last_event_s: NDArray[np.float32]
+    refractory_s: np.float32  # -inf where it does not apply
+
+
+def _lin_log_table() -> NDArray[np.float32]:
+    intensity = np.arange(256, dtype=np.float64)
+    line = intensity * (math.log(LINEAR_UP_TO) / LINEAR_UP_TO)
+    log = np.where(intensity <= LINEAR_UP_TO, line, np.log(np.maximum(intensity, 1.0)))
+    return (np.round(log * 1e8) / 1e8).astype(np.float32)
+
+
+LIN_LOG = _lin_log_table()
+RELATIVE_INTENSITY = (np.arange(256) + 20) / 275.0
+
+
+def luma(rgb: NDArray[np.uint8]) -> Frame:
+    """Grey (H, W) of an RGB image (H, W, 3): OpenCV's conversion, which v2e applies to its BGR frames."""
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: int = 0) -> DvsState:
+    """Memorise the first grey frame (H, W), taken at `t_s`: it makes no events.
+
+    `noise_seed` is that of leak jitter and shot noise. v2e takes the time of the first frame to be 0.
+    """
+    _check_frame(sensor, frame)
+    log = LIN_LOG[np.ascontiguousarray(frame)].astype(sensor.positive_threshold.dtype)
+    never_s = np.full(frame.shape, -sensor.parameters.refractory_s, np.float32)
+    return DvsState(log, log, never_s, t_s, 0, noise_seed)
+
+
+def step(sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float) -> tuple[DvsState, Counts, Counts]:
+    """New state, and ON and OFF counts (H, W), of the grey frame (H, W) taken at `t_s` seconds.
+
+    Raises ValueError for a frame that is not uint8 of the sensor's shape, or earlier than the one before.
+    """
+    new_state, on, off, _ = _advance(sensor, state, frame, t_s, listed=False)
+    return new_state, on, off
+
+
+def step_with_events(
+    sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float
+) -> tuple[DvsState, Counts, Counts, Events]:
+    """As `step`, and the events (n, 4) float32: rows (t, x, y, p), t in seconds, p = +1 or -1.
+
+    In the order of v2e: by stamp, ON before OFF; shot noise last, with the frame's last stamp.
+    """
+    return _advance(sensor, state, frame, t_s, listed=True)
+
+
+def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32]:
+    """The `count` >= 1 stamps of a frame: evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
+
+    Bit for bit v2e's float32 `torch.linspace` on x86-64: filled from both ends, each element by one fused multiply-add,
+    which the double-precision sum here rounds alike.
+    """
+    start = np.float32(t_before_s + (t_s - t_before_s) / count)
+    if count == 1:
+        return np.array([start])
+    end, index = np.float32(t_s), np.arange(count)
+    spacing = np.float64((end - start) / np.float32(count - 1))
+    rising = np.float64(start) + spacing * index
+    falling = np.float64(end) - spacing * (count - 1 - index)
+    return np.where(index < count // 2, rising, falling).astype(np.float32)
+
+
+def _advance(
+    sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float, listed: bool
+) -> tuple[DvsState, Counts, Counts, Events]:
+    _check_frame(sensor, frame)
+    _check_time(state, t_s)
+    frame, dt_s, index = np.ascontiguousarray(frame), t_s - state.time_s, state.frame_index + 1
+    rng = np.random.default_rng(np.random.SeedSequence(state.noise_seed, spawn_key=(index,)))
+    log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
+    base = _leaked(sensor, state.base_log, dt_s, rng)
+    burst = _burst(sensor, state, log, base, t_s)
+    kept, last_event_s = _after_refractory(burst)
+    base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
+    on, off = kernels.split_polarities(kept)
+    shots = _shot_noise(sensor, frame, dt_s, rng)
+    if shots is not None:  # a noisy pixel forgets what it had memorised
+        on, off, base = on + shots[0], off + shots[1], np.where(shots[0] | shots[1], log, base)
+    events = _list_events(burst, kept, shots) if listed else NO_EVENTS
+    return DvsState(base, log, last_event_s, t_s, index, state.noise_seed), on, off, events
+
+
+def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame, dt_s: float) -> Floats:
+    if parameters.cutoff_hz <= 0:
+        return kernels.look_up(frame, LIN_LOG)
+    tau_s = 1 / (math.pi * 2 * parameters.cutoff_hz)
+    weights = np.minimum(RELATIVE_INTENSITY * (dt_s / tau_s), 1.0)
+    return kernels.low_pass(frame, filtered_log, LIN_LOG, weights)
+
+
+def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Generator) -> Floats:
+    parameters = sensor.parameters
+    if parameters.leak_rate_hz <= 0:
+        return base_log
+    jitter = 1 - parameters.leak_jitter_fraction * rng.standard_normal(base_log.shape, np.float32)
+    rate_hz = parameters.leak_rate_hz * sensor.leak_rate_factor * jitter
+    return base_log - dt_s * rate_hz * sensor.positive_threshold.astype(np.float32)
+
+
+def _burst(sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float) -> _Burst:
+    count = kernels.count_single if log.dtype == np.float32 else kernels.count_double
+    signed = count(log, base, sensor.positive_threshold, sensor.negative_threshold)
+    stamp_count = int(max(1, signed.max(), -signed.min()))
+    refractory_s = sensor.parameters.refractory_s
+    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then passes everything and forgets the times
+        refractory_s = -math.inf
+    stamps_s = time_stamps(state.time_s, t_s, stamp_count)
+    return _Burst(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
+
+
+def _after_refractory(burst: _Burst) -> tuple[Counts, NDArray[np.float32]]:
+    if np.isneginf(burst.refractory_s):
+        return burst.signed, burst.last_event_s
+    return kernels.drop_refractory(*burst)
+
+
+def _shot_noise(
+    sensor: DvsSensor, frame: Frame, dt_s: float, rng: np.random.Generator
+) -> tuple[Mask, Mask] | None:
+    parameters = sensor.parameters
+    if parameters.shot_noise_rate_hz <= 0:
+        return None
+    dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
+    chance = kernels.look_up(frame, parameters.shot_noise_rate_hz / 2 * dt_s * dimming)
+    draw = rng.random(frame.shape, np.float32)
+    chance_on = chance * _sensitivity(parameters.positive_threshold, sensor.positive_threshold)
+    chance_off = chance * _sensitivity(parameters.negative_threshold, sensor.negative_threshold)
+    return draw > 1 - chance_on, draw < chance_off
+
+
+def _sensitivity(nominal: float, threshold: Floats) -> NDArray[np.float32]:
+    return np.float32(nominal) / threshold.astype(np.float32)
+
+
+def _list_events(burst: _Burst, kept: Counts, shots: tuple[Mask, Mask] | None) -> Events:
+    events = np.empty((int(np.abs(kept).sum()), 4), np.float32)
+    kernels.list_events(*burst, events)
+    if shots is None:
+        return events
+    noise = [_at_once(burst.stamps_s[-1], mask, sign) for mask, sign in zip(shots, (1, -1), strict=True)]
+    return np.concatenate([events, *noise])
+
+
+def _at_once(stamp_s: np.float32, mask: Mask, polarity: int) -> Events:
+    y, x = np.nonzero(mask)
+    events = np.empty((len(x), 4), np.float32)
+    events[:, 0], events[:, 1], events[:, 2], events[:, 3] = stamp_s, x, y, polarity
+    return events
+
+
+def _check_frame(sensor: DvsSensor, frame: Frame) -> None:
+    shape = sensor.positive_threshold.shape
+    if frame.dtype != np.uint8 or frame.shape != shape:
+        raise ValueError(f"a frame must be uint8 of shape {shape}, not {frame.dtype} of {frame.shape}")
+
+
+def _check_time(state: DvsState, t_s: float) -> None:
+    if not t_s >= state.time_s:
+        raise ValueError(f"a frame at {t_s} s cannot follow one at {state.time_s} s")

@@ -1,0 +1,76 @@
+"""The DVS as a device: its parameters, v2e's presets of them, and what is drawn once for each pixel."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.floating]
+
+MIN_THRESHOLD = np.float32(0.01)
+
+
+@dataclass(frozen=True)
+class DvsParameters:
+    """The sensor's parameters with v2e's meanings; the defaults are v2e's `clean` model.
+
+    Thresholds and their standard deviation are in natural-log intensity, rates in events per pixel and second.
+    """
+
+    positive_threshold: float = 0.2
+    negative_threshold: float = 0.2
+    threshold_sigma: float = 0.02
+    cutoff_hz: float = 0.0
+    leak_rate_hz: float = 0.0
+    leak_jitter_fraction: float = 0.1
+    leak_rate_spread_decades: float = 0.1
+    shot_noise_rate_hz: float = 0.0
+    refractory_s: float = 0.0
+
+
+PRESETS: Mapping[str, DvsParameters] = MappingProxyType(
+    {
+        "constructor": DvsParameters(threshold_sigma=0.03, leak_rate_hz=0.1),
+        "command_line": DvsParameters(
+            threshold_sigma=0.03, cutoff_hz=300.0, leak_rate_hz=0.01, shot_noise_rate_hz=0.001, refractory_s=0.0005
+        ),
+        "clean": DvsParameters(),
+        "noisy": DvsParameters(threshold_sigma=0.05, cutoff_hz=30.0, leak_rate_hz=0.1, shot_noise_rate_hz=5.0),
+    }
+)
+
+
+class DvsSensor(NamedTuple):
+    """One sensor: its parameters, and what is drawn once for each pixel. Arrays are (H, W).
+
+    Thresholds are float32; behind a low-pass float64, because v2e computes in double precision there.
+    """
+
+    parameters: DvsParameters
+    positive_threshold: Floats
+    negative_threshold: Floats
+    leak_rate_factor: NDArray[np.float32]
+
+
+def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
+    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma), at least 0.01, and log-normal leak rates."""
+    rng = np.random.default_rng(seed)
+    positive = _draw_thresholds(parameters, parameters.positive_threshold, shape, rng)
+    negative = _draw_thresholds(parameters, parameters.negative_threshold, shape, rng)
+    spread = np.float32(math.log(10) * parameters.leak_rate_spread_decades)
+    factor = np.exp(spread * rng.standard_normal(shape, np.float32))
+    return DvsSensor(parameters, positive, negative, factor)
+
+
+def _draw_thresholds(
+    parameters: DvsParameters, nominal: float, shape: tuple[int, int], rng: np.random.Generator
+) -> Floats:
+    precision = np.float64 if parameters.cutoff_hz > 0 else np.float32
+    if parameters.threshold_sigma == 0:  # a plain number in v2e, rounded to float32 only where float32 meets it
+        return np.full(shape, nominal, precision)
+    spread = np.float32(parameters.threshold_sigma) * rng.standard_normal(shape, np.float32)
+    return np.maximum(np.float32(nominal) + spread, MIN_THRESHOLD).astype(precision)
