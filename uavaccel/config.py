@@ -95,8 +95,8 @@ def validate(cls: type[ConfigType], mapping: Mapping[str, Any], source: str) -> 
 
 
 def validate_experiment(
-    suites: Mapping[str, type[ConfigType]], mapping: Mapping[str, Any], source: str
-) -> ConfigType:
+    suites: Mapping[str, type[Config]], mapping: Mapping[str, Any], source: str
+) -> Config:
     """The configuration of the suite that the key `suite` names; the suite's class has that field too.
 
     Raises UserError as `validate`, and if the suite is missing or unknown.
@@ -119,9 +119,9 @@ def schema(cls: type[Config]) -> dict[str, Any]:
 
 
 def _explain(cls: type[Config], mapping: Mapping[str, Any], error: ValidationError) -> str:
-    """The first of a validation's errors, an unknown key before all: it explains a key that is missing."""
-    errors = sorted(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
-    first = errors[0]
+    """The error that explains most: an unknown key, which may be why another is missing, or the innermost."""
+    errors = error.errors(include_url=False)
+    first = min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]

@@ -30,7 +30,7 @@ def describe_run(
 ) -> dict[str, Any]:
     """Plain data for a run directory's manifest.json.
 
-    `start_time` is ISO 8601 text from the caller's clock, `gl_renderer` the GL_RENDERER of its context, if any.
+    `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
     return {
         "command_line": list(command_line),

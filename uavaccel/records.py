@@ -37,7 +37,7 @@ class RunDirectory:
         self.path = Path(path)
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: not a run directory: no config.yaml in it")
-        self._done = {row.get("case") for row in self.rows()}
+        self._done = {str(row.get("case")) for row in self.rows()}
 
     @classmethod
     def create(

@@ -5,7 +5,7 @@ that stands twice in one mapping is refused.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,13 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         return True  # a value that stands twice is written twice
 
+    def represent_sequence(
+        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
+    ) -> yaml.SequenceNode:
+        node = super().represent_sequence(tag, sequence, flow_style)
+        node.flow_style = all(isinstance(item, yaml.ScalarNode) for item in node.value)
+        return node
+
 
 def load_yaml(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file.
@@ -83,7 +90,5 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def dump_yaml(mapping: Mapping[str, Any]) -> str:
-    """YAML of plain data, keys in their order, inner lists on one line: equal mappings give equal text."""
-    return yaml.dump(
-        dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
-    )
+    """YAML of plain data, keys in their order, short lists on one line; equal data give equal text."""
+    return yaml.dump(dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=False, width=110)

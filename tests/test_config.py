@@ -1,0 +1,238 @@
+"""Configurations: what is refused, what the one line says, and that YAML comes back as it went."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field, ValidationError, field_validator
+
+from uavaccel.config import (
+    Config,
+    apply_overrides,
+    load_yaml,
+    schema,
+    to_yaml,
+    validate,
+    validate_experiment,
+)
+from uavaccel.errors import UsageError, UserError
+from uavaccel.yaml_io import dump_yaml, parse_yaml
+
+
+class Camera(Config):
+    rate_hz: float = Field(30, gt=0)
+    """Images a simulated second."""
+
+
+class Flight(Config):
+    suite: Literal["flight"] = "flight"
+    clock_speeds: tuple[float, ...] = (1.0, 50.0)
+    command: Literal["adsc", "tcsc"] = "tcsc"
+    path: Literal["square"] | list[list[float]] = "square"
+    camera: Camera = Camera()
+    games: int
+
+    @field_validator("games")
+    @classmethod
+    def _even(cls, games: int) -> int:
+        if games == 13:
+            raise UserError("thirteen games bring bad luck")
+        if games % 2:
+            raise ValueError("should be even")
+        return games
+
+
+class Other(Config):
+    suite: Literal["other"] = "other"
+
+
+SUITES: dict[str, type[Config]] = {"flight": Flight, "other": Other}
+
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+KEYS = st.text(alphabet="abcdefgh_", min_size=1, max_size=8)
+
+
+def refusal(mapping: dict[str, Any]) -> str:
+    with pytest.raises(UserError) as caught:
+        validate(Flight, mapping, source="my.yaml")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# --- validate -----------------------------------------------------------------------------------------------
+
+
+def test_a_valid_mapping_becomes_a_frozen_configuration() -> None:
+    flight = validate(Flight, {"games": 2, "clock_speeds": [10], "camera": {"rate_hz": 3}}, source="my.yaml")
+    assert flight == Flight(games=2, clock_speeds=(10.0,), camera=Camera(rate_hz=3.0))
+    with pytest.raises(ValidationError, match="frozen"):
+        flight.games = 4  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("mapping", "line"),
+    [
+        ({}, "my.yaml: key 'games' is missing"),
+        ({"game": 2}, "my.yaml: unknown key 'game'; did you mean 'games'?"),
+        ({"games": 2, "camera": {"rate": 3}}, "my.yaml: unknown key 'camera.rate'; did you mean 'rate_hz'?"),
+        ({"games": 2, "camera": {"zoom": 3}}, "my.yaml: unknown key 'camera.zoom'; known: rate_hz"),
+        ({"games": 2, "camera": {"rate_hz": -1}}, "my.yaml: camera.rate_hz = -1: should be greater than 0"),
+        ({"games": 2, "camera": 3}, "my.yaml: camera = 3: should be a mapping"),
+        ({"games": 2, "command": "tsc"}, "my.yaml: command = 'tsc': should be 'adsc' or 'tcsc'"),
+        ({"games": 2, "clock_speeds": 5}, "my.yaml: clock_speeds = 5: should be a list"),
+        ({"games": 2, "clock_speeds": [1, "x"]}, "my.yaml: clock_speeds.1 = 'x': should be a valid number"),
+        ({"games": "2"}, "my.yaml: games = '2': should be a valid integer"),
+        ({"games": True}, "my.yaml: games = True: should be a valid integer"),
+        ({"games": 3}, "my.yaml: games = 3: should be even"),
+        ({"games": 13}, "my.yaml: thirteen games bring bad luck"),
+        ({"games": 2, "path": [[1, 0], [0, "n"]]}, "my.yaml: path.1.1 = 'n': should be a valid number"),
+    ],
+)
+def test_a_refusal_names_file_key_value_and_remedy(mapping: dict[str, Any], line: str) -> None:
+    assert refusal(mapping) == line
+
+
+@pytest.mark.parametrize("speed", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite_are_refused(speed: float) -> None:
+    assert "clock_speeds.0" in refusal({"games": 2, "clock_speeds": [speed]})
+
+
+def test_what_is_no_plain_data_is_refused() -> None:
+    assert "not made of text, numbers, lists and mappings" in refusal({"games": b"2"})
+
+
+def test_the_suite_picks_the_class() -> None:
+    assert validate_experiment(SUITES, {"suite": "other"}, source="my.yaml") == Other()
+    assert validate_experiment(SUITES, {"suite": "flight", "games": 2}, source="my.yaml") == Flight(games=2)
+
+
+@pytest.mark.parametrize(
+    ("suite", "line"),
+    [
+        ({}, "my.yaml: key 'suite' is missing; known: flight, other"),
+        ({"suite": "fligth"}, "my.yaml: suite = 'fligth' is unknown; did you mean 'flight'?"),
+        ({"suite": ["flight"]}, r"my.yaml: suite = \['flight'\] is unknown; did you mean 'flight'"),
+    ],
+)
+def test_an_unknown_suite_is_refused(suite: dict[str, Any], line: str) -> None:
+    with pytest.raises(UserError, match=line):
+        validate_experiment(SUITES, suite, source="my.yaml")
+
+
+# --- YAML ---------------------------------------------------------------------------------------------------
+
+
+def test_load_yaml_reads_numbers_as_yaml_1_2_does(tmp_path: Path) -> None:
+    file = tmp_path / "numbers.yaml"
+    file.write_text("a: 1e-3\nb: 2E6\nc: 2026-11-21\nd: 1.5\ne: 10\n", encoding="utf-8")
+    assert load_yaml(file) == {"a": 0.001, "b": 2e6, "c": "2026-11-21", "d": 1.5, "e": 10}
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"a: 1\nb: [1, 2\n", r"line 3: expected ',' or '\]'"),
+        (b"a: 1\nb: 2\na: 3\n", "line 3: key 'a' stands twice in one mapping"),
+        (b"a: {x: 1, x: 2}\n", "line 1: key 'x' stands twice in one mapping"),
+        (b"? [1, 2]\n: 3\n", "line 1: a key is not text"),
+        (b"a: !!python/object:os.system x\n", "line 1: could not determine a constructor"),
+        (b"a: !!int x\n", "not YAML: invalid literal"),
+        (b"- 1\n- 2\n", "must be a mapping, lines of 'key: value', but holds a list"),
+        (b"", "must be a mapping, lines of 'key: value', but holds nothing"),
+        (b"a: \xff\n", "not UTF-8 text"),
+        (b"a: \x00\n", "not YAML"),
+    ],
+)
+def test_a_file_that_is_no_mapping_is_refused_in_one_line(tmp_path: Path, content: bytes, line: str) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_bytes(content)
+    with pytest.raises(UserError, match=line) as caught:
+        load_yaml(file)
+    assert str(caught.value).startswith(f"{file}:")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"none\.yaml: No such file or directory"):
+        load_yaml(tmp_path / "none.yaml")
+    with pytest.raises(UserError, match="Is a directory"):
+        load_yaml(tmp_path)
+
+
+@given(st.dictionaries(st.text(), PLAIN, max_size=4))
+def test_plain_data_survives_yaml(mapping: dict[str, Any]) -> None:
+    assert parse_yaml(dump_yaml(mapping), source="text") == mapping
+
+
+@pytest.mark.parametrize("text", ["1e3", "2026-11-21", "no", "1.0", "", "a: b"])
+def test_text_that_looks_like_something_else_stays_text(text: str) -> None:
+    assert parse_yaml(dump_yaml({"key": text}), source="text") == {"key": text}
+
+
+def test_to_yaml_is_stable_readable_and_reads_back() -> None:
+    flight = Flight(games=2, camera=Camera(rate_hz=1e-3))
+    assert to_yaml(flight) == (
+        "suite: flight\nclock_speeds: [1.0, 50.0]\ncommand: tcsc\npath: square\n"
+        "camera:\n  rate_hz: 0.001\ngames: 2\n"
+    )
+    assert validate(Flight, parse_yaml(to_yaml(flight), source="text"), source="text") == flight
+
+
+def test_the_schema_describes_the_fields() -> None:
+    described = schema(Flight)
+    json.dumps(described)
+    assert described["additionalProperties"] is False
+    assert (
+        described["$defs"]["Camera"]["properties"]["rate_hz"]["description"] == "Images a simulated second."
+    )
+
+
+# --- overrides ----------------------------------------------------------------------------------------------
+
+
+@given(st.lists(KEYS, min_size=1, max_size=3), PLAIN)
+def test_an_override_sets_its_key(parts: list[str], value: Any) -> None:
+    text = dump_yaml({"value": value}).removeprefix("value:")
+    found: Any = apply_overrides({}, [f"{'.'.join(parts)}={text}"])
+    for part in parts:
+        found = found[part]
+    assert found == value
+
+
+def test_overrides_apply_in_turn_and_leave_the_original_alone() -> None:
+    original = {"clock_speeds": [1, 5], "camera": {"rate_hz": 30}, "note": None}
+    overrides = ["clock_speeds.1=50", "camera.rate_hz=3", "camera.rate_hz=4", "note.author=me", "empty="]
+    assert apply_overrides(original, overrides) == {
+        "clock_speeds": [1, 50],
+        "camera": {"rate_hz": 4},
+        "note": {"author": "me"},
+        "empty": None,
+    }
+    assert original == {"clock_speeds": [1, 5], "camera": {"rate_hz": 30}, "note": None}
+
+
+@pytest.mark.parametrize("override", ["games", "=3", "camera.=3", ".games=3", ""])
+def test_an_override_that_is_not_key_and_value_is_wrong_usage(override: str) -> None:
+    with pytest.raises(UsageError, match=r"must be dotted\.key=value"):
+        apply_overrides({}, [override])
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("games.count=3", r"--set games\.count=3: no 'count' in games, which holds 2"),
+        ("speeds.7=3", r"--set speeds\.7=3: no '7' in speeds, which holds elements 0 to 1"),
+        ("speeds.x.y=3", "no 'x' in speeds"),
+        ("games=[1", r"--set games=\[1: line 1"),
+    ],
+)
+def test_an_override_that_cannot_be_applied_is_refused(override: str, line: str) -> None:
+    with pytest.raises(UserError, match=line):
+        apply_overrides({"games": 2, "speeds": [1, 5]}, [override])

@@ -1,0 +1,79 @@
+"""Imports point one way, time has one owner, and importing the package is cheap."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "uavaccel"
+
+GROUND = {"units", "errors", "files", "yaml_io", "config", "manifest", "records", "kinematics", "resources"}
+# A room is a top-level module or package; beside itself it may import these rooms.
+ROOMS: dict[str, set[str]] = {
+    **dict.fromkeys(GROUND, GROUND),
+    "__init__": set(),
+    "clock": GROUND,
+    "sim": GROUND | {"clock"},
+    "wire": GROUND | {"clock", "sim"},
+    "commands": {"units", "kinematics", "errors", "clock"},  # these could drive a real AirSim
+    "vision": GROUND,
+    "metrics": GROUND,
+}
+for _room in ("envs", "rl", "suites", "report", "cli", "__main__"):
+    ROOMS[_room] = set(ROOMS)  # all of those above it
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and absolute dotted name of everything that a module imports, also inside functions."""
+    package = ["uavaccel", *path.relative_to(PACKAGE).parent.parts]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            base = [*base, *([node.module] if node.module else [])]
+            yield from ((node.lineno, ".".join([*base, alias.name])) for alias in node.names)
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_imports_point_downwards(path: Path) -> None:
+    room = room_of(path)
+    assert room in ROOMS, f"give {room} its place in ROOMS"
+    allowed = ROOMS[room] | {room}
+    for line, name in imported(path):
+        top, _, rest = name.partition(".")
+        other = rest.partition(".")[0]
+        if top == "uavaccel" and other in ROOMS:
+            assert other in allowed, f"{name_of(path)}:{line}: {room} must not import {other}"
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if name_of(path) != "clock.py"], ids=name_of)
+def test_only_the_clock_looks_at_time(path: Path) -> None:
+    for line, name in imported(path):
+        assert name.partition(".")[0] != "time", f"{name_of(path)}:{line}: only clock.py may import time"
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, (ast.Name, ast.Attribute)):
+            owner = node.value.id if isinstance(node.value, ast.Name) else node.value.attr
+            looks = owner in ("datetime", "date") and node.attr in ("now", "utcnow", "today")
+            assert not looks, f"{name_of(path)}:{node.lineno}: only clock.py may look at a clock"
+            assert node.attr != "sleep", f"{name_of(path)}:{node.lineno}: only clock.py may sleep"
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    program = "import sys, uavaccel, uavaccel.errors; print(*sys.modules)"
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
+    heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
+    assert not heavy & set(done.stdout.split())

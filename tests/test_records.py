@@ -1,0 +1,307 @@
+"""Run directories: rows and arrays read back, equal values are equal bytes, a crash leaves them resumable."""
+
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from uavaccel.config import Config
+from uavaccel.errors import UserError
+from uavaccel.files import read_arrays, to_json, write_arrays
+from uavaccel.manifest import describe_run
+from uavaccel.records import RunDirectory
+
+
+class Clock(Config):
+    speed: float = 1.0
+    note: str = ""
+
+
+class Flight(Config):
+    games: int = 3
+    clock: Clock = Clock()
+
+
+MANIFEST = {"seed": 7}
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+SCALARS = st.none() | st.booleans() | st.integers() | FINITE | st.text()
+ROWS = st.dictionaries(st.text(), SCALARS | st.lists(SCALARS, max_size=3), max_size=6)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunDirectory:
+    return RunDirectory.create(tmp_path / "run", Flight(), MANIFEST)
+
+
+def resume(run: RunDirectory, config: Config | None = None) -> RunDirectory:
+    return RunDirectory.create(run.path, config or Flight(), MANIFEST, resume=True)
+
+
+# --- creating and resuming ----------------------------------------------------------------------------------
+
+
+def test_a_new_run_holds_its_configuration_and_manifest(run: RunDirectory) -> None:
+    assert (run.path / "config.yaml").read_text() == "games: 3\nclock:\n  speed: 1.0\n  note: ''\n"
+    assert run.config() == {"games": 3, "clock": {"speed": 1.0, "note": ""}}
+    assert run.manifest() == MANIFEST
+    assert run.rows() == run.timings() == []
+    assert run.done_cases() == set()
+
+
+def test_an_existing_folder_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(UserError, match="exists; take another --out, or --resume"):
+        RunDirectory.create(tmp_path, Flight(), MANIFEST)
+    with pytest.raises(UserError, match=r"not a run directory, but holds thesis\.tex"):
+        RunDirectory.create(tmp_path, Flight(), MANIFEST, resume=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(UserError, match="File exists"):
+        RunDirectory.create(tmp_path / "run", Flight(), MANIFEST, resume=True)
+    with pytest.raises(UserError, match="Not a directory"):
+        RunDirectory.create(tmp_path / "run" / "below", Flight(), MANIFEST)
+
+
+def test_resume_keeps_the_rows_and_says_what_it_was_gone_on_with(run: RunDirectory) -> None:
+    run.append_row({"case": "a"})
+    again = RunDirectory.create(run.path, Flight(), {"seed": 8}, resume=True)
+    again = RunDirectory.create(run.path, Flight(), {"seed": 9}, resume=True)
+    assert again.done_cases() == {"a"}
+    assert again.manifest() == {"seed": 7, "resumed": [{"seed": 8}, {"seed": 9}]}
+
+
+def test_resume_of_nothing_starts(tmp_path: Path) -> None:
+    assert RunDirectory.create(tmp_path / "run", Flight(), MANIFEST, resume=True).rows() == []
+
+
+def test_resume_with_another_configuration_names_what_differs(run: RunDirectory) -> None:
+    before = (run.path / "config.yaml").read_bytes()
+    other = Flight(games=5, clock=Clock(speed=50.0))
+    with pytest.raises(
+        UserError, match=r"clock\.speed \(1\.0 there, 50\.0 here\), games \(3 there, 5 here\)"
+    ):
+        resume(run, other)
+    assert (run.path / "config.yaml").read_bytes() == before
+
+
+def test_resume_with_other_keys_names_them(run: RunDirectory) -> None:
+    with pytest.raises(UserError, match=r"clock\.note \(\"\" there, unset here\)"):
+        resume(run, Clock())
+
+
+def test_a_folder_without_configuration_is_no_run_directory(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"not a run directory: no config\.yaml in it"):
+        RunDirectory(tmp_path)
+
+
+# --- rows ---------------------------------------------------------------------------------------------------
+
+
+@given(row=ROWS)
+def test_a_row_reads_back_equal_whatever_the_order_of_its_keys(
+    row: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    run = RunDirectory.create(tmp_path_factory.mktemp("rows") / "run", Flight(), MANIFEST)
+    run.append_row({**row, "case": "a"})
+    assert run.rows() == [{**row, "case": "a"}]
+    assert to_json(dict(reversed(row.items()))) == to_json(row)
+
+
+def test_rows_keep_their_order_and_are_lines(run: RunDirectory) -> None:
+    for case in ("b", "a", "c"):
+        run.append_row({"error": None, "case": case, "wall_s": 0.1})
+    lines = (run.path / "rows.jsonl").read_text().splitlines()
+    assert lines[0] == '{"case": "b", "error": null, "wall_s": 0.1}'
+    assert [json.loads(line)["case"] for line in lines] == ["b", "a", "c"]
+    assert RunDirectory(run.path).done_cases() == run.done_cases() == {"a", "b", "c"}
+
+
+def test_a_case_has_one_row(run: RunDirectory) -> None:
+    run.append_row({"case": "a"})
+    with pytest.raises(ValueError, match="case a has a row already"):
+        run.append_row({"case": "a"})
+    assert len(run.rows()) == 1
+
+
+def test_numpy_values_become_plain_and_non_finite_ones_null(run: RunDirectory) -> None:
+    run.append_row(
+        {
+            "case": "a",
+            "float64": np.float64(0.1),
+            "float32": np.float32(0.1),
+            "integer": np.int64(2**53 + 1),
+            "truth": np.bool_(True),
+            "array": np.array([[1.0, math.nan], [math.inf, -0.0]]),
+            "pair": (1, -math.inf),
+        }
+    )
+    assert run.rows() == [
+        {
+            "case": "a",
+            "float64": 0.1,
+            "float32": float(np.float32(0.1)),
+            "integer": 2**53 + 1,
+            "truth": True,
+            "array": [[1.0, None], [None, -0.0]],
+            "pair": [1, None],
+        }
+    ]
+
+
+def test_what_is_no_plain_data_leaves_no_half_line(run: RunDirectory) -> None:
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        run.append_row({"case": "a", "path": Path("x")})
+    assert run.rows() == []
+    assert run.done_cases() == set()
+
+
+def test_timings_are_kept_apart(run: RunDirectory) -> None:
+    run.append_timing({"case": "a", "load": 0.5})
+    run.append_timing({"case": "a", "load": 0.6})
+    assert [entry["load"] for entry in run.timings()] == [0.5, 0.6]
+    assert run.rows() == []
+
+
+# --- crashes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kept", range(len('{"case": "c", "wall_s": 1.5}')))
+def test_a_row_cut_short_anywhere_is_flown_again(run: RunDirectory, kept: int) -> None:
+    rows = [{"case": case, "wall_s": 1.5} for case in ("a", "b", "c")]
+    for row in rows:
+        run.append_row(row)
+    whole = (run.path / "rows.jsonl").read_bytes()
+    last = whole.rindex(b"\n", 0, -1) + 1
+    (run.path / "rows.jsonl").write_bytes(whole[: last + kept])
+
+    assert RunDirectory(run.path).done_cases() == {"a", "b"}
+    again = resume(run)
+    assert again.done_cases() == {"a", "b"}
+    again.append_row(rows[2])
+    assert (run.path / "rows.jsonl").read_bytes() == whole
+
+
+def test_a_crash_between_arrays_and_row_leaves_the_case_to_be_flown(run: RunDirectory) -> None:
+    run.save_arrays("a", {"time_s": np.zeros(3)})
+    (run.path / "arrays" / "b.npz.unfinished").write_bytes(b"PK half")
+    again = resume(run)
+    assert again.done_cases() == set()
+    assert [entry.name for entry in (run.path / "arrays").iterdir()] == ["a.npz"]
+    name = again.save_arrays("a", {"time_s": np.ones(3)})
+    again.append_row({"case": "a", "arrays": name})
+    np.testing.assert_array_equal(again.load_arrays(name)["time_s"], np.ones(3))
+
+
+def test_a_crash_before_the_configuration_was_whole_starts_afresh(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    path.mkdir()
+    (path / "config.yaml.unfinished").write_text("gam")
+    assert resume(RunDirectory.create(path, Flight(), MANIFEST, resume=True)).config()["games"] == 3
+
+
+def test_a_crash_before_the_manifest_is_made_good(run: RunDirectory) -> None:
+    (run.path / "manifest.json").unlink()
+    assert resume(run).manifest() == MANIFEST
+
+
+def test_a_writer_that_fails_leaves_the_old_file(run: RunDirectory) -> None:
+    name = run.save_arrays("a", {"time_s": np.zeros(3)})
+    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
+        run.save_arrays("a", {"position_m": np.ones(3), "time_s": np.array([object()])})
+    assert list(run.load_arrays(name)) == ["time_s"]
+
+
+@pytest.mark.parametrize("damage", [b"\x00\x00\n", b"3\n"])
+def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes) -> None:
+    run.append_row({"case": "a"})
+    with (run.path / "rows.jsonl").open("ab") as file:
+        file.write(damage)
+    with pytest.raises(UserError, match=r"rows\.jsonl: line 2: not"):
+        RunDirectory(run.path)
+
+
+# --- arrays -------------------------------------------------------------------------------------------------
+
+
+@given(
+    array=hnp.arrays(
+        dtype=st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_]),
+        shape=hnp.array_shapes(min_dims=0, max_dims=3, min_side=0),
+    )
+)
+def test_arrays_read_back_equal_and_equal_arrays_are_equal_bytes(
+    array: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("arrays")
+    write_arrays(folder / "one.npz", {"a": array, "b": np.arange(3)})
+    write_arrays(folder / "two.npz", {"b": np.arange(3), "a": np.asarray(array, order="F")})
+    assert (folder / "one.npz").read_bytes() == (folder / "two.npz").read_bytes()
+    read = read_arrays(folder / "one.npz")
+    assert list(read) == ["a", "b"]
+    assert read["a"].dtype == array.dtype
+    np.testing.assert_array_equal(read["a"], array, strict=True)
+
+
+def test_arrays_carry_no_date(run: RunDirectory) -> None:
+    name = run.save_arrays("tcsc-k100-t1-r24-g00", {"time_s": np.zeros(3), "position_m": np.zeros((3, 3))})
+    assert name == "arrays/tcsc-k100-t1-r24-g00.npz"
+    with zipfile.ZipFile(run.path / name) as archive:
+        assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def test_missing_and_damaged_arrays_are_named(run: RunDirectory) -> None:
+    with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
+        run.load_arrays("arrays/a.npz")
+    name = run.save_arrays("a", {"time_s": np.zeros(100)})
+    whole = (run.path / name).read_bytes()
+    for damaged in (whole[:100], whole.replace(bytes(8), b"damaged!", 1), b""):
+        (run.path / name).write_bytes(damaged)
+        with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
+            run.load_arrays(name)
+
+
+# --- single files -------------------------------------------------------------------------------------------
+
+
+def test_json_files_read_back_and_are_stable(run: RunDirectory) -> None:
+    path = run.write_json("traces/adsc.json", [{"wall_s": np.float64(0.5), "event": "call"}])
+    assert path.read_text() == '[\n  {\n    "event": "call",\n    "wall_s": 0.5\n  }\n]\n'
+    assert run.read_json("traces/adsc.json") == [{"event": "call", "wall_s": 0.5}]
+
+
+def test_missing_and_damaged_json_is_named(run: RunDirectory) -> None:
+    with pytest.raises(UserError, match=r"summary\.json: No such file"):
+        run.read_json("summary.json")
+    run.write_text("summary.json", "{")
+    with pytest.raises(UserError, match=r"summary\.json: not JSON"):
+        run.read_json("summary.json")
+
+
+def test_a_path_of_the_run_has_its_folder(run: RunDirectory) -> None:
+    assert run.file("figures/figure5.png").parent.is_dir()
+
+
+# --- manifest -----------------------------------------------------------------------------------------------
+
+
+def test_the_manifest_names_versions_host_and_source(run: RunDirectory) -> None:
+    manifest = describe_run(
+        ["uavaccel", "run", "dp1"], 7, "2026-11-21T10:00:00+00:00", gl_renderer="llvmpipe"
+    )
+    assert json.loads(to_json(manifest)) == manifest
+    assert manifest["seed"] == 7
+    assert manifest["gl_renderer"] == "llvmpipe"
+    assert manifest["versions"]["numpy"] == np.__version__
+    assert manifest["host"]["cores"] >= 1
+    assert manifest["host"]["memory_bytes"] > 0
+    assert "LP_NUM_THREADS" in manifest["environment"]

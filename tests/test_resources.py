@@ -1,0 +1,57 @@
+"""Assets and experiments are found from a source tree and from an installed wheel alike."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uavaccel import resources
+from uavaccel.errors import UserError
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_source_tree_is_known() -> None:
+    assert resources.source_tree() == ROOT
+
+
+def test_assets_and_experiments_lie_beside_the_package() -> None:
+    assert resources.asset("mjcf") == ROOT / "assets" / "mjcf"
+    assert resources.experiment("README.md") == ROOT / "experiments" / "README.md"
+
+
+def test_an_unknown_name_is_refused_with_those_there_are() -> None:
+    with pytest.raises(
+        UserError, match=r"no 'dp7\.yaml' among the experiments; .*experiments holds .*README\.md"
+    ):
+        resources.experiment("dp7.yaml")
+    with pytest.raises(UserError, match=r"no 'none/at_all' among the assets; .*none holds nothing"):
+        resources.asset("none/at_all")
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """A folder laid out as a wheel leaves it: the assets inside the package, no project beside it."""
+    package = tmp_path / "uavaccel"
+    for name in ("assets/mjcf/blocks.xml", "experiments/dp1.yaml"):
+        (package / name).parent.mkdir(parents=True)
+        (package / name).write_text("packaged")
+    for module in ("__init__.py", "errors.py", "resources.py"):
+        (package / module).write_bytes((ROOT / "uavaccel" / module).read_bytes())
+    return tmp_path
+
+
+def test_a_wheel_carries_them_inside_the_package(installed: Path) -> None:
+    program = (
+        "from uavaccel.resources import asset, experiment, source_tree\n"
+        "print(asset('mjcf/blocks.xml'), experiment('dp1.yaml'), source_tree(), sep='\\n')"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=installed, capture_output=True, text=True, check=True)
+    package = installed / "uavaccel"
+    assert done.stdout.splitlines() == [
+        str(package / "assets" / "mjcf" / "blocks.xml"),
+        str(package / "experiments" / "dp1.yaml"),
+        "None",
+    ]
