@@ -1,4 +1,4 @@
-"""What the drone does at one instant: the record that commands, wire and metrics exchange."""
+"""What the drone does at one instant, and what it is asked to do: exchanged by commands, wire and simulation."""
 
 from __future__ import annotations
 
@@ -19,3 +19,16 @@ class Kinematics:
     angular_velocity_rad_s: Vector
     linear_acceleration_m_s2: Vector = (0.0, 0.0, 0.0)
     angular_acceleration_rad_s2: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityGoal:
+    """What AirSim's `moveByVelocity` and, where a height is held, `moveByVelocityZ` ask for: NED, m/s.
+
+    `height_m` is NED z (negative above the origin); `yaw` is rad/s, or rad where `yaw_is_rate` is false.
+    """
+
+    velocity_m_s: Vector
+    height_m: float | None = None
+    yaw: float = 0.0
+    yaw_is_rate: bool = True

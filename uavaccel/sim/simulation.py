@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from uavaccel.clock import Pacer
-from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.world import LEVEL, START_M, World
@@ -30,6 +30,7 @@ class Pending:
 
     def __init__(self) -> None:
         self.value: Any = None
+        self.encode: Callable[[Any], Any] = lambda value: value  # as the wire wants it
         self.due_wall_ns: int | None = None
         self.on_due: Callable[[Pending], None] | None = None
 
@@ -38,16 +39,6 @@ class Pending:
         self.value, self.due_wall_ns = value, wall_ns
         if self.on_due is not None:
             self.on_due(self)
-
-
-@dataclass(frozen=True)
-class VelocityGoal:
-    """What `moveByVelocity` and `moveByVelocityZ` ask for: NED m/s; `height_m` is NED z, or None."""
-
-    velocity_m_s: Vector
-    height_m: float | None = None
-    yaw: float = 0.0  # rad/s, or rad where yaw_is_rate is false
-    yaw_is_rate: bool = True
 
 
 @dataclass
@@ -91,7 +82,8 @@ class Simulation:
     """Clock, commands and recorder over one `World`.
 
     `catch_up_wall_ns`: backlog of wall time that is made good; what exceeds it is lost and counted. None: no
-    bound, for a simulated wall clock, which is never late.
+    bound, for a simulated wall clock, which is never late. `timer_lateness_ns` draws how late a wall timer ends
+    (`airsim`); on a real clock it is as late as it is.
     """
 
     def __init__(
@@ -100,11 +92,13 @@ class Simulation:
         clock_speed: float = 1.0,
         wall_ns: int = 0,
         catch_up_wall_ns: int | None = None,
+        timer_lateness_ns: Callable[[], int] = lambda: 0,
     ) -> None:
         self.world = world
         self.profile: Profile = world.profile
         self.pacer = Pacer(clock_speed, self.profile.tick_ns)
         self.catch_up_wall_ns = catch_up_wall_ns
+        self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
         self.api_control = False
         self.trace = Trace()
@@ -135,9 +129,8 @@ class Simulation:
             if end_tick is None or end_tick > target:
                 break
             self._end_at_tick(self.pacer.wall_due(end_tick))
-        if not self.paused and self._continue and self._continue.end_wall_ns is not None:
-            if wall_ns >= self._continue.end_wall_ns:
-                self._finish_continue(wall_ns)
+        if (timer := self.wall_timer_ns()) is not None and wall_ns >= timer:
+            self.pause(wall_ns)
         self._account(wall_ns)
 
     def next_event_wall_ns(self) -> int | None:
@@ -145,9 +138,13 @@ class Simulation:
         if self.paused:
             return None
         walls = [] if (tick := self._next_event_tick()) is None else [self.pacer.wall_due(tick)]
-        if self._continue and self._continue.end_wall_ns is not None:
-            walls.append(self._continue.end_wall_ns)
+        if (timer := self.wall_timer_ns()) is not None:
+            walls.append(timer)
         return min(walls, default=None)
+
+    def wall_timer_ns(self) -> int | None:
+        """When a running continue-for of the `airsim` profile is over, on the wall clock."""
+        return self._continue.end_wall_ns if self._continue and not self.paused else None
 
     def _drop_backlog(self, wall_ns: int) -> None:
         if self.catch_up_wall_ns is None:
@@ -177,9 +174,10 @@ class Simulation:
         if self._command and self._command.end_tick <= tick:
             self._end_command(True, wall_ns)
         if self._continue and self._continue.end_tick is not None and self._continue.end_tick <= tick:
-            self._finish_continue(wall_ns)
+            self.pause(wall_ns)
 
-    def _note(self, event: str, wall_ns: int) -> None:
+    def note(self, event: str, wall_ns: int) -> None:
+        """Add to the trace, if it is switched on."""
         if self.trace.enabled:
             self.trace.events.append((event, wall_ns, self.time_ns))
 
@@ -195,10 +193,8 @@ class Simulation:
         if not self.paused:
             self._account(wall_ns)
             self.paused = True
-            self._note("pause", wall_ns)
-        if self._continue:
-            reply, self._continue = self._continue.reply, None
-            reply.resolve(None, wall_ns)
+            self.note("pause", wall_ns)
+        self._release_continue(wall_ns)
 
     def run(self, wall_ns: int) -> None:
         """Let simulated time go on; ends a continue-for's period, as simPause(False) does."""
@@ -206,13 +202,16 @@ class Simulation:
             self.paused = False
             self._wall_ns = wall_ns
             self.pacer.anchor(wall_ns, self.world.tick)
-            self._note("run", wall_ns)
+            self.note("run", wall_ns)
+        self._release_continue(wall_ns)
+
+    def _release_continue(self, wall_ns: int) -> None:
         if self._continue:
             reply, self._continue = self._continue.reply, None
-            reply.resolve(None, wall_ns)
+            reply.resolve(self.kinematics(), wall_ns)
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> Pending:
-        """Run for `duration_ns` of simulated time, then pause; a second one replaces the first.
+        """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`; a second one replaces the first.
 
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
@@ -222,7 +221,7 @@ class Simulation:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             self._continue.end_tick = self.world.tick + ticks
         else:
-            self._continue.end_wall_ns = wall_ns + round(duration_ns / self.clock_speed)
+            self._continue.end_wall_ns = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
         reply = self._continue.reply
         self.advance_to(wall_ns)  # it may be over already
         return reply
@@ -230,9 +229,6 @@ class Simulation:
     def continue_for_wall(self, seconds: float, wall_ns: int) -> Pending:
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
-
-    def _finish_continue(self, wall_ns: int) -> None:
-        self.pause(wall_ns)
 
     # --- flight commands --------------------------------------------------------------------------------------
 
@@ -254,7 +250,7 @@ class Simulation:
             self.world.start_recording()  # t = 0 is the tick at which the first command is accepted
         self._command = _Command(self.world.tick + ticks, Pending())
         self.commands.append((self.world.tick, self.world.tick + ticks))
-        self._note("accept", wall_ns)
+        self.note("accept", wall_ns)
         return self._command.reply
 
     def cancel(self, wall_ns: int) -> None:
@@ -269,7 +265,7 @@ class Simulation:
             self.commands[-1] = (self.commands[-1][0], self.world.tick)
         if self.api_control:
             self.world.hold_from(self.world.tick + self.profile.hover_after_ticks)
-        self._note("end", wall_ns)
+        self.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
 
     def arm(self, armed: bool) -> bool:

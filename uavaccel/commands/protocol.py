@@ -1,0 +1,38 @@
+"""What a synchronous command needs of a client: any object with these methods, ours or one around AirSim's own."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from uavaccel.kinematics import Kinematics, VelocityGoal
+
+
+class MissionClient(Protocol):
+    """The mission computer's side of the Client API (paper, section II-B)."""
+
+    @property
+    def clock_speed(self) -> float:
+        """Simulated seconds a wall second."""
+        ...
+
+    def now_ns(self) -> int:
+        """The client's wall clock."""
+        ...
+
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Any:
+        """Issue a velocity command; returns its future without waiting."""
+        ...
+
+    def join(self, future: Any, deadline_ns: int | None = None) -> bool:
+        """Wait for the command's end, or for the wall deadline if that comes first: then False."""
+        ...
+
+    def pause(self) -> None: ...
+
+    def run(self) -> None: ...
+
+    def continue_for(self, duration_ns: int) -> Kinematics:
+        """Run for a simulated time, pause again and return the state."""
+        ...
+
+    def kinematics(self) -> Kinematics: ...

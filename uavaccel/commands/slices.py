@@ -1,0 +1,22 @@
+"""How a command's time is cut into samples."""
+
+from __future__ import annotations
+
+from uavaccel.units import seconds_to_ns
+
+TAIL = 0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
+
+
+def slice_of(t_move_ns: int, t_sample_ns: int) -> int:
+    """T_wakeup = min(T_move, T_sample), but a tail too short for a sample of its own is flown at once."""
+    return t_move_ns if t_move_ns - t_sample_ns < TAIL * t_sample_ns else t_sample_ns
+
+
+def samples_due(t_move_s: float, t_sample_s: float) -> list[int]:
+    """Simulated nanoseconds after a command's start at which its samples are due; the last one is its end."""
+    due, left, t_sample = [0], seconds_to_ns(t_move_s), seconds_to_ns(t_sample_s)
+    while left > 0:
+        t_wakeup = slice_of(left, t_sample)
+        due.append(due[-1] + t_wakeup)
+        left -= t_wakeup
+    return due[1:]

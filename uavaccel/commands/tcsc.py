@@ -1,0 +1,39 @@
+"""TCSC, the Time-Controlled Simulation Command (paper, section III-B and Figure 4).
+
+The clock is stopped whenever the client is not flying, so no latency reaches the trajectory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from uavaccel.commands.protocol import MissionClient
+from uavaccel.commands.slices import slice_of
+from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.units import seconds_to_ns
+
+
+def begin(client: MissionClient) -> None:
+    """Before the first command of a game: the clock stands still between commands."""
+    client.pause()
+
+
+def tcsc(
+    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
+) -> Iterator[Kinematics]:
+    """Fly `velocity` for T_move and yield the state every T_sample, the simulation paused before and after.
+
+    `t_th_ns`: simulated time below which a slice that ended early counts as complete; the client's latency times
+    ClockSpeed where continue-for is a wall timer, 0 where it is exact. The paper never advances T_start; here
+    deadlines are absolute, so nothing accumulates.
+    """
+    t_start = client.kinematics().time_ns  # 1  measure the start, issue the command
+    client.move_async(velocity, t_move_s)
+    t_move, t_sample = seconds_to_ns(t_move_s), seconds_to_ns(t_sample_s)
+    while t_move > 0:
+        t_wakeup = slice_of(t_move, t_sample)  # 2  run, then pause
+        state = client.continue_for(t_wakeup)
+        while (t_left := t_start + t_wakeup - state.time_ns) > t_th_ns:  # 3  woke early: run the difference
+            state = client.continue_for(t_left)
+        yield state  # 4  gather, the clock stopped
+        t_start, t_move = t_start + t_wakeup, t_move - t_wakeup

@@ -1,0 +1,264 @@
+"""AirSim's calls, and a few of our own, on a `Simulation`: names, arity, argument checks, wire types.
+
+The same table serves the socket server and the in-process transport, so a call means the same in every timing.
+Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp, MultirotorRpcLibServer.cpp.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from uavaccel.errors import UserError
+from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.wire import rpc, types
+
+SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
+MIN_CLIENT_VERSION = 1
+VEHICLE = "SimpleFlight"
+FORWARD_ONLY = 1
+MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
+
+Handler = Callable[..., Any]
+
+
+class Method:
+    """A call of the table: how many arguments it needs, and how many it takes at most."""
+
+    def __init__(self, handler: Handler, required: int, optional: int = 0) -> None:
+        self.handler = handler
+        self.required = required
+        self.most = required + optional
+
+
+class Api:
+    """The calls that one simulation answers. `settings` is what getSettingsString returns."""
+
+    def __init__(self, simulation: Simulation, settings: dict[str, Any] | None = None) -> None:
+        self.simulation = simulation
+        self.settings = settings or {}
+        self._wall_ns = 0
+        self.methods = self._airsim_methods() | self._own_methods()
+
+    def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
+        """The result of a call handled at `wall_ns`, or a `Pending` one. Raises rpc.RpcError.
+
+        The simulation has to be advanced to `wall_ns` before.
+        """
+        entry = self.methods.get(method)
+        if entry is None:
+            raise rpc.unknown_method(method, len(params))
+        if not entry.required <= len(params) <= entry.most:
+            raise rpc.wrong_arity(method, entry.most, len(params))
+        self._wall_ns = wall_ns
+        self.simulation.note(f"handle {method}", wall_ns)
+        try:
+            return entry.handler(*params)
+        except (ValueError, UserError) as error:
+            raise rpc.threw(method, len(params), str(error)) from error
+
+    def _airsim_methods(self) -> dict[str, Method]:
+        simulation = self.simulation
+        return {
+            "ping": Method(lambda: True, 0),
+            "getServerVersion": Method(lambda: SERVER_VERSION, 0),
+            "getMinRequiredClientVersion": Method(lambda: MIN_CLIENT_VERSION, 0),
+            "getSettingsString": Method(lambda: json.dumps(self.settings), 0),
+            "listVehicles": Method(lambda: [VEHICLE], 0),
+            "reset": Method(lambda: simulation.reset(self._wall_ns), 0),
+            "enableApiControl": Method(self._enable_api_control, 1, 1),
+            "isApiControlEnabled": Method(self._is_api_control_enabled, 0, 1),
+            "armDisarm": Method(self._arm, 1, 1),
+            "simPause": Method(self._pause, 1),
+            "simIsPaused": Method(lambda: simulation.paused, 0),
+            "simContinueForTime": Method(self._continue_for_time, 1),
+            "getMultirotorState": Method(self._multirotor_state, 0, 1),
+            "simGetGroundTruthKinematics": Method(self._kinematics, 0, 1),
+            "moveByVelocity": Method(self._move_by_velocity, 6, 1),
+            "moveByVelocityZ": Method(self._move_by_velocity_z, 6, 1),
+            "hover": Method(self._hover, 0, 1),
+            "cancelLastTask": Method(self._cancel, 0, 1),
+            "startRecording": Method(simulation.world.start_recording, 0),
+            "stopRecording": Method(simulation.world.stop_recording, 0),
+            "isRecording": Method(lambda: simulation.world.recording, 0),
+        }
+
+    def _own_methods(self) -> dict[str, Method]:
+        return {
+            "uavaccelContinueFor": Method(self._continue_for, 1),
+            "uavaccelState": Method(lambda: encode_state(self.simulation.kinematics()), 0),
+            "uavaccelStartGame": Method(self._start_game, 1),
+            "uavaccelSetClockSpeed": Method(self._set_clock_speed, 1),
+            "uavaccelSpeed": Method(self._speed, 0),
+            "uavaccelRecording": Method(self._recording, 0),
+            "uavaccelTrace": Method(self._trace, 1),
+        }
+
+    # --- AirSim -----------------------------------------------------------------------------------------------
+
+    def _check_vehicle(self, name: Any) -> None:
+        if name not in ("", VEHICLE):
+            raise ValueError(f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+                             f"-only API or this vehicle does not exist; there is '{VEHICLE}'")
+
+    def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
+        self._check_vehicle(vehicle)
+        self.simulation.api_control = types.flag(enabled, "is_enabled")
+
+    def _is_api_control_enabled(self, vehicle: Any = "") -> bool:
+        self._check_vehicle(vehicle)
+        return self.simulation.api_control
+
+    def _arm(self, arm: Any, vehicle: Any = "") -> bool:
+        self._check_vehicle(vehicle)
+        return self.simulation.arm(types.flag(arm, "arm"))
+
+    def _pause(self, paused: Any) -> None:
+        if types.flag(paused, "is_paused"):
+            self.simulation.pause(self._wall_ns)
+        else:
+            self.simulation.run(self._wall_ns)
+
+    def _continue_for_time(self, seconds: Any) -> Pending:
+        reply = self.simulation.continue_for_wall(self._duration(seconds, "seconds"), self._wall_ns)
+        reply.encode = lambda _: None
+        return reply
+
+    def _duration(self, value: Any, name: str) -> float:
+        seconds = types.number(value, name)
+        if seconds < 0:
+            raise ValueError(f"{name} must not be negative, not {seconds:g}")
+        return seconds
+
+    def _multirotor_state(self, vehicle: Any = "") -> dict[str, Any]:
+        self._check_vehicle(vehicle)
+        kinematics = self.simulation.kinematics()
+        return {
+            "collision": types.no_collision_map(),  # AirSim never fills it here
+            "kinematics_estimated": types.kinematics_map(kinematics),
+            "gps_location": types.geo_point_map(kinematics.position_m),
+            "timestamp": kinematics.time_ns,
+            "landed_state": 1,
+            "rc_data": types.rc_data_map(),
+        }
+
+    def _kinematics(self, vehicle: Any = "") -> dict[str, Any]:
+        self._check_vehicle(vehicle)
+        return types.kinematics_map(self.simulation.kinematics())
+
+    def _move_by_velocity(
+        self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
+    ) -> Pending | bool:
+        self._check_vehicle(vehicle)
+        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
+        seconds = types.number(duration, "duration")
+        goal = VelocityGoal(velocity, None, *facing(velocity, drivetrain, yaw))
+        if seconds <= 0:
+            self.simulation.cancel(self._wall_ns)
+            return True
+        return self.simulation.fly_velocity(goal, seconds, self._wall_ns)
+
+    def _move_by_velocity_z(
+        self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
+    ) -> Pending | bool:
+        self._check_vehicle(vehicle)
+        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
+        seconds = types.number(duration, "duration")
+        goal = VelocityGoal(velocity, types.number(z, "z"), *facing(velocity, drivetrain, yaw))
+        if seconds <= 0:
+            self.simulation.cancel(self._wall_ns)
+            return False
+        return self.simulation.fly_velocity(goal, seconds, self._wall_ns)
+
+    def _hover(self, vehicle: Any = "") -> bool:
+        """AirSim's hover ends the running command and lets the goal timeout bring position hold."""
+        self._check_vehicle(vehicle)
+        self.simulation.cancel(self._wall_ns)
+        return True
+
+    def _cancel(self, vehicle: Any = "") -> None:
+        self._check_vehicle(vehicle)
+        self.simulation.cancel(self._wall_ns)
+
+    # --- our own ----------------------------------------------------------------------------------------------
+
+    def _continue_for(self, duration_ns: Any) -> Pending:
+        """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
+        if isinstance(duration_ns, bool) or not isinstance(duration_ns, int) or duration_ns < 0:
+            raise ValueError(f"duration_ns must be a whole number of nanoseconds, 0 or more, not {duration_ns!r}")
+        reply = self.simulation.continue_for(duration_ns, self._wall_ns)
+        reply.encode = encode_state
+        return reply
+
+    def _start_game(self, clock_speed: Any) -> list[float | int]:
+        """A settled hover, paused, API control on, recording; replies the state."""
+        simulation = self.simulation
+        simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
+        simulation.pause(self._wall_ns)
+        simulation.reset(self._wall_ns)
+        simulation.api_control = True
+        simulation.world.start_recording()
+        return encode_state(simulation.kinematics())
+
+    def _set_clock_speed(self, clock_speed: Any) -> None:
+        self.simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
+
+    def _speed(self) -> dict[str, Any]:
+        """Requested and achieved speed since the last reset."""
+        speed = self.simulation.speed
+        return {
+            "clock_speed": float(self.simulation.clock_speed),
+            "real_time_factor": speed.real_time_factor,
+            "simulated_ns": speed.simulated_ns,
+            "wall_ns": speed.wall_ns,
+            "lost_wall_ns": speed.lost_wall_ns,
+        }
+
+    def _recording(self) -> dict[str, Any]:
+        """The game's samples and command log since the last reset, as raw little-endian arrays."""
+        recording = self.simulation.recording()
+        return {
+            "samples": recording.samples.astype("<f8").tobytes(),
+            "commands": recording.commands.astype("<i8").tobytes(),
+            "tick_ns": recording.tick_ns,
+            "dropped": recording.dropped,
+        }
+
+    def _trace(self, enabled: Any) -> list[list[Any]]:
+        """Switch the trace on or off; replies, and forgets, the events so far: [event, wall ns, simulated ns]."""
+        trace = self.simulation.trace
+        trace.enabled = types.flag(enabled, "enabled")
+        events, trace.events = trace.events, []
+        return [list(event) for event in events]
+
+
+def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any) -> tuple[float, bool]:
+    """Yaw goal and whether it is a rate, for the direction of travel (MultirotorApiBase::adjustYaw)."""
+    is_rate, yaw = types.yaw_mode(yaw_mode)
+    if types.number(drivetrain, "drivetrain") != FORWARD_ONLY or is_rate:
+        return yaw, is_rate
+    if math.hypot(velocity[0], velocity[1]) <= MIN_HEADING_M_S:
+        return 0.0, True
+    return math.remainder(yaw + math.atan2(velocity[1], velocity[0]), 2 * math.pi), False
+
+
+def encode_state(kinematics: Kinematics) -> list[float | int]:
+    """Time in ns, position, wxyz, velocity, body rate and both accelerations: 20 numbers."""
+    return [
+        kinematics.time_ns,
+        *kinematics.position_m,
+        *kinematics.orientation_wxyz,
+        *kinematics.linear_velocity_m_s,
+        *kinematics.angular_velocity_rad_s,
+        *kinematics.linear_acceleration_m_s2,
+        *kinematics.angular_acceleration_rad_s2,
+    ]
+
+
+def decode_state(numbers: Sequence[Any]) -> Kinematics:
+    """The inverse of `encode_state`."""
+    n = tuple(numbers)
+    return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])  # type: ignore[arg-type]

@@ -1,0 +1,86 @@
+"""Our client: the commands' `MissionClient` over any transport, speaking AirSim's wire and our own few calls."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.recording import Recording
+from uavaccel.wire.api import decode_state
+from uavaccel.wire.transport import Ticket, Transport
+
+_MAX_DEGREE_OF_FREEDOM = 0
+
+
+class Client:
+    """One connection to a simulation. Calls raise rpc.RpcError with the server's text."""
+
+    def __init__(self, transport: Transport, clock_speed: float = 1.0) -> None:
+        self.transport = transport
+        self.clock_speed = float(clock_speed)
+
+    def call(self, method: str, *params: Any) -> Any:
+        """Call any method of the wire and wait for its result."""
+        ticket = self.transport.send(method, params, joined=True)
+        self.transport.wait(ticket)
+        return ticket.result()
+
+    def now_ns(self) -> int:
+        return self.transport.clock.now_ns()
+
+    # --- MissionClient ----------------------------------------------------------------------------------------
+
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Ticket:
+        vx, vy, vz = goal.velocity_m_s
+        yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
+        yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
+        method, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+        params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
+        return self.transport.send(method, params, joined=False)
+
+    def join(self, future: Ticket, deadline_ns: int | None = None) -> bool:
+        if not self.transport.wait(future, deadline_ns):
+            return False
+        future.result()
+        return True
+
+    def pause(self) -> None:
+        self.call("simPause", True)
+
+    def run(self) -> None:
+        self.call("simPause", False)
+
+    def continue_for(self, duration_ns: int) -> Kinematics:
+        return decode_state(self.call("uavaccelContinueFor", duration_ns))
+
+    def kinematics(self) -> Kinematics:
+        return decode_state(self.call("uavaccelState"))
+
+    # --- games ------------------------------------------------------------------------------------------------
+
+    def start_game(self, clock_speed: float) -> Kinematics:
+        """A settled hover 10 m up, paused, API control on, recording on."""
+        self.clock_speed = float(clock_speed)
+        return decode_state(self.call("uavaccelStartGame", clock_speed))
+
+    def speed(self) -> dict[str, Any]:
+        """Requested and achieved speed since the game's start."""
+        speed: dict[str, Any] = self.call("uavaccelSpeed")
+        return speed
+
+    def recording(self) -> Recording:
+        """The game's samples and command log so far."""
+        reply = self.call("uavaccelRecording")
+        samples = np.frombuffer(reply["samples"], "<f8").reshape(-1, 14)
+        commands = np.frombuffer(reply["commands"], "<i8").reshape(-1, 2)
+        return Recording(samples, commands, reply["tick_ns"], reply["dropped"])
+
+    def trace(self, enabled: bool) -> list[tuple[str, int, int]]:
+        """Switch the server's trace on or off; returns its events so far: (event, wall ns, simulated ns)."""
+        return [tuple(event) for event in self.call("uavaccelTrace", enabled)]
+
+    def close(self) -> None:
+        self.transport.close()

@@ -1,0 +1,35 @@
+"""The process that a session starts: one server on a free loopback port, until standard input ends.
+
+    python -m uavaccel.wire.host '{"scene": "blocks", "profile": "native"}'
+
+prints one line of JSON, {"port": ...}, when it listens.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
+from uavaccel.wire.api import Api
+from uavaccel.wire.server import Server
+
+
+def main() -> None:
+    options = json.loads(sys.argv[1])
+    profile = PROFILES[options["profile"]]
+    world = World(options["scene"], profile)
+    world.advance(1)  # compile, or load, the hot loop before anything is timed
+    world.reset()
+    simulation = Simulation(world, 1.0, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
+    simulation.pause(MonotonicClock().now_ns())
+    server = Server(Api(simulation, {"SimMode": "Multirotor"}), port=0, stop_at_eof=sys.stdin.buffer)
+    print(json.dumps({"port": server.address[1]}), flush=True)
+    server.serve()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""The latency model of a simulated wall clock: how long messages take, drawn from measured quantiles.
+
+A call costs a request (the client is ready to issue it, the server handles it) and a reply (handled, or due, to the
+client ready again). Each method may have quantiles of its own; others use those of "call".
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from uavaccel.config import Config
+
+QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
+DEFAULT_METHOD = "call"
+_BLOCK = 1024
+
+
+class LatencyConfig(Config):
+    """Microseconds at `quantiles`, by method; "call" stands for every method that is not named.
+
+    `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
+    server ends (it matters to the `airsim` profile's continue-for alone).
+    """
+
+    quantiles: tuple[float, ...] = QUANTILES
+    request_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)})
+    reply_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)})
+    issue_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
+    timer_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
+
+    @field_validator("request_us", "reply_us")
+    @classmethod
+    def _has_default(cls, tables: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+        if DEFAULT_METHOD not in tables:
+            raise ValueError(f'needs quantiles under "{DEFAULT_METHOD}"')
+        return tables
+
+    @field_validator("request_us", "reply_us", "issue_us", "timer_us")
+    @classmethod
+    def _not_negative(cls, value: Any) -> Any:
+        for table in value.values() if isinstance(value, dict) else [value]:
+            if any(later < earlier for earlier, later in zip(table, table[1:], strict=False)) or table[0] < 0:
+                raise ValueError("quantiles must be 0 or more and must not fall")
+        return value
+
+
+ZERO_LATENCY = LatencyConfig()
+
+
+class Latency:
+    """Draws latencies in nanoseconds; one generator a channel, so the order on one never disturbs another."""
+
+    def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
+        self._config = config
+        self._seed = seed
+        self._channels: dict[tuple[str, str], Iterator[int]] = {}
+
+    def request_ns(self, method: str) -> int:
+        return self._draw("request", method, self._config.request_us)
+
+    def reply_ns(self, method: str) -> int:
+        return self._draw("reply", method, self._config.reply_us)
+
+    def issue_ns(self) -> int:
+        return self._draw("issue", "", {"": self._config.issue_us})
+
+    def timer_ns(self) -> int:
+        return self._draw("timer", "", {"": self._config.timer_us})
+
+    def _draw(self, kind: str, method: str, tables: dict[str, tuple[float, ...]]) -> int:
+        name = method if method in tables else DEFAULT_METHOD
+        channel = self._channels.get((kind, name))
+        if channel is None:
+            channel = self._channels[kind, name] = self._stream(f"{kind} {name}", tables[name])
+        return next(channel)
+
+    def _stream(self, name: str, table: tuple[float, ...]) -> Iterator[int]:
+        if not any(table):
+            while True:
+                yield 0
+        key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
+        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+        while True:
+            uniform = generator.random(_BLOCK)
+            yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()

@@ -1,0 +1,190 @@
+"""The free-running server: one thread that advances the simulation, answers what has arrived, and sleeps.
+
+It wakes for a message, for the next thing that ends, and often enough in between that little is left to fly when
+something ends. Bad bytes cost a client its own connection and nothing else.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from typing import IO, Any
+
+from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
+from uavaccel.errors import UserError
+from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.transport import set_no_delay, set_quick_ack
+
+IDLE_NS = 5_000_000  # an idle server advances at least so often
+CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
+SPIN_NS = 150_000  # before something ends, poll instead of sleeping: a process wakes late
+BUSY_NS = 200_000  # after a message, poll for the next one
+READ_BYTES = 1 << 16
+MAX_UNSENT_BYTES = 1 << 26
+
+
+class Connection:
+    """One client: its stream of requests, and what could not be sent yet."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.socket = connection
+        self.decoder = rpc.Decoder()
+        self.unsent = bytearray()
+        self.open = True
+
+
+class Server:
+    """Serves an `Api` on a listening socket. Raises UserError if the address is taken.
+
+    `port` 0 lets the system choose; `address` says what became of it. The server ends when `stop_at_eof`, a readable
+    file, comes to its end: so it does not outlive the process that holds the other end of a pipe.
+    """
+
+    def __init__(
+        self, api: Api, host: str = "127.0.0.1", port: int = 41451, stop_at_eof: IO[bytes] | None = None
+    ) -> None:
+        self.api = api
+        self.clock = MonotonicClock()
+        try:
+            self._listener = socket.create_server((host, port), backlog=16)
+        except OSError as error:
+            raise UserError(f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port") from None
+        self.address: tuple[str, int] = self._listener.getsockname()[:2]
+        self._listener.setblocking(False)
+        # select() takes microseconds; epoll and poll round a timeout up to a millisecond
+        self._selector = selectors.SelectSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        if stop_at_eof is not None:
+            self._selector.register(stop_at_eof, selectors.EVENT_READ)
+        self._connections: set[Connection] = set()
+        self._busy_until_ns = 0
+        self._stopping = False
+
+    def serve(self) -> None:
+        """Run until `stop`, or an exception such as KeyboardInterrupt."""
+        ask_for_fine_timers()
+        simulation = self.api.simulation
+        simulation.advance_to(self.clock.now_ns())
+        try:
+            while not self._stopping:
+                for key, events in wait_for_sockets(self._selector, self._wake_ns(simulation)):
+                    self._serve_socket(key, events)
+                simulation.advance_to(self.clock.now_ns())
+        finally:
+            self.close()
+
+    def stop(self) -> None:
+        """Let `serve` return after its present turn."""
+        self._stopping = True
+
+    def close(self) -> None:
+        for connection in list(self._connections):
+            self._drop(connection)
+        self._selector.close()
+        self._listener.close()
+
+    def _wake_ns(self, simulation: Simulation) -> int:
+        """The wall time to sleep to; in the past where polling is due."""
+        now = self.clock.now_ns()
+        if now < self._busy_until_ns:
+            return now
+        if simulation.paused:
+            return now + IDLE_NS
+        wake = min(now + IDLE_NS, simulation.pacer.wall_due(simulation.world.tick + CHUNK_TICKS))
+        event = simulation.next_event_wall_ns()
+        return wake if event is None else min(wake, event - SPIN_NS)
+
+    def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:
+        if key.fileobj is self._listener:
+            self._accept()
+        elif key.data is None:
+            self.stop()  # the watched stream ended
+        else:
+            if events & selectors.EVENT_WRITE:
+                self._send(key.data, b"")
+            if events & selectors.EVENT_READ and key.data.open:
+                self._read(key.data)
+
+    def _accept(self) -> None:
+        try:
+            raw, _ = self._listener.accept()
+        except OSError:
+            return  # it has gone again
+        connection = Connection(raw)
+        try:
+            raw.setblocking(False)
+            set_no_delay(raw)
+            self._selector.register(raw, selectors.EVENT_READ, connection)
+        except (OSError, ValueError):  # gone again, or more connections than select() can hold
+            raw.close()
+        else:
+            self._connections.add(connection)
+
+    def _read(self, connection: Connection) -> None:
+        try:
+            data = connection.socket.recv(READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(connection)
+            return
+        self._busy_until_ns = self.clock.now_ns() + BUSY_NS
+        try:
+            set_quick_ack(connection.socket)
+            for message in connection.decoder.messages(data):
+                self._handle(connection, rpc.parse_request(message))
+        except (rpc.ProtocolError, OSError):
+            self._drop(connection)
+
+    def _handle(self, connection: Connection, request: rpc.Request) -> None:
+        wall_ns = self.clock.now_ns()
+        self.api.simulation.advance_to(wall_ns)
+        try:
+            result, error = self.api.call(request.method, request.params, wall_ns), None
+        except rpc.RpcError as failure:
+            result, error = None, str(failure)
+        if request.message_id is None:
+            return
+        if not isinstance(result, Pending):
+            self._reply(connection, request.message_id, error, result)
+        elif result.due_wall_ns is not None:
+            self._reply(connection, request.message_id, None, result.encode(result.value))
+        else:
+            message_id = request.message_id
+            result.on_due = lambda due: self._reply(connection, message_id, None, due.encode(due.value))
+
+    def _reply(self, connection: Connection, message_id: int, error: str | None, result: Any) -> None:
+        if connection.open:
+            self._send(connection, rpc.pack_response(message_id, error, result))
+
+    def _send(self, connection: Connection, data: bytes) -> None:
+        """Send what the socket takes now and the rest when it takes more; drop a client that never reads."""
+        connection.unsent += data
+        try:
+            while connection.unsent:
+                sent = connection.socket.send(connection.unsent)
+                del connection.unsent[:sent]
+        except BlockingIOError:
+            pass
+        except OSError:
+            connection.unsent.clear()
+            self._drop(connection)
+            return
+        if len(connection.unsent) > MAX_UNSENT_BYTES:
+            self._drop(connection)
+            return
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if connection.unsent else 0)
+        if self._selector.get_key(connection.socket).events != events:
+            self._selector.modify(connection.socket, events, connection)
+
+    def _drop(self, connection: Connection) -> None:
+        """Forget a client; a command of its own runs on."""
+        if connection.open:
+            connection.open = False
+            self._selector.unregister(connection.socket)
+            connection.socket.close()
+            self._connections.discard(connection)

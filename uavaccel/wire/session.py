@@ -1,0 +1,102 @@
+"""A session: where games are flown. A server process in `wall`; the same process in `virtual` and `lockstep`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from uavaccel.clock import VirtualClock
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
+from uavaccel.wire.api import Api
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.transport import SocketTransport, VirtualTransport
+
+TIMINGS = ("wall", "virtual", "lockstep")
+
+
+class Session(Protocol):
+    """Starts games and hands out the client that flies them."""
+
+    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+        """A settled hover, paused and recording; `seed` draws the latencies of a simulated wall clock."""
+        ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+class WallSession:
+    """A server in a process of its own, on loopback, paced by the machine's clock."""
+
+    def __init__(self, scene: str, profile: str) -> None:
+        options = json.dumps({"scene": scene, "profile": profile})
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "uavaccel.wire.host", options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the client, which then ends the server
+        )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"the server process ended with status {self._process.wait()} before it listened")
+        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]))
+
+    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+        self._client.start_game(clock_speed)
+        return self._client
+
+    def close(self) -> None:
+        self._client.close()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait(timeout=10)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+class VirtualSession:
+    """The simulation in this process, under a simulated wall clock; `latency` zero is `lockstep`."""
+
+    def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
+        self._world = World(scene, PROFILES[profile])
+        self._latency = latency
+
+    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+        clock, latency = VirtualClock(), Latency(self._latency, seed)
+        simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
+        transport: Any = VirtualTransport(Api(simulation), clock, latency)
+        client = Client(transport, clock_speed)
+        client.start_game(clock_speed)
+        return client
+
+    def close(self) -> None:
+        pass
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def open_session(timing: str, profile: str, scene: str = "blocks", latency: LatencyConfig = ZERO_LATENCY) -> Session:
+    """A session for one of TIMINGS; `latency` matters to `virtual` alone."""
+    if timing == "wall":
+        return WallSession(scene, profile)
+    return VirtualSession(scene, profile, latency if timing == "virtual" else ZERO_LATENCY)

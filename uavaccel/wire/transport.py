@@ -1,0 +1,181 @@
+"""The two ways from a client to a simulation: a socket, or the same process under a simulated wall clock."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
+from uavaccel.errors import UserError
+from uavaccel.sim.simulation import Pending
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.latency import Latency
+
+_QUICKACK = getattr(socket, "TCP_QUICKACK", None)
+_CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
+
+
+class Ticket:
+    """A call under way."""
+
+    def __init__(self, method: str) -> None:
+        self.method = method
+        self.done = False
+        self.error: str | None = None
+        self.value: Any = None
+        self.pending: Pending | None = None
+        self.reply_wall_ns: int | None = None
+
+    def result(self) -> Any:
+        """The reply's value. Raises rpc.RpcError with the server's text."""
+        if self.error is not None:
+            raise rpc.RpcError(self.error)
+        return self.value
+
+
+class Transport(Protocol):
+    """Sends calls in order and waits for replies in any order."""
+
+    clock: WallClock
+
+    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+        """Issue a call; `joined` says that the caller waits for it at once."""
+        ...
+
+    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+        """Until the reply is there, or the wall deadline: then False."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def set_no_delay(connection: socket.socket) -> None:
+    """Send small messages at once, and acknowledge them at once.
+
+    Nagle's algorithm on one side and delayed acknowledgements on the other otherwise hold the second of two small
+    messages for 40 ms: exactly a command followed by a continue-for. Linux forgets the second option; set it again
+    after every read.
+    """
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    set_quick_ack(connection)
+
+
+def set_quick_ack(connection: socket.socket) -> None:
+    if _QUICKACK is not None:
+        connection.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
+
+
+class SocketTransport:
+    """msgpack-rpc over TCP. Raises UserError if nobody listens there."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.clock: WallClock = MonotonicClock()
+        try:
+            self._socket = socket.create_connection((host, port), timeout=10)
+        except OSError as error:
+            raise UserError(f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`") from None
+        self._socket.settimeout(None)
+        set_no_delay(self._socket)
+        self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES)
+        self._open: dict[int, Ticket] = {}
+        self._next_id = 0
+        self._selector = selectors.SelectSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+
+    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+        ticket = Ticket(method)
+        self._next_id = (self._next_id + 1) & 0xFFFFFFFF
+        self._open[self._next_id] = ticket
+        self._socket.sendall(rpc.pack_request(self._next_id, method, params))
+        return ticket
+
+    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+        while not ticket.done:
+            if deadline_ns is not None and not wait_for_sockets(self._selector, deadline_ns):
+                return False
+            self._receive()
+        return True
+
+    def _receive(self) -> None:
+        data = self._socket.recv(1 << 16)
+        if not data:
+            raise ConnectionError("the server closed the connection")
+        set_quick_ack(self._socket)
+        for message in self._decoder.messages(data):
+            _, message_id, error, value = message
+            ticket = self._open.pop(message_id, None)
+            if ticket is not None:
+                ticket.done, ticket.error, ticket.value = True, error, value
+
+    def close(self) -> None:
+        self._selector.close()
+        self._socket.close()
+
+
+class VirtualTransport:
+    """Calls an `Api` in the same process and lets its simulation's wall clock pass as the latency model says."""
+
+    def __init__(self, api: Api, clock: VirtualClock, latency: Latency) -> None:
+        self.clock: WallClock = clock
+        self._api = api
+        self._latency = latency
+        self._handled_ns = clock.now_ns()
+
+    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+        ticket = Ticket(method)
+        arrival = self.clock.now_ns() + self._latency.request_ns(method)
+        self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
+        self._run_to(self._handled_ns)
+        try:
+            value = self._api.call(method, params, self._handled_ns)
+        except rpc.RpcError as error:
+            ticket.error, value = str(error), None
+        if isinstance(value, Pending):
+            ticket.pending = value
+        else:
+            ticket.value = value
+            ticket.reply_wall_ns = self._handled_ns + self._latency.reply_ns(method)
+        if not joined:
+            self.clock.charge(self._latency.issue_ns())
+        return ticket
+
+    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+        if ticket.pending is not None and not self._run_until_due(ticket, ticket.pending, deadline_ns):
+            return False
+        reply = ticket.reply_wall_ns or 0
+        if deadline_ns is not None and reply > deadline_ns:
+            self.clock.sleep_until(deadline_ns)
+            return False
+        self.clock.sleep_until(reply)
+        ticket.done = True
+        return True
+
+    def close(self) -> None:
+        pass
+
+    def _run_until_due(self, ticket: Ticket, pending: Pending, deadline_ns: int | None) -> bool:
+        simulation = self._api.simulation
+        while pending.due_wall_ns is None:
+            due = simulation.next_event_wall_ns()
+            if due is None:
+                raise RuntimeError(f"{ticket.method} would wait for ever: the simulation is paused")
+            if deadline_ns is not None and due > deadline_ns:
+                self.clock.sleep_until(deadline_ns)
+                return False
+            self._run_to(due)
+        if ticket.reply_wall_ns is None:
+            ticket.value = pending.encode(pending.value)
+            ticket.reply_wall_ns = pending.due_wall_ns + self._latency.reply_ns(ticket.method)
+        return True
+
+    def _run_to(self, wall_ns: int) -> None:
+        """Let the simulation's wall time pass; a wall timer ends on the dot, its lateness is in it."""
+        simulation = self._api.simulation
+        timer = simulation.wall_timer_ns()
+        if timer is not None and timer <= wall_ns:
+            simulation.advance_to(timer)
+        self._handled_ns = max(self._handled_ns, wall_ns)
+        simulation.advance_to(self._handled_ns)
