@@ -1,0 +1,121 @@
+"""A report as a list of blocks, written as Markdown or as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A section's title."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text; it may hold any character."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain text below a header; `folded` names what one clicks to unfold it in HTML."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    folded: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG and the caption below it."""
+
+    path: Path
+    caption: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Text kept as it is, such as YAML."""
+
+    text: str
+
+
+Block = Heading | Paragraph | Table | Picture | Listing
+
+
+def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
+    """Markdown of the report; pictures are linked relative to `folder`, where the file will lie."""
+    return "\n\n".join([f"# {title}", *(_markdown(block, folder) for block in blocks)]) + "\n"
+
+
+def to_html(title: str, blocks: Sequence[Block]) -> str:
+    """One HTML page with its style and pictures inside, which needs no other file and no network."""
+    body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_html, blocks)])
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
+    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n</body></html>\n'
+
+
+def _markdown(block: Block, folder: Path) -> str:
+    match block:
+        case Heading(text):
+            return f"## {text}"
+        case Paragraph(text):
+            return _escape_markdown(text)
+        case Table(header, rows):
+            lines = [header, ["---"] * len(header), *rows]
+            return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
+        case Picture(path, caption):
+            link = path.relative_to(folder).as_posix()
+            return f"![{_escape_markdown(caption)}]({link})\n\n{_escape_markdown(caption)}"
+        case Listing(text):
+            return f"```\n{text.rstrip()}\n```"
+
+
+def _html(block: Block) -> str:
+    match block:
+        case Heading(text):
+            return f"<h2>{escape(text)}</h2>"
+        case Paragraph(text):
+            return f"<p>{escape(text)}</p>"
+        case Table():
+            return _html_table(block)
+        case Picture(path, caption):
+            data = base64.b64encode(path.read_bytes()).decode("ascii")
+            image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+            return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+        case Listing(text):
+            return f"<pre>{escape(text)}</pre>"
+
+
+def _html_table(table: Table) -> str:
+    header = "".join(f"<th>{escape(cell)}</th>" for cell in table.header)
+    rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table.rows)
+    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    html = f"<table><thead><tr>{header}</tr></thead>\n<tbody>{body}</tbody></table>"
+    if not table.folded:
+        return html
+    return f"<details><summary>{escape(table.folded)}</summary>\n{html}</details>"
+
+
+def _escape_markdown(text: str) -> str:
+    for character in "\\|*_<":
+        text = text.replace(character, "\\" + character)
+    return text
+
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; color: #222 }
+h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100% }
+figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
+table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3 }
+th { vertical-align: bottom } th:first-child, td:first-child { text-align: left }
+pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
+"""

@@ -1,0 +1,156 @@
+"""DP1's per-game accuracy, cell by cell: the part of the report that takes time.
+
+A cell is all games of one command, ClockSpeed, T_move, number of rounds and timing. Its references are the
+run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from uavaccel.metrics.stlc import mean_stlc
+from uavaccel.metrics.trajectory import (
+    FloatArray,
+    Trajectory,
+    command_gaps_s,
+    distinct,
+    mean_position_rmse,
+    trajectory,
+)
+
+Row = Mapping[str, Any]
+Arrays = Mapping[str, np.ndarray]
+LoadArrays = Callable[[Row], Arrays]
+
+
+@dataclass(frozen=True, order=True)
+class CellKey:
+    """What the games of a cell share; its order is the canonical order of the cells."""
+
+    command: str
+    clock_speed: float
+    t_move_s: float
+    rounds: int
+    timing: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell's finished games and what they are compared with; `is_reference`: with each other."""
+
+    key: CellKey
+    rows: tuple[Row, ...]
+    failed: int
+    reference_rows: tuple[Row, ...]
+    lockstep_row: Row | None
+    is_reference: bool
+
+
+@dataclass(frozen=True)
+class CellScores:
+    """One value a finished game, in the order of `cell.rows`; NaN where there is nothing to compare with.
+
+    `stlc` and `position_rmse_m` are means over the references, `command_gap_s` pools the gaps of all games.
+    """
+
+    cell: Cell
+    stlc: FloatArray
+    position_rmse_m: FloatArray
+    position_rmse_vs_lockstep_m: FloatArray
+    command_gap_s: FloatArray
+    distinct_games: int
+
+
+def cells_of(rows: Sequence[Row]) -> list[Cell]:
+    """The run's cells in canonical order; rows of role "lockstep" only serve as comparison.
+
+    Where a cell holds references, these are its games: ADSC at 1x is not counted twice.
+    """
+    grouped: dict[CellKey, list[Row]] = defaultdict(list)
+    for row in rows:
+        if row["role"] != "lockstep":
+            grouped[_key(row)].append(row)
+    return [_cell(key, grouped[key], rows) for key in sorted(grouped)]
+
+
+def score_cells(cells: Sequence[Cell], load_arrays: LoadArrays, jobs: int = 1) -> list[CellScores]:
+    """Scores of all cells, in their order; the same numbers whatever `jobs`, the number of processes."""
+    if jobs == 1:
+        return [score_cell(cell, load_arrays) for cell in cells]
+    longest_first = sorted(range(len(cells)), key=lambda i: -_flown_s(cells[i]))
+    scored = Parallel(n_jobs=jobs, batch_size=1)(
+        delayed(score_cell)(cells[i], load_arrays) for i in longest_first
+    )
+    in_order = dict(zip(longest_first, scored, strict=True))
+    return [in_order[i] for i in range(len(cells))]
+
+
+def score_cell(cell: Cell, load_arrays: LoadArrays) -> CellScores:
+    """Scores of one cell; raises whatever `load_arrays` raises."""
+    arrays = [load_arrays(row) for row in cell.rows]
+    games = [_flight(a) for a in arrays]
+    unknown = np.full(len(games), np.nan)
+    stlc, rmse_m, lockstep_rmse_m = unknown, unknown, unknown
+    if cell.reference_rows and games:
+        references = (
+            games if cell.is_reference else [_flight(load_arrays(row)) for row in cell.reference_rows]
+        )
+        stlc = mean_stlc(games, references, cell.is_reference)
+        rmse_m = mean_position_rmse(games, references, cell.is_reference)
+    if cell.lockstep_row is not None and games:
+        lockstep_rmse_m = mean_position_rmse(games, [_flight(load_arrays(cell.lockstep_row))])
+    gaps = [command_gaps_s(a["command_start_s"], a["command_end_s"]) for a in arrays]
+    gap_s = np.concatenate(gaps) if gaps else np.empty(0)
+    return CellScores(cell, stlc, rmse_m, lockstep_rmse_m, gap_s, len(distinct(games)[0]))
+
+
+def _key(row: Row) -> CellKey:
+    return CellKey(
+        str(row["command"]),
+        float(row["clock_speed"]),
+        float(row["t_move_s"]),
+        int(row["rounds"]),
+        str(row["timing"]),
+    )
+
+
+def _cell(key: CellKey, cell_rows: Sequence[Row], rows: Sequence[Row]) -> Cell:
+    same_path = [row for row in rows if row["t_move_s"] == key.t_move_s and row["rounds"] == key.rounds]
+    references = _finished(row for row in same_path if row["role"] == "reference")
+    own_references = [row for row in cell_rows if row["role"] == "reference"]
+    members = own_references or cell_rows
+    finished = _finished(members)
+    return Cell(
+        key,
+        finished,
+        len(members) - len(finished),
+        references,
+        _lockstep_row(same_path, key.command),
+        is_reference=bool(own_references),
+    )
+
+
+def _finished(rows: Any) -> tuple[Row, ...]:
+    """Rows without an error, by game."""
+    return tuple(sorted((row for row in rows if row.get("error") is None), key=lambda row: row["game"]))
+
+
+def _lockstep_row(rows: Sequence[Row], command: str) -> Row | None:
+    """The zero-latency game of the same commands, of the cell's own command if there are several."""
+    lockstep = _finished(row for row in rows if row["role"] == "lockstep")
+    own = [row for row in lockstep if row["command"] == command]
+    return next(iter(own or lockstep), None)
+
+
+def _flight(arrays: Arrays) -> Trajectory:
+    return trajectory(arrays["time_s"], arrays["position_m"])
+
+
+def _flown_s(cell: Cell) -> float:
+    return sum(float(row["duration_s"]) for row in cell.rows)

@@ -1,0 +1,72 @@
+"""Figure 2: velocity over simulated time, real time on top of the fastest run, with the commands' ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from uavaccel.report import style
+
+_AXIS_NAMES = ("north", "east", "down")
+_VISIBLE_M_S = 0.05  # a component that never gets faster is left out
+
+
+@dataclass(frozen=True)
+class VelocityPanel:
+    """One flight: samples (n,), velocities (n, 3) NED, and its commands' starts and ends (c,)."""
+
+    title: str
+    time_s: np.ndarray
+    velocity_m_s: np.ndarray
+    command_start_s: np.ndarray
+    command_end_s: np.ndarray
+
+
+def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str) -> Path:
+    """Draw the panels one above the other on one time axis; returns `path`.
+
+    A dashed line is the end of a command, grey the time in which no command ran: latency times ClockSpeed.
+    """
+    with style.look():
+        rows = max(len(panels), 1)
+        figure = style.new_figure(8.0, 1.2 + 2.1 * rows, "Velocity and command ends", source)
+        all_axes = list(figure.subplots(rows, 1, sharex=True, sharey=True, squeeze=False)[:, 0])
+        if not panels:
+            style.note(all_axes[0], "no flight recorded")
+        for axes, panel in zip(all_axes, panels, strict=False):
+            _draw_panel(axes, panel, _components(panels))
+        if panels:
+            _label(all_axes)
+        return style.save(figure, path)
+
+
+def _components(panels: Sequence[VelocityPanel]) -> list[int]:
+    fastest = np.max([np.abs(panel.velocity_m_s).max(axis=0) for panel in panels], axis=0)
+    return [axis for axis in range(3) if fastest[axis] > _VISIBLE_M_S] or [0]
+
+
+def _draw_panel(axes: Axes, panel: VelocityPanel, components: Sequence[int]) -> None:
+    axes.set_title(panel.title)
+    for start, end in zip(panel.command_end_s[:-1], panel.command_start_s[1:], strict=True):
+        axes.axvspan(start, end, color="#D0D0D0", linewidth=0)
+    for end in panel.command_end_s:
+        axes.axvline(end, color=style.BLACK, linestyle=(0, (4, 3)), linewidth=0.9)
+    for axis in components:
+        axes.plot(panel.time_s, panel.velocity_m_s[:, axis], label=_AXIS_NAMES[axis], color=style.CYCLE[axis])
+
+
+def _label(all_axes: Sequence[Axes]) -> None:
+    last = all_axes[-1]
+    last.set_xlabel("simulated time, s")
+    for axes in all_axes:
+        axes.set_ylabel("velocity, m/s")
+    last.plot([], [], color=style.BLACK, linestyle=(0, (4, 3)), linewidth=0.9, label="command ends")
+    last.fill_between([], [], color="#D0D0D0", label="no command runs")
+    handles, labels = last.get_legend_handles_labels()
+    all_axes[0].legend(
+        handles, labels, ncols=len(labels), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2
+    )

@@ -1,0 +1,77 @@
+"""The one look of all figures: colour-blind-safe, drawn without a display, the same bytes every time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
+BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#7F7F7F"
+CYCLE = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
+COMMAND_COLOUR = {"adsc": VERMILION, "tcsc": BLUE}
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.prop_cycle": cycler(color=CYCLE),
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.6,
+    "savefig.dpi": 150,
+}
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """The project's matplotlib settings, for the time of drawing one figure and saving it."""
+    with mpl.rc_context(_SETTINGS):
+        yield
+
+
+def new_figure(width_in: float, height_in: float, title: str, source: str) -> Figure:
+    """A figure with a title on top and, below, the line that says where its numbers come from."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, fontweight="bold")
+    figure.supxlabel(source, x=0.01, ha="left", fontsize=8, color="#555555")
+    return figure
+
+
+def note(axes: Axes, text: str) -> None:
+    """Written in the middle of axes that have nothing to show."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
+    axes.set(xticks=[], yticks=[])
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG without dates or versions, so that equal figures are equal files; returns `path`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, format="png", metadata={"Software": None})
+    return path
+
+
+def command_name(command: str) -> str:
+    """A command as it is written in the figures and tables: ADSC, TCSC."""
+    return command.upper()
+
+
+def clock_label(clock_speed: float) -> str:
+    """A ClockSpeed as it is written in the figures and tables: 1x, 1.5x, 100x."""
+    return f"{clock_speed:g}x"
