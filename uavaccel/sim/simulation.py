@@ -19,7 +19,7 @@ from uavaccel.clock import Pacer
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.world import LEVEL, START_M, World
+from uavaccel.sim.world import LEVEL, START_M, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
 COMMAND_LOG_LENGTH = 1 << 16
@@ -126,7 +126,7 @@ class Simulation:
             end_tick = self._next_event_tick()
             target = self.pacer.ticks_due(wall_ns)
             self._fly_to(target if end_tick is None else min(target, end_tick))
-            if end_tick is None or end_tick > target:
+            if end_tick is None or end_tick > target or self.failure:
                 break
             self._end_at_tick(self.pacer.wall_due(end_tick))
         if (timer := self.wall_timer_ns()) is not None and wall_ns >= timer:
@@ -155,8 +155,17 @@ class Simulation:
             self.pacer.anchor(wall_ns - self.catch_up_wall_ns, self.world.tick)
 
     def _fly_to(self, tick: int) -> None:
-        while (ticks := tick - self.world.tick) > 0:
-            self.speed.simulated_ns += self.world.advance(ticks) * self.profile.tick_ns
+        try:
+            while (ticks := tick - self.world.tick) > 0:
+                self.speed.simulated_ns += self.world.advance(ticks) * self.profile.tick_ns
+        except FlightError as error:
+            self._fail(str(error))
+
+    def _fail(self, reason: str) -> None:
+        """Stop a flight that cannot be integrated; a reset starts anew."""
+        self.failure = reason
+        self._end_command(False, self._wall_ns)
+        self.pause(self._wall_ns)
 
     def _account(self, wall_ns: int) -> None:
         if not self.paused:
@@ -290,6 +299,7 @@ class Simulation:
         self._command: _Command | None = None
         self._continue: _Continue | None = None
         self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+        self.failure: str | None = None
         self.speed = Speed()
         self._wall_ns = wall_ns
         self.pacer.anchor(wall_ns, self.world.tick)

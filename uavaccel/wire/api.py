@@ -207,7 +207,7 @@ class Api:
         self.simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
 
     def _speed(self) -> dict[str, Any]:
-        """Requested and achieved speed since the last reset."""
+        """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
         speed = self.simulation.speed
         return {
             "clock_speed": float(self.simulation.clock_speed),
@@ -215,6 +215,7 @@ class Api:
             "simulated_ns": speed.simulated_ns,
             "wall_ns": speed.wall_ns,
             "lost_wall_ns": speed.lost_wall_ns,
+            "failure": self.simulation.failure,
         }
 
     def _recording(self) -> dict[str, Any]:

@@ -95,7 +95,7 @@ class VirtualSession:
         self.close()
 
 
-def open_session(timing: str, profile: str, scene: str = "blocks", latency: LatencyConfig = ZERO_LATENCY) -> Session:
+def open_session(timing: str, profile: str, scene: str, latency: LatencyConfig = ZERO_LATENCY) -> Session:
     """A session for one of TIMINGS; `latency` matters to `virtual` alone."""
     if timing == "wall":
         return WallSession(scene, profile)

@@ -1,0 +1,101 @@
+"""The command line: thin shells over plain functions, which are imported when a command runs.
+
+Exit status: 0 done; 1 one clear line on standard error; 2 wrong usage; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uavaccel.errors import UsageError, UserError
+
+app = typer.Typer(
+    name="uavaccel",
+    help="Fast, time-controlled quadrotor simulation, and what the acceleration costs.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Clock = Annotated[list[float] | None, typer.Option("--clock", help="ClockSpeed; repeat for several.")]
+Commands = Annotated[list[str] | None, typer.Option("--command", help="adsc or tcsc; repeat for both.")]
+Timing = Annotated[str | None, typer.Option(help="wall (measured), virtual (modelled) or lockstep (no latency).")]
+Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
+Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
+Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value of the configuration.")]
+
+
+@app.command()
+def run(
+    experiment: Annotated[str, typer.Argument(help="dp1, or an experiment's YAML file.")],
+    clock: Clock = None,
+    command: Commands = None,
+    t_move: Annotated[list[float] | None, typer.Option("--t-move", help="Seconds; repeat for several.")] = None,
+    rounds: Annotated[list[int] | None, typer.Option(help="Rounds of the path; repeat for several.")] = None,
+    games: Annotated[int | None, typer.Option(help="Games a cell.")] = None,
+    timing: Timing = None,
+    profile: Profile = None,
+    seed: Seed = None,
+    jobs: Annotated[int, typer.Option(help="Processes; above 1 not with wall.")] = 1,
+    out: Out = None,
+    resume: Resume = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")] = False,
+    overrides: Overrides = None,
+) -> None:
+    """Fly an experiment, measure it and draw its figures."""
+    from uavaccel.cli.run import Request, run_experiment
+
+    options = {
+        "clock_speed": clock,
+        "command": command,
+        "t_move_s": t_move,
+        "rounds": rounds,
+        "games": games,
+        "timing": timing,
+        "profile": profile,
+        "seed": seed,
+    }
+    run_experiment(Request(experiment, options, overrides or [], jobs, out, resume, dry_run))
+
+
+@app.command()
+def report(
+    run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")],
+) -> None:
+    """Compute the metrics and draw the figures of finished runs again."""
+    from uavaccel.cli.run import report_run
+
+    for run_dir in run_dirs:
+        report_run(run_dir)
+
+
+def main() -> None:
+    """Entry point: a user's mistake is one line, never a traceback."""
+    try:
+        status = app(standalone_mode=False)
+    except UsageError as error:
+        status = _complain(str(error), 2)
+    except UserError as error:
+        status = _complain(str(error), 1)
+    except (KeyboardInterrupt, typer.Abort):
+        status = _complain("interrupted", 130)
+    except typer.Exit as error:
+        status = error.exit_code
+    except Exception as error:
+        import click
+
+        if not isinstance(error, click.ClickException):
+            raise
+        status = _complain(error.format_message(), 2)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complain(message: str, status: int) -> int:
+    print(f"uavaccel: error: {message}" if status != 130 else f"uavaccel: {message}", file=sys.stderr)
+    return status

@@ -1,0 +1,93 @@
+"""What every experiment's configuration shares, and how it is put together from YAML, options and overrides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import field_validator
+
+from uavaccel.config import Config, apply_overrides, load_yaml, validate
+from uavaccel.errors import UserError
+from uavaccel.resources import experiment
+from uavaccel.wire.latency import LatencyConfig
+
+Timing = Literal["wall", "virtual", "lockstep"]
+ProfileName = Literal["native", "airsim"]
+CommandName = Literal["adsc", "tcsc"]
+
+SHIPPED_LATENCY = "latency.yaml"
+
+
+class Experiment(Config):
+    """Keys that every suite has."""
+
+    clock_speed: tuple[float, ...]
+    """ClockSpeeds to fly at: simulated seconds a wall second, above 0; 1.5 is 1.5."""
+    command: tuple[CommandName, ...] = ("adsc", "tcsc")
+    timing: Timing = "virtual"
+    """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
+    profile: ProfileName = "native"
+    seed: int = 0
+    latency: LatencyConfig
+    """The latency model that `virtual` draws from; `uavaccel calibrate` writes this block."""
+
+    @field_validator("clock_speed")
+    @classmethod
+    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
+        return positive(speeds)
+
+    @field_validator("seed")
+    @classmethod
+    def _seed(cls, seed: int) -> int:
+        if seed < 0:
+            raise ValueError("must be 0 or more")
+        return seed
+
+
+def positive(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The values. Raises ValueError unless there is one, and each is above 0."""
+    if not values:
+        raise ValueError("needs at least one value")
+    for value in values:
+        if value <= 0:
+            raise ValueError(f"must be above 0, not {value:g}")
+    return values
+
+
+ExperimentType = TypeVar("ExperimentType", bound=Experiment)
+
+
+def read_mapping(name: str) -> tuple[dict[str, Any], str]:
+    """The mapping of an experiment that ships ("dp1") or of a YAML file of one's own, and what to call it."""
+    if Path(name).suffix in (".yaml", ".yml"):
+        return load_yaml(Path(name)), name
+    return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
+
+
+def resolve(
+    cls: type[ExperimentType],
+    mapping: Mapping[str, Any],
+    source: str,
+    options: Mapping[str, Any],
+    overrides: Iterable[str] = (),
+) -> ExperimentType:
+    """The configuration: YAML, then command-line options, then --set. Raises UserError.
+
+    `latency` may name a YAML file, as `uavaccel calibrate` writes it; without one the shipped model is taken.
+    """
+    given = {key: value for key, value in options.items() if value is not None}
+    merged = apply_overrides({**mapping, **given}, overrides)
+    latency = merged.get("latency", str(experiment(SHIPPED_LATENCY)))
+    if isinstance(latency, str):
+        merged["latency"] = read_latency(Path(latency))
+    return validate(cls, merged, source)
+
+
+def read_latency(path: Path) -> Any:
+    """The `latency` block of a YAML file. Raises UserError if there is none."""
+    block = load_yaml(path)
+    if "latency" not in block:
+        raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
+    return block["latency"]

@@ -1,0 +1,68 @@
+"""Message traces of one command, from both ends of the wire, for the trellis of Figure 4."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from uavaccel.clock import WallClock
+from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.client import Client
+from uavaccel.wire.session import Session
+from uavaccel.wire.transport import Ticket, Transport
+
+Event = dict[str, Any]
+
+
+class TracingTransport:
+    """A transport that notes when the client calls and when it has its answer."""
+
+    def __init__(self, inner: Transport) -> None:
+        self.clock: WallClock = inner.clock
+        self.events: list[tuple[str, int]] = []
+        self._inner = inner
+
+    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+        self.events.append((f"call {method}", self.clock.now_ns()))
+        return self._inner.send(method, params, joined)
+
+    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+        done = self._inner.wait(ticket, deadline_ns)
+        if done:
+            self.events.append((f"return {ticket.method}", self.clock.now_ns()))
+        return done
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+def record_trace(session: Session, command_name: str, clock_speed: float, t_move_s: float) -> list[Event]:
+    """The messages of the second of two commands, in time order; the first one warms both ends up."""
+    client = session.start_game(clock_speed, np.random.SeedSequence(0))
+    command = COMMANDS[command_name]
+    command.begin(client)
+    for _ in command.fly(client, VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    tracing = TracingTransport(client.transport)
+    client.trace(True)
+    for _ in command.fly(Client(tracing, clock_speed), VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    return _merge(tracing.events, [event for event in client.trace(False) if "uavaccelTrace" not in event[0]])
+
+
+def _merge(client: Sequence[tuple[str, int]], server: Sequence[tuple[str, int, int]]) -> list[Event]:
+    """Both ends' events by wall time; simulated time at a client's event is that of the server's last one."""
+    events: list[tuple[int, str, str, int | None]] = [(wall, "client", event, None) for event, wall in client]
+    events += [(wall, "server", event, simulated) for event, wall, simulated in server]
+    events.sort(key=lambda event: event[0])
+    simulated_ns = min((event[2] for event in server), default=0)
+    merged = []
+    for wall_ns, source, name, now_ns in events:
+        simulated_ns = simulated_ns if now_ns is None else now_ns
+        merged.append(
+            {"source": source, "event": name, "wall_s": wall_ns / NS_PER_S, "sim_s": simulated_ns / NS_PER_S}
+        )
+    return merged
