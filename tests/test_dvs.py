@@ -12,6 +12,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from uavaccel.vision import dvs
+from uavaccel.vision import dvs_kernels as kernels
 
 SHAPE = (144, 256)
 CLEAN = dvs.PRESETS["clean"]
@@ -53,3 +54,182 @@ def test_counts_and_stamps_equal_v2e_to_the_last_event(case: str, recorded: dict
         stamps_s.append(np.unique(events[:, 0]))
     np.testing.assert_array_equal([len(s) for s in stamps_s], recorded[f"{case}_stamp_counts"])
     np.testing.assert_array_equal(np.concatenate(stamps_s), recorded[f"{case}_stamps"])
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.0, 30.0])
+def test_counts_are_numpys_floor_division_next_to_whole_thresholds(cutoff_hz: float) -> None:
+    rng = np.random.default_rng(3)
+    sensor = dvs.make_sensor(replace(CLEAN, threshold_sigma=0.05, cutoff_hz=cutoff_hz), SHAPE, seed=1)
+    positive, negative = sensor.positive_threshold, sensor.negative_threshold
+    log = rng.integers(0, 40, SHAPE).astype(positive.dtype) * positive
+    log = np.nextafter(log, np.where(rng.random(SHAPE) < 0.5, np.inf, -np.inf).astype(log.dtype))
+    count = kernels.count_double if cutoff_hz else kernels.count_single
+    expected = np.floor_divide(np.maximum(log, 0), positive) - np.floor_divide(np.maximum(-log, 0), negative)
+    np.testing.assert_array_equal(count(log, np.zeros_like(log), positive, negative), expected)
+
+
+def test_quotient_that_is_rounded_up_to_a_whole_number_counts_one_less() -> None:
+    change, threshold = np.array([[1.7825321262297023]]), np.array([[0.16204837511179113]])
+    assert change / threshold == 11
+    assert kernels.count_double(change, np.zeros_like(change), threshold, threshold) == 10
+
+
+@settings(deadline=None)
+@given(small_frames, st.sampled_from(["clean", "constructor"]), st.floats(1e-4, 1.0), st.integers(0, 99))
+def test_constant_brightness_makes_no_events(frame: NDArray, preset: str, dt_s: float, seed: int) -> None:
+    sensor = dvs.make_sensor(replace(dvs.PRESETS[preset], leak_rate_hz=0.0), frame.shape, seed)
+    state = dvs.init_state(sensor, frame)
+    for i in range(1, 4):
+        state, on, off = dvs.step(sensor, state, frame, i * dt_s)
+        assert not on.any()
+        assert not off.any()
+
+
+@settings(deadline=None)
+@given(small_frames, st.integers(0, 99))
+def test_on_and_off_exclude_each_other_at_a_pixel(first: NDArray, seed: int) -> None:
+    sensor = dvs.make_sensor(CLEAN, first.shape, seed)
+    frame = np.random.default_rng(seed).integers(0, 256, first.shape, np.uint8)
+    _, on, off = dvs.step(sensor, dvs.init_state(sensor, first), frame, 0.33)
+    assert not ((on > 0) & (off > 0)).any()
+
+
+@settings(deadline=None)
+@given(st.integers(0, 255), st.lists(st.integers(0, 255), min_size=1, max_size=20), st.integers(0, 99))
+def test_remainder_is_kept_so_that_counts_sum_to_the_whole_change(
+    first: int, intensities: list[int], seed: int
+) -> None:
+    sensor = dvs.make_sensor(CLEAN, (1, 1), seed)
+    state, level = dvs.init_state(sensor, np.full((1, 1), first, np.uint8)), 0.0
+    for i, intensity in enumerate(intensities):
+        state, on, off = dvs.step(sensor, state, np.full((1, 1), intensity, np.uint8), 0.1 * (i + 1))
+        level += (on * sensor.positive_threshold - off * sensor.negative_threshold).item()
+        change = float(dvs.LIN_LOG[intensity]) - float(dvs.LIN_LOG[first])
+        assert (
+            -sensor.negative_threshold.item() - 1e-4
+            < change - level
+            < sensor.positive_threshold.item() + 1e-4
+        )
+
+
+@settings(deadline=None)
+@given(small_frames, st.integers(0, 99), st.sampled_from(["clean", "noisy", "command_line"]))
+def test_counts_do_not_depend_on_the_layout_of_the_frame(frame: NDArray, seed: int, preset: str) -> None:
+    sensor = dvs.make_sensor(dvs.PRESETS[preset], frame.shape, seed)
+    state = dvs.init_state(sensor, frame[::-1, ::-1])
+    strided = np.repeat(np.repeat(frame, 2, axis=0), 3, axis=1)[::2, ::3]
+    for view in (np.asfortranarray(frame), strided, frame[::-1][::-1]):
+        expected, actual = dvs.step(sensor, state, frame, 0.1), dvs.step(sensor, state, view, 0.1)
+        np.testing.assert_array_equal(expected[1:], actual[1:])
+
+
+def noise_frames(count: int, shape: tuple[int, int]) -> NDArray:
+    return np.random.default_rng(5).integers(0, 256, (count, *shape), np.uint8)
+
+
+@pytest.mark.parametrize("preset", dvs.PRESETS)
+def test_step_is_a_pure_function_of_its_arguments(preset: str) -> None:
+    first, second = noise_frames(2, (7, 9))
+    sensor = dvs.make_sensor(dvs.PRESETS[preset], first.shape, seed=2)
+    state = dvs.init_state(sensor, first, noise_seed=4)
+    before = [np.copy(part) for part in state]
+    once, again = (dvs.step(sensor, state, second, 0.01) for _ in range(2))
+    for a, b in zip((*once[0], *once[1:]), (*again[0], *again[1:]), strict=True):
+        np.testing.assert_array_equal(a, b)
+    for part, copy in zip(state, before, strict=True):
+        np.testing.assert_array_equal(part, copy)
+
+
+@pytest.mark.parametrize("preset", dvs.PRESETS)
+def test_listed_events_add_up_to_the_counts_in_order_of_their_stamps(preset: str) -> None:
+    frames = noise_frames(6, (7, 9))
+    sensor = dvs.make_sensor(dvs.PRESETS[preset], (7, 9), seed=2)
+    state = dvs.init_state(sensor, frames[0])
+    for i, frame in enumerate(frames[1:]):
+        plain = dvs.step(sensor, state, frame, 0.01 * (i + 1))
+        state, on, off, events = dvs.step_with_events(sensor, state, frame, 0.01 * (i + 1))
+        np.testing.assert_array_equal(plain[1:], (on, off))
+        listed = np.zeros((2, 7, 9), int)
+        x, y, polarity = events[:, 1:].astype(int).T
+        np.add.at(listed, ((polarity < 0).astype(int), y, x), 1)
+        np.testing.assert_array_equal(listed, (on, off))
+        assert (np.diff(events[:, 0]) >= 0).all()
+
+
+def test_thresholds_belong_to_the_seed_and_are_at_least_a_hundredth() -> None:
+    wide = replace(CLEAN, threshold_sigma=0.2)
+    sensor, same, other = (dvs.make_sensor(wide, SHAPE, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(sensor.positive_threshold, same.positive_threshold)
+    assert (sensor.positive_threshold != other.positive_threshold).any()
+    assert (sensor.positive_threshold != sensor.negative_threshold).any()
+    assert sensor.positive_threshold.min() == np.float32(0.01)
+
+
+def test_refractory_period_drops_events_and_leaves_their_change_for_later() -> None:
+    sensor = dvs.make_sensor(replace(EXACT, refractory_s=0.05), (1, 1), seed=0)
+    dark, bright = np.full((1, 1), 50, np.uint8), np.full((1, 1), 200, np.uint8)
+    state, on, _, events = dvs.step_with_events(sensor, dvs.init_state(sensor, dark), bright, 0.07)
+    np.testing.assert_array_equal(
+        events[:, 0], np.array([0.07 / 6, 0.07], np.float32)
+    )  # 6 due; the 2nd to 5th come too soon
+    state, on, _ = dvs.step(sensor, state, bright, 1.0)
+    assert on == 4
+
+
+def test_leak_alone_makes_on_events_at_its_rate() -> None:
+    sensor = dvs.make_sensor(LEAK, (4, 4), seed=0)
+    frame = np.full((4, 4), 90, np.uint8)
+    state = dvs.init_state(sensor, frame)
+    total = np.zeros((4, 4), int)
+    for i in range(1, 101):
+        state, on, off = dvs.step(sensor, state, frame, i * 1.005)
+        total += on - off
+    np.testing.assert_array_equal(total, 10)  # 0.1 Hz for 100.5 s
+
+
+def test_shot_noise_comes_at_its_rate_and_resets_the_pixel() -> None:
+    sensor = dvs.make_sensor(replace(EXACT, shot_noise_rate_hz=1.0), SHAPE, seed=0)
+    dark = np.zeros(SHAPE, np.uint8)
+    state, on, off = dvs.step(sensor, dvs.init_state(sensor, dark), dark + np.uint8(1), 0.1)
+    expected = 0.05 * (1 - 0.75 * 21 / 275) * dark.size
+    assert on.sum() == pytest.approx(expected, abs=4 * expected**0.5)
+    noisy = (on + off) > 0
+    np.testing.assert_array_equal(state.base_log[noisy], dvs.LIN_LOG[1])
+
+
+def test_noise_follows_its_own_seed() -> None:
+    sensor = dvs.make_sensor(dvs.PRESETS["noisy"], (30, 40), seed=0)
+    frame = np.full((30, 40), 90, np.uint8)
+    runs = [dvs.step(sensor, dvs.init_state(sensor, frame, noise_seed=s), frame, 0.3)[1] for s in (1, 1, 2)]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert (runs[0] != runs[2]).any()
+
+
+def test_luma_is_opencvs_grey_of_the_reversed_channels() -> None:
+    rgb = np.random.default_rng(1).integers(0, 256, (31, 17, 3), np.uint8)
+    np.testing.assert_array_equal(dvs.luma(rgb), cv2.cvtColor(rgb[:, :, ::-1].copy(), cv2.COLOR_BGR2GRAY))
+    np.testing.assert_array_equal(dvs.luma(rgb[::-1]), dvs.luma(rgb)[::-1])
+
+
+def test_maps_of_another_emulator_are_taken_over() -> None:
+    maps = np.random.default_rng(0).uniform(0.1, 0.3, (2, 5, 6)).astype(np.float32)
+    sensor = dvs.sensor_from_maps(dvs.PRESETS["noisy"], *maps)
+    np.testing.assert_array_equal((sensor.positive_threshold, sensor.negative_threshold), maps)
+    assert sensor.positive_threshold.dtype == np.float64  # behind a low-pass v2e computes in double precision
+    np.testing.assert_array_equal(sensor.leak_rate_factor, 1)
+
+
+@pytest.mark.parametrize(
+    ("frame", "t_s", "message"),
+    [
+        (np.zeros((3, 4), np.float32), 1.0, "uint8"),
+        (np.zeros((4, 3), np.uint8), 1.0, r"\(3, 4\)"),
+        (np.zeros((3, 4), np.uint8), -1.0, "cannot follow"),
+        (np.zeros((3, 4), np.uint8), float("nan"), "cannot follow"),
+    ],
+)
+def test_frames_that_cannot_be_are_refused(frame: NDArray, t_s: float, message: str) -> None:
+    sensor = dvs.make_sensor(CLEAN, (3, 4), seed=0)
+    state = dvs.init_state(sensor, np.zeros((3, 4), np.uint8))
+    with pytest.raises(ValueError, match=message):
+        dvs.step(sensor, state, frame, t_s)

@@ -1,9 +1,9 @@
 """A dynamic vision sensor after v2e's pixel model, as pure functions on arrays.
 
-A pixel memorises a log intensity and emits one event for each whole contrast threshold by which the present one differs
-from it. Source: v2e (SensorsINI/v2e, commit cac6384, `EventEmulator.generate_events`); given the same random numbers,
-counts and time stamps equal v2e's to the last event. Events of one stamp and polarity stay in raster order, where v2e
-shuffles them.
+A pixel memorises a log intensity and emits one event for each whole contrast threshold by which the present
+one differs from it. Source: v2e (SensorsINI/v2e, commit cac6384, `EventEmulator.generate_events`); given the
+same random numbers, counts and time stamps equal v2e's to the last event. Events of one stamp and polarity
+stay in raster order, where v2e shuffles them.
 
     sensor = make_sensor(PRESETS["clean"], (144, 256), seed=0)
     state = init_state(sensor, first_frame)
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.vision import dvs_kernels as kernels
-from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, DvsSensor, make_sensor
+from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, DvsSensor, make_sensor, sensor_from_maps
 
 __all__ = [
     "PRESETS",
@@ -28,6 +28,7 @@ __all__ = [
     "init_state",
     "luma",
     "make_sensor",
+    "sensor_from_maps",
     "step",
     "step_with_events",
     "time_stamps",
@@ -113,8 +114,8 @@ def step_with_events(
 def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32]:
     """The `count` >= 1 stamps of a frame: evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
 
-    Bit for bit v2e's float32 `torch.linspace` on x86-64: filled from both ends, each element by one fused multiply-add,
-    which the double-precision sum here rounds alike.
+    Bit for bit v2e's float32 `torch.linspace` on an x86-64 with AVX2: filled from both ends, each element by
+    one fused multiply-add, which the double-precision sum here rounds alike.
     """
     start = np.float32(t_before_s + (t_s - t_before_s) / count)
     if count == 1:

@@ -1,7 +1,7 @@
 """The per-pixel arithmetic of the DVS model, compiled.
 
-Every operation keeps the type and the single rounding it has in v2e (`v2ecore/emulator.py` and `emulator_utils.py`,
-SensorsINI/v2e, commit cac6384): no fastmath, no fused multiply-add. Arrays are (H, W) and C-contiguous.
+Every operation keeps the type and the single rounding it has in v2e (SensorsINI/v2e, commit cac6384,
+`v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Arrays are (H, W).
 A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
 """
 
@@ -10,8 +10,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating]
-Singles = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 Counts = NDArray[np.int32]
 Frame = NDArray[np.uint8]
 
@@ -27,7 +25,7 @@ def look_up(frame: Frame, table: Floats) -> Floats:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def low_pass(frame: Frame, filtered_log: Doubles, log_table: Singles, weight_table: Doubles) -> Doubles:
+def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table: Floats) -> Floats:
     """One step of a first-order low-pass whose weight depends on the intensity."""
     result = np.empty_like(filtered_log)
     for y in range(frame.shape[0]):
@@ -38,11 +36,11 @@ def low_pass(frame: Frame, filtered_log: Doubles, log_table: Singles, weight_tab
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def count_single(log: Singles, base: Singles, positive: Singles, negative: Singles) -> Counts:
+def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
     """Signed counts: whole thresholds in log - base, float32.
 
-    v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision quotient: that of
-    two float32 is never rounded up to a whole number below 2^28.
+    v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision
+    quotient: that of two float32 is never rounded up to a whole number below 2^28.
     """
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
@@ -54,8 +52,8 @@ def count_single(log: Singles, base: Singles, positive: Singles, negative: Singl
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def count_double(log: Doubles, base: Doubles, positive: Doubles, negative: Doubles) -> Counts:
-    """As `count_single` in float64, where a whole quotient may have been rounded up: then the remainder decides."""
+def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
+    """As `count_single` in float64, where a whole quotient may be one rounded up: the remainder decides."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
@@ -71,9 +69,9 @@ def count_double(log: Doubles, base: Doubles, positive: Doubles, negative: Doubl
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def drop_refractory(
-    signed: Counts, stamps_s: Singles, last_event_s: Singles, refractory_s: np.float32
-) -> tuple[Counts, Singles]:
-    """Signed counts less the events within `refractory_s` of the pixel's last one; the new times of the last events."""
+    signed: Counts, stamps_s: Floats, last_event_s: Floats, refractory_s: np.float32
+) -> tuple[Counts, Floats]:
+    """Signed counts without the events within `refractory_s` of the pixel's last, and the new last times."""
     kept, last = np.zeros_like(signed), last_event_s.copy()
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
@@ -112,7 +110,7 @@ def split_polarities(signed: Counts) -> tuple[Counts, Counts]:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def list_events(
-    signed: Counts, stamps_s: Singles, last_event_s: Singles, refractory_s: np.float32, events: Singles
+    signed: Counts, stamps_s: Floats, last_event_s: Floats, refractory_s: np.float32, events: Floats
 ) -> None:
     """Fill `events` (n, 4) with rows (t, x, y, p): stamp by stamp, ON before OFF, each in raster order.
 

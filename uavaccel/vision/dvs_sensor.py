@@ -18,7 +18,7 @@ MIN_THRESHOLD = np.float32(0.01)
 class DvsParameters:
     """The sensor's parameters with v2e's meanings; the defaults are v2e's `clean` model.
 
-    Thresholds and their standard deviation are in natural-log intensity, rates in events per pixel and second.
+    Thresholds and their standard deviation are in log_e intensity, rates in events per pixel and second.
     """
 
     positive_threshold: float = 0.2
@@ -26,20 +26,29 @@ class DvsParameters:
     threshold_sigma: float = 0.02
     cutoff_hz: float = 0.0
     leak_rate_hz: float = 0.0
-    leak_jitter_fraction: float = 0.1
-    leak_rate_spread_decades: float = 0.1
+    leak_jitter_fraction: float = 0.0
+    leak_rate_spread_decades: float = 0.0
     shot_noise_rate_hz: float = 0.0
     refractory_s: float = 0.0
 
 
+_LEAK_SPREAD = {"leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1}
+
 PRESETS: Mapping[str, DvsParameters] = MappingProxyType(
     {
-        "constructor": DvsParameters(threshold_sigma=0.03, leak_rate_hz=0.1),
+        "constructor": DvsParameters(threshold_sigma=0.03, leak_rate_hz=0.1, **_LEAK_SPREAD),
         "command_line": DvsParameters(
-            threshold_sigma=0.03, cutoff_hz=300.0, leak_rate_hz=0.01, shot_noise_rate_hz=0.001, refractory_s=0.0005
+            threshold_sigma=0.03,
+            cutoff_hz=300.0,
+            leak_rate_hz=0.01,
+            shot_noise_rate_hz=0.001,
+            refractory_s=0.0005,
+            **_LEAK_SPREAD,
         ),
         "clean": DvsParameters(),
-        "noisy": DvsParameters(threshold_sigma=0.05, cutoff_hz=30.0, leak_rate_hz=0.1, shot_noise_rate_hz=5.0),
+        "noisy": DvsParameters(
+            threshold_sigma=0.05, cutoff_hz=30.0, leak_rate_hz=0.1, shot_noise_rate_hz=5.0, **_LEAK_SPREAD
+        ),
     }
 )
 
@@ -57,20 +66,33 @@ class DvsSensor(NamedTuple):
 
 
 def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
-    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma), at least 0.01, and log-normal leak rates."""
+    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates."""
     rng = np.random.default_rng(seed)
     positive = _draw_thresholds(parameters, parameters.positive_threshold, shape, rng)
     negative = _draw_thresholds(parameters, parameters.negative_threshold, shape, rng)
     spread = np.float32(math.log(10) * parameters.leak_rate_spread_decades)
     factor = np.exp(spread * rng.standard_normal(shape, np.float32))
-    return DvsSensor(parameters, positive, negative, factor)
+    return sensor_from_maps(parameters, positive, negative, factor)
+
+
+def sensor_from_maps(
+    parameters: DvsParameters, positive: Floats, negative: Floats, leak_rate_factor: Floats | None = None
+) -> DvsSensor:
+    """A sensor with given maps (H, W), such as another emulator's; without a leak map every factor is 1."""
+    precision = np.float64 if parameters.cutoff_hz > 0 else np.float32
+    factor = np.ones(positive.shape) if leak_rate_factor is None else leak_rate_factor
+    return DvsSensor(
+        parameters,
+        np.ascontiguousarray(positive, precision),
+        np.ascontiguousarray(negative, precision),
+        np.ascontiguousarray(factor, np.float32),
+    )
 
 
 def _draw_thresholds(
     parameters: DvsParameters, nominal: float, shape: tuple[int, int], rng: np.random.Generator
 ) -> Floats:
-    precision = np.float64 if parameters.cutoff_hz > 0 else np.float32
-    if parameters.threshold_sigma == 0:  # a plain number in v2e, rounded to float32 only where float32 meets it
-        return np.full(shape, nominal, precision)
+    if parameters.threshold_sigma == 0:  # a plain number in v2e: rounded only where it meets a float32
+        return np.full(shape, nominal)
     spread = np.float32(parameters.threshold_sigma) * rng.standard_normal(shape, np.float32)
-    return np.maximum(np.float32(nominal) + spread, MIN_THRESHOLD).astype(precision)
+    return np.maximum(np.float32(nominal) + spread, MIN_THRESHOLD)

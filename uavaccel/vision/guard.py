@@ -1,0 +1,101 @@
+"""The image guard of the paper (section III-B): ask again for an image whose mean brightness cannot be right.
+
+Consecutive images of a scene are about equally bright. An image is suspect if its mean brightness differs
+by more than 10 % from that of the image before, or lies below a floor; it is then requested again, the
+simulation standing still. The floor and the limit of requests are this project's own choice.
+
+The last image allowed is taken as it is and becomes the reference: a guard that kept the last good one could
+never leave a scene that did become brighter. Where a renderer is deterministic, a second image equal to the
+suspect one proves that the scene did change; it is accepted at once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+LUMA_WEIGHTS = (0.299, 0.587, 0.114)  # of red, green, blue (ITU-R BT.601), as in the DVS's grey image
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """Limits of the guard. With `max_retries` 0 every image is taken as it comes: the guard is off."""
+
+    max_change: float = 0.10  # of the last image's mean brightness; the paper's
+    min_brightness: float = 10.0  # mean of 0..255
+    max_retries: int = 3
+    accept_identical: bool = True  # for renderers that draw the same scene the same way
+
+    def __post_init__(self) -> None:
+        if self.max_change < 0 or self.min_brightness < 0 or self.max_retries < 0:
+            raise ValueError(f"the guard's limits must not be negative: {self}")
+
+
+class Verdict(StrEnum):
+    """What becomes of an image, and why."""
+
+    STEADY = "steady"  # brightness within the limits: accepted
+    IDENTICAL = "identical"  # as suspect as the image before and equal to it: accepted
+    EXHAUSTED = "exhausted"  # suspect, but the last one allowed: accepted
+    RETRY = "retry"  # suspect: to be requested again
+
+
+class GuardState(NamedTuple):
+    """What the guard remembers: the brightness of the last accepted image, and the requests failed since."""
+
+    reference_brightness: float | None = None
+    suspect: Image | None = None
+    retries: int = 0
+
+
+class Acquisition(NamedTuple):
+    """An accepted image, the guard's new state, the requests beyond the first, and why it was accepted."""
+
+    image: Image
+    state: GuardState
+    retries: int
+    reason: Verdict
+
+
+def mean_brightness(image: Image) -> float:
+    """Mean luma, 0..255, of a grey (H, W) or an RGB image (H, W, 3)."""
+    means = cv2.mean(image)
+    if image.ndim == 2:
+        return float(means[0])
+    return float(np.dot(means[:3], LUMA_WEIGHTS))
+
+
+def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[GuardState, Verdict]:
+    """New state and verdict for an image just received; pure, the image is copied where it is remembered."""
+    brightness = mean_brightness(image)
+    if not _is_suspect(brightness, state.reference_brightness, settings):
+        return GuardState(brightness), Verdict.STEADY
+    if settings.accept_identical and state.suspect is not None and np.array_equal(image, state.suspect):
+        return GuardState(brightness), Verdict.IDENTICAL
+    if state.retries >= settings.max_retries:
+        return GuardState(brightness), Verdict.EXHAUSTED
+    return GuardState(state.reference_brightness, image.copy(), state.retries + 1), Verdict.RETRY
+
+
+def acquire(
+    state: GuardState, request_image: Callable[[], Image], settings: GuardSettings | None = None
+) -> Acquisition:
+    """Request images of a scene that stands still until the guard accepts one: at most 1 + `max_retries`."""
+    settings = settings or GuardSettings()
+    while True:
+        image, retries = request_image(), state.retries
+        state, verdict = judge(state, image, settings)
+        if verdict is not Verdict.RETRY:
+            return Acquisition(image, state, retries, verdict)
+
+
+def _is_suspect(brightness: float, reference: float | None, settings: GuardSettings) -> bool:
+    if brightness < settings.min_brightness:
+        return True
+    return reference is not None and abs(brightness - reference) > settings.max_change * reference
