@@ -2,6 +2,7 @@
 
 import json
 import math
+import subprocess
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -294,7 +295,7 @@ def test_a_path_of_the_run_has_its_folder(run: RunDirectory) -> None:
 # --- manifest -----------------------------------------------------------------------------------------------
 
 
-def test_the_manifest_names_versions_host_and_source(run: RunDirectory) -> None:
+def test_the_manifest_names_versions_and_host() -> None:
     manifest = describe_run(
         ["uavaccel", "run", "dp1"], 7, "2026-11-21T10:00:00+00:00", gl_renderer="llvmpipe"
     )
@@ -305,3 +306,24 @@ def test_the_manifest_names_versions_host_and_source(run: RunDirectory) -> None:
     assert manifest["host"]["cores"] >= 1
     assert manifest["host"]["memory_bytes"] > 0
     assert "LP_NUM_THREADS" in manifest["environment"]
+
+
+def test_the_manifest_names_the_commit_and_whether_files_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*arguments: str) -> str:
+        identity = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
+        command = ["git", "-C", str(tmp_path), *identity, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: tmp_path)
+    assert describe_run([], 0, "")["git"] is None
+    git("init")
+    (tmp_path / "file").write_text("one")
+    git("add", "file")
+    git("commit", "--message", "one")
+    assert describe_run([], 0, "")["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
+    (tmp_path / "file").write_text("two")
+    assert describe_run([], 0, "")["git"]["dirty"] is True
+    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: None)
+    assert describe_run([], 0, "")["git"] is None
