@@ -103,7 +103,9 @@ def positive_clock_speed(clock_speed: float) -> Fraction:
     except ValueError:
         speed = Fraction(0)
     if speed <= 0:
-        raise UserError(f"clock_speed must be a finite number above 0, for example 1, 1.5 or 100; not {clock_speed}")
+        raise UserError(
+            f"clock_speed must be a finite number above 0, for example 1, 1.5 or 100; not {clock_speed}"
+        )
     return speed
 
 

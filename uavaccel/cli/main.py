@@ -23,7 +23,9 @@ app = typer.Typer(
 
 Clock = Annotated[list[float] | None, typer.Option("--clock", help="ClockSpeed; repeat for several.")]
 Commands = Annotated[list[str] | None, typer.Option("--command", help="adsc or tcsc; repeat for both.")]
-Timing = Annotated[str | None, typer.Option(help="wall (measured), virtual (modelled) or lockstep (no latency).")]
+Timing = Annotated[
+    str | None, typer.Option(help="wall (measured), virtual (modelled) or lockstep (no latency).")
+]
 Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
 Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
@@ -36,7 +38,9 @@ def run(
     experiment: Annotated[str, typer.Argument(help="dp1, or an experiment's YAML file.")],
     clock: Clock = None,
     command: Commands = None,
-    t_move: Annotated[list[float] | None, typer.Option("--t-move", help="Seconds; repeat for several.")] = None,
+    t_move: Annotated[
+        list[float] | None, typer.Option("--t-move", help="Seconds; repeat for several.")
+    ] = None,
     rounds: Annotated[list[int] | None, typer.Option(help="Rounds of the path; repeat for several.")] = None,
     games: Annotated[int | None, typer.Option(help="Games a cell.")] = None,
     timing: Timing = None,
@@ -45,7 +49,9 @@ def run(
     jobs: Annotated[int, typer.Option(help="Processes; above 1 not with wall.")] = 1,
     out: Out = None,
     resume: Resume = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")
+    ] = False,
     overrides: Overrides = None,
 ) -> None:
     """Fly an experiment, measure it and draw its figures."""
@@ -88,9 +94,7 @@ def main() -> None:
     except typer.Exit as error:
         status = error.exit_code
     except Exception as error:
-        import click
-
-        if not isinstance(error, click.ClickException):
+        if not hasattr(error, "format_message"):  # not one of the command line's own
             raise
         status = _complain(error.format_message(), 2)
     sys.exit(status if isinstance(status, int) else 0)

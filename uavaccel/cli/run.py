@@ -49,9 +49,15 @@ def run_experiment(request: Request) -> None:
     """Fly, report, print the table. Raises UserError or UsageError with one clear line."""
     config = configure(request)
     if request.jobs < 1 or (request.jobs > 1 and config.timing == "wall"):
-        raise UsageError("--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0")
+        raise UsageError(
+            "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
+        )
     cases = list(dp1.cases(config))
-    out = request.out or Path("runs") / f"{request.experiment.removesuffix('.yaml').split('/')[-1]}-{calendar_time()[:19].replace(':', '')}"
+    out = (
+        request.out
+        or Path("runs")
+        / f"{request.experiment.removesuffix('.yaml').split('/')[-1]}-{calendar_time()[:19].replace(':', '')}"
+    )
     print_plan(config, cases, request.jobs, out)
     if request.dry_run:
         return
@@ -63,7 +69,9 @@ def run_experiment(request: Request) -> None:
     try:
         fly(config, cases, run, request.jobs)
     except KeyboardInterrupt:
-        raise UserError(f"interrupted; go on with --out {out} --resume, the other options as they were") from None
+        raise UserError(
+            f"interrupted; go on with --out {out} --resume, the other options as they were"
+        ) from None
     report_run(out)
 
 
@@ -124,7 +132,9 @@ def report_run(run_dir: Path) -> None:
     slow = [cell for cell in summary["cells"] if cell["lost_wall_s"]]
     if slow:
         lost_s = sum(cell["lost_wall_s"] for cell in slow)
-        console.print(f"warning: the machine did not keep up in {len(slow)} cells and lost {lost_s:.3f} s of wall time")
+        console.print(
+            f"warning: the machine did not keep up in {len(slow)} cells and lost {lost_s:.3f} s of wall time"
+        )
     for path in sorted((run_dir / "figures").glob("*.png")):
         console.print(str(path))
     console.print(f"report: {run_dir / 'report.html'}")

@@ -17,7 +17,9 @@ def begin(client: MissionClient) -> None:
     client.run()
 
 
-def adsc(client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float) -> Iterator[Kinematics]:
+def adsc(
+    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float
+) -> Iterator[Kinematics]:
     """Fly `velocity` for T_move, join, and yield the state every T_sample.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by

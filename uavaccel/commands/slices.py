@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from uavaccel.units import seconds_to_ns
 
-TAIL = 0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
+TAIL = (
+    0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
+)
 
 
 def slice_of(t_move_ns: int, t_sample_ns: int) -> int:

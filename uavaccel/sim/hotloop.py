@@ -41,8 +41,8 @@ def mj_step_address() -> int:
 
 
 @intrinsic
-def call_mj_step(typingctx: Any, address: Any, model: Any, data: Any) -> Any:
-    """`mj_step(model, data)` through its address; an argument, since numba cannot cache a global pointer."""
+def _call_mj_step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
+    """`mj_step(model, data)` through its address: an argument, since numba cannot cache a global pointer."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
@@ -52,6 +52,9 @@ def call_mj_step(typingctx: Any, address: Any, model: Any, data: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.int64), codegen
+
+
+call_mj_step: Any = _call_mj_step
 
 
 @njit(cache=True, nogil=True)

@@ -102,11 +102,14 @@ class Simulation:
         self.paused = False
         self.api_control = False
         self.trace = Trace()
+        self.failure: str | None = None
         self._time0_ns = 0
         self._wall_ns = wall_ns
+        self._command: _Command | None = None
+        self._continue: _Continue | None = None
         self._start_over(wall_ns)
 
-    # --- time -------------------------------------------------------------------------------------------------
+    # --- time -------------------------------------------------------------------------------------
 
     @property
     def clock_speed(self) -> Fraction:
@@ -190,7 +193,7 @@ class Simulation:
         if self.trace.enabled:
             self.trace.events.append((event, wall_ns, self.time_ns))
 
-    # --- clock commands ---------------------------------------------------------------------------------------
+    # --- clock commands ---------------------------------------------------------------------------
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
@@ -220,26 +223,26 @@ class Simulation:
             reply.resolve(self.kinematics(), wall_ns)
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> Pending:
-        """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`; a second one replaces the first.
+        """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
 
+        A second one replaces the first.
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        self._continue = _Continue(Pending())
+        period = self._continue = _Continue(Pending())
         if self.profile.exact_times:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
-            self._continue.end_tick = self.world.tick + ticks
+            period.end_tick = self.world.tick + ticks
         else:
-            self._continue.end_wall_ns = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
-        reply = self._continue.reply
+            period.end_wall_ns = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
         self.advance_to(wall_ns)  # it may be over already
-        return reply
+        return period.reply
 
     def continue_for_wall(self, seconds: float, wall_ns: int) -> Pending:
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
-    # --- flight commands --------------------------------------------------------------------------------------
+    # --- flight commands --------------------------------------------------------------------------
 
     def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> Pending:
         """Fly a velocity for a simulated time; a running command ends with False (latest wins).
@@ -283,10 +286,10 @@ class Simulation:
             self.world.state["armed"] = int(armed)
         return self.api_control
 
-    # --- start and record -------------------------------------------------------------------------------------
+    # --- start and record -------------------------------------------------------------------------
 
     def reset(self, wall_ns: int, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Back to a settled hover, API control off; running commands and continue-fors are released with False."""
+        """Back to a settled hover, API control off; what runs is released, a command with False."""
         self._end_command(False, wall_ns)
         if self._continue:
             self.pause(wall_ns)
@@ -296,10 +299,9 @@ class Simulation:
         self._start_over(wall_ns)
 
     def _start_over(self, wall_ns: int) -> None:
-        self._command: _Command | None = None
-        self._continue: _Continue | None = None
+        self._command = self._continue = None
         self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
-        self.failure: str | None = None
+        self.failure = None
         self.speed = Speed()
         self._wall_ns = wall_ns
         self.pacer.anchor(wall_ns, self.world.tick)

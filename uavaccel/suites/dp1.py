@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -113,25 +114,23 @@ class Case:
 
 def cases(config: Dp1Config) -> Iterator[Case]:
     """Every game of a run in canonical order: references, lockstep, the grid, Figure 2."""
-    own_references = "adsc" in config.command and 1.0 in config.clock_speed and config.timing == config.reference_timing
-    if not own_references:
-        for t_move_s in config.t_move_s:
-            for rounds in config.rounds:
-                for game in range(config.reference_games):
-                    yield Case("reference", "adsc", 1.0, t_move_s, rounds, game, config.reference_timing, config.path)
-    for t_move_s in config.t_move_s:
-        for rounds in config.rounds:
-            yield Case("lockstep", "tcsc", 1.0, t_move_s, rounds, 0, "lockstep", config.path)
-    for command in config.command:
-        for clock_speed in config.clock_speed:
-            role = "reference" if own_references and (command, clock_speed) == ("adsc", 1.0) else "game"
-            for t_move_s in config.t_move_s:
-                for rounds in config.rounds:
-                    for game in range(config.games):
-                        yield Case(role, command, clock_speed, t_move_s, rounds, game, config.timing, config.path)
-    longest = max(config.t_move_s)
-    yield Case("figure2", "adsc", 1.0, longest, 1, 0, config.reference_timing, "two_forward_one_back")
-    yield Case("figure2", "adsc", max(config.clock_speed), longest, 1, 1, config.timing, "two_forward_one_back")
+    baseline = ("adsc", 1.0, config.reference_timing)
+    grid = list(product(config.command, config.clock_speed, [config.timing]))
+    paths = list(product(config.t_move_s, config.rounds))
+    if baseline not in grid:
+        for (t_move_s, rounds), game in product(paths, range(config.reference_games)):
+            yield Case("reference", "adsc", 1.0, t_move_s, rounds, game, config.reference_timing, config.path)
+    for t_move_s, rounds in paths:
+        yield Case("lockstep", "tcsc", 1.0, t_move_s, rounds, 0, "lockstep", config.path)
+    for cell, (t_move_s, rounds), game in product(grid, paths, range(config.games)):
+        role = "reference" if cell == baseline else "game"
+        yield Case(role, cell[0], cell[1], t_move_s, rounds, game, cell[2], config.path)
+    for game, (clock_speed, timing) in enumerate(
+        [(1.0, config.reference_timing), (max(config.clock_speed), config.timing)]
+    ):
+        yield Case(
+            "figure2", "adsc", clock_speed, max(config.t_move_s), 1, game, timing, "two_forward_one_back"
+        )
 
 
 def run_case(config: Dp1Config, case: Case, session: Session) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -97,12 +97,14 @@ class Api:
             "uavaccelTrace": Method(self._trace, 1),
         }
 
-    # --- AirSim -----------------------------------------------------------------------------------------------
+    # --- AirSim -----------------------------------------------------------------------------------
 
     def _check_vehicle(self, name: Any) -> None:
         if name not in ("", VEHICLE):
-            raise ValueError(f"Vehicle API for '{name}' is not available. This could either because this is simulation"
-                             f"-only API or this vehicle does not exist; there is '{VEHICLE}'")
+            raise ValueError(
+                f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+                f"-only API or this vehicle does not exist; there is '{VEHICLE}'"
+            )
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
@@ -183,12 +185,14 @@ class Api:
         self._check_vehicle(vehicle)
         self.simulation.cancel(self._wall_ns)
 
-    # --- our own ----------------------------------------------------------------------------------------------
+    # --- our own ----------------------------------------------------------------------------------
 
     def _continue_for(self, duration_ns: Any) -> Pending:
         """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
         if isinstance(duration_ns, bool) or not isinstance(duration_ns, int) or duration_ns < 0:
-            raise ValueError(f"duration_ns must be a whole number of nanoseconds, 0 or more, not {duration_ns!r}")
+            raise ValueError(
+                f"duration_ns must be a whole number of nanoseconds, 0 or more, not {duration_ns!r}"
+            )
         reply = self.simulation.continue_for(duration_ns, self._wall_ns)
         reply.encode = encode_state
         return reply
@@ -262,4 +266,4 @@ def encode_state(kinematics: Kinematics) -> list[float | int]:
 def decode_state(numbers: Sequence[Any]) -> Kinematics:
     """The inverse of `encode_state`."""
     n = tuple(numbers)
-    return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])  # type: ignore[arg-type]
+    return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])

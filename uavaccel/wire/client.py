@@ -31,13 +31,15 @@ class Client:
     def now_ns(self) -> int:
         return self.transport.clock.now_ns()
 
-    # --- MissionClient ----------------------------------------------------------------------------------------
+    # --- MissionClient ----------------------------------------------------------------------------
 
     def move_async(self, goal: VelocityGoal, t_move_s: float) -> Ticket:
         vx, vy, vz = goal.velocity_m_s
         yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
-        method, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+        method, third = (
+            ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+        )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
         return self.transport.send(method, params, joined=False)
 
@@ -59,7 +61,7 @@ class Client:
     def kinematics(self) -> Kinematics:
         return decode_state(self.call("uavaccelState"))
 
-    # --- games ------------------------------------------------------------------------------------------------
+    # --- games ------------------------------------------------------------------------------------
 
     def start_game(self, clock_speed: float) -> Kinematics:
         """A settled hover 10 m up, paused, API control on, recording on."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,12 @@ class LatencyConfig(Config):
     """
 
     quantiles: tuple[float, ...] = QUANTILES
-    request_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)})
-    reply_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)})
+    request_us: dict[str, tuple[float, ...]] = Field(
+        default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)}
+    )
+    reply_us: dict[str, tuple[float, ...]] = Field(
+        default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)}
+    )
     issue_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
     timer_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
 
@@ -44,7 +49,7 @@ class LatencyConfig(Config):
     @classmethod
     def _not_negative(cls, value: Any) -> Any:
         for table in value.values() if isinstance(value, dict) else [value]:
-            if any(later < earlier for earlier, later in zip(table, table[1:], strict=False)) or table[0] < 0:
+            if any(later < earlier for earlier, later in pairwise(table)) or table[0] < 0:
                 raise ValueError("quantiles must be 0 or more and must not fall")
         return value
 

@@ -50,7 +50,9 @@ class Server:
         try:
             self._listener = socket.create_server((host, port), backlog=16)
         except OSError as error:
-            raise UserError(f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port") from None
+            raise UserError(
+                f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port"
+            ) from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._listener.setblocking(False)
         # select() takes microseconds; epoll and poll round a timeout up to a millisecond

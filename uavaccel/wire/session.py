@@ -49,7 +49,9 @@ class WallSession:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise RuntimeError(f"the server process ended with status {self._process.wait()} before it listened")
+            raise RuntimeError(
+                f"the server process ended with status {self._process.wait()} before it listened"
+            )
         self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]))
 
     def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:

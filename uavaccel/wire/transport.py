@@ -76,7 +76,9 @@ class SocketTransport:
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
-            raise UserError(f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`") from None
+            raise UserError(
+                f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`"
+            ) from None
         self._socket.settimeout(None)
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES)

@@ -68,7 +68,14 @@ def no_collision_map() -> dict[str, Any]:
 def rc_data_map() -> dict[str, Any]:
     """RCData of a vehicle without a remote control."""
     sticks = dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0)
-    return {"timestamp": 0, **sticks, "switches": 0, "vendor_id": "", "is_initialized": False, "is_valid": False}
+    return {
+        "timestamp": 0,
+        **sticks,
+        "switches": 0,
+        "vendor_id": "",
+        "is_initialized": False,
+        "is_valid": False,
+    }
 
 
 def number(value: Any, name: str) -> float:
