@@ -81,6 +81,18 @@ def report(
         report_run(run_dir)
 
 
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("latency.yaml"),
+    commands: Annotated[int, typer.Option(help="Commands of each kind to fly, about.")] = 1500,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+) -> None:
+    """Measure this machine's message latencies for the virtual timing to draw from."""
+    from uavaccel.cli.calibrate import write_calibration
+
+    write_calibration(out, commands, profile)
+
+
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,22 +17,35 @@ from uavaccel.wire.transport import Ticket, Transport
 Event = dict[str, Any]
 
 
+class ClientEvent(NamedTuple):
+    """Something at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+
+    kind: str
+    method: str
+    channel: str
+    wall_ns: int
+
+
 class TracingTransport:
-    """A transport that notes when the client calls and when it has its answer."""
+    """A transport that notes when the client calls, when it goes on, and when it has its answer."""
 
     def __init__(self, inner: Transport) -> None:
         self.clock: WallClock = inner.clock
-        self.events: list[tuple[str, int]] = []
+        self.events: list[ClientEvent] = []
         self._inner = inner
 
     def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
-        self.events.append((f"call {method}", self.clock.now_ns()))
-        return self._inner.send(method, params, joined)
+        called_ns = self.clock.now_ns()
+        ticket = self._inner.send(method, params, joined)
+        self.events.append(ClientEvent("call", method, ticket.channel, called_ns))
+        if not joined:
+            self.events.append(ClientEvent("issued", method, ticket.channel, self.clock.now_ns()))
+        return ticket
 
     def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
         done = self._inner.wait(ticket, deadline_ns)
         if done:
-            self.events.append((f"return {ticket.method}", self.clock.now_ns()))
+            self.events.append(ClientEvent("return", ticket.method, ticket.channel, self.clock.now_ns()))
         return done
 
     def close(self) -> None:
@@ -53,9 +66,13 @@ def record_trace(session: Session, command_name: str, clock_speed: float, t_move
     return _merge(tracing.events, [event for event in client.trace(False) if "uavaccelTrace" not in event[0]])
 
 
-def _merge(client: Sequence[tuple[str, int]], server: Sequence[tuple[str, int, int]]) -> list[Event]:
+def _merge(client: Sequence[ClientEvent], server: Sequence[tuple[str, int, int]]) -> list[Event]:
     """Both ends' events by wall time; simulated time at a client's event is that of the server's last one."""
-    events: list[tuple[int, str, str, int | None]] = [(wall, "client", event, None) for event, wall in client]
+    events: list[tuple[int, str, str, int | None]] = [
+        (event.wall_ns, "client", f"{event.kind} {event.method}", None)
+        for event in client
+        if event.kind != "issued"
+    ]
     events += [(wall, "server", event, simulated) for event, wall, simulated in server]
     events.sort(key=lambda event: event[0])
     simulated_ns = min((event[2] for event in server), default=0)

@@ -1,13 +1,13 @@
 """The latency model of a simulated wall clock: how long messages take, drawn from measured quantiles.
 
-A call costs a request (the client is ready to issue it, the server handles it) and a reply (handled, or due, to the
-client ready again). Each method may have quantiles of its own; others use those of "call".
+A call costs a request (from the client being ready to issue it to the server handling it) and a reply (from handled,
+or due, to the client being ready again). A channel is a kind of call that has quantiles of its own.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -17,12 +17,25 @@ from pydantic import Field, field_validator
 from uavaccel.config import Config
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
-DEFAULT_METHOD = "call"
+DEFAULT = "call"
+CHANNELS = {
+    "moveByVelocity": "move",  # its reply is the callback that `join` waits for
+    "moveByVelocityZ": "move",
+    "uavaccelContinueFor": "continue_for",
+    "uavaccelState": "state",
+}
 _BLOCK = 1024
 
 
+def channel_of(method: str, params: Sequence[Any]) -> str:
+    """The channel that a call belongs to."""
+    if method == "simPause":
+        return "pause" if params and params[0] else "continue"
+    return CHANNELS.get(method, DEFAULT)
+
+
 class LatencyConfig(Config):
-    """Microseconds at `quantiles`, by method; "call" stands for every method that is not named.
+    """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state; "call" is every other one.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
     server ends (it matters to the `airsim` profile's continue-for alone).
@@ -30,19 +43,17 @@ class LatencyConfig(Config):
 
     quantiles: tuple[float, ...] = QUANTILES
     request_us: dict[str, tuple[float, ...]] = Field(
-        default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)}
+        default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)}
     )
-    reply_us: dict[str, tuple[float, ...]] = Field(
-        default_factory=lambda: {DEFAULT_METHOD: (0.0,) * len(QUANTILES)}
-    )
+    reply_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     issue_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
     timer_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
 
     @field_validator("request_us", "reply_us")
     @classmethod
     def _has_default(cls, tables: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
-        if DEFAULT_METHOD not in tables:
-            raise ValueError(f'needs quantiles under "{DEFAULT_METHOD}"')
+        if DEFAULT not in tables:
+            raise ValueError(f'needs quantiles under "{DEFAULT}"')
         return tables
 
     @field_validator("request_us", "reply_us", "issue_us", "timer_us")
@@ -63,13 +74,13 @@ class Latency:
     def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
         self._config = config
         self._seed = seed
-        self._channels: dict[tuple[str, str], Iterator[int]] = {}
+        self._streams: dict[tuple[str, str], Iterator[int]] = {}
 
-    def request_ns(self, method: str) -> int:
-        return self._draw("request", method, self._config.request_us)
+    def request_ns(self, channel: str) -> int:
+        return self._draw("request", channel, self._config.request_us)
 
-    def reply_ns(self, method: str) -> int:
-        return self._draw("reply", method, self._config.reply_us)
+    def reply_ns(self, channel: str) -> int:
+        return self._draw("reply", channel, self._config.reply_us)
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})
@@ -77,12 +88,12 @@ class Latency:
     def timer_ns(self) -> int:
         return self._draw("timer", "", {"": self._config.timer_us})
 
-    def _draw(self, kind: str, method: str, tables: dict[str, tuple[float, ...]]) -> int:
-        name = method if method in tables else DEFAULT_METHOD
-        channel = self._channels.get((kind, name))
-        if channel is None:
-            channel = self._channels[kind, name] = self._stream(f"{kind} {name}", tables[name])
-        return next(channel)
+    def _draw(self, kind: str, channel: str, tables: dict[str, tuple[float, ...]]) -> int:
+        name = channel if channel in tables else DEFAULT
+        stream = self._streams.get((kind, name))
+        if stream is None:
+            stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name])
+        return next(stream)
 
     def _stream(self, name: str, table: tuple[float, ...]) -> Iterator[int]:
         if not any(table):

@@ -12,7 +12,7 @@ from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Pending
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.latency import Latency
+from uavaccel.wire.latency import Latency, channel_of
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
@@ -21,8 +21,9 @@ _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 class Ticket:
     """A call under way."""
 
-    def __init__(self, method: str) -> None:
+    def __init__(self, method: str, channel: str) -> None:
         self.method = method
+        self.channel = channel
         self.done = False
         self.error: str | None = None
         self.value: Any = None
@@ -88,7 +89,7 @@ class SocketTransport:
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
-        ticket = Ticket(method)
+        ticket = Ticket(method, channel_of(method, params))
         self._next_id = (self._next_id + 1) & 0xFFFFFFFF
         self._open[self._next_id] = ticket
         self._socket.sendall(rpc.pack_request(self._next_id, method, params))
@@ -127,8 +128,8 @@ class VirtualTransport:
         self._handled_ns = clock.now_ns()
 
     def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
-        ticket = Ticket(method)
-        arrival = self.clock.now_ns() + self._latency.request_ns(method)
+        ticket = Ticket(method, channel_of(method, params))
+        arrival = self.clock.now_ns() + self._latency.request_ns(ticket.channel)
         self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
         self._run_to(self._handled_ns)
         try:
@@ -139,7 +140,7 @@ class VirtualTransport:
             ticket.pending = value
         else:
             ticket.value = value
-            ticket.reply_wall_ns = self._handled_ns + self._latency.reply_ns(method)
+            ticket.reply_wall_ns = self._handled_ns + self._latency.reply_ns(ticket.channel)
         if not joined:
             self.clock.charge(self._latency.issue_ns())
         return ticket
@@ -170,7 +171,7 @@ class VirtualTransport:
             self._run_to(due)
         if ticket.reply_wall_ns is None:
             ticket.value = pending.encode(pending.value)
-            ticket.reply_wall_ns = pending.due_wall_ns + self._latency.reply_ns(ticket.method)
+            ticket.reply_wall_ns = pending.due_wall_ns + self._latency.reply_ns(ticket.channel)
         return True
 
     def _run_to(self, wall_ns: int) -> None:

@@ -1,0 +1,31 @@
+"""`uavaccel calibrate`: measure this machine's latencies and write the block that `virtual` reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from uavaccel.errors import UserError
+from uavaccel.suites.calibrate import calibrate
+from uavaccel.suites.host_check import check_host
+from uavaccel.yaml_io import dump_yaml
+
+console = Console(highlight=False)
+
+
+def write_calibration(out: Path, commands: int, profile: str) -> None:
+    """Measure and write `out`. Raises UserError if it exists."""
+    if out.exists():
+        raise UserError(f"{out}: exists; take another --out")
+    verdict = check_host()["verdict"]
+    console.print(f"host check: {verdict}")
+    block = calibrate(profile, commands).block()
+    out.write_text(f"# Measured by `uavaccel calibrate`; host: {verdict}\n" + dump_yaml({"latency": block}))
+    names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
+    for kind in names:
+        for channel, table in block[kind].items():
+            console.print(
+                f"{kind[:-3]:8} {channel:13} median {table[middle]:7.1f} us, 99 % {table[-3]:7.1f} us"
+            )
+    console.print(f"{out}: use it with --set latency={out}")
