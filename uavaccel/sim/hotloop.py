@@ -20,12 +20,12 @@ from typing import Any
 import mujoco
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from uavaccel.sim.autopilot import control
-from uavaccel.sim.quadrotor import NEVER, Record, accelerate, turn_rotors
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
 
 # One row of the recorder: tick, position, quaternion, velocity, body rate.
 SAMPLE_COLUMNS = 1 + 3 + 4 + 3 + 3
@@ -54,7 +54,18 @@ def _call_mj_step(typing_context: Any, address: Any, model: Any, data: Any) -> A
     return types.void(types.int64, types.int64, types.int64), codegen
 
 
+@intrinsic
+def _pointer(typing_context: Any, address: Any) -> Any:
+    """An address as a pointer, for `carray`."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.int64), codegen
+
+
 call_mj_step: Any = _call_mj_step
+pointer: Any = _pointer
 
 
 @njit(cache=True, nogil=True)
@@ -107,25 +118,24 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
         row[4 + component] = state.quaternion[component]
 
 
-@njit(cache=True, nogil=True)
-def fly(
-    mj_step: int,
-    model: int,
-    data: int,
-    qpos: NDArray[np.float64],
-    qvel: NDArray[np.float64],
-    force: NDArray[np.float64],
-    contact: NDArray[np.float64],
-    parameters: Record,
-    state: Record,
-    recorder: Record,
-    samples: NDArray[np.float64],
-    ticks: int,
-) -> int:
+@cfunc(types.int64(types.CPointer(types.int64), types.int64), cache=True)
+def fly(handles: Any, ticks: int) -> int:
     """Fly up to `ticks` ticks and return how many; fewer if something is touched for the first time.
 
-    The contact sensor speaks of the pose at which a step began: the tick before.
+    `handles`: int64 addresses of mj_step, model, data, qpos, qvel, qfrc_applied, the contact sensor, the parameters,
+    the flight, the recorder and its rows, then how many rows there are. Plain addresses, since numba's dispatch of a
+    dozen arrays costs more than three ticks of flight. The contact sensor speaks of the pose at which a step began:
+    the tick before.
     """
+    mj_step, model, data = handles[0], handles[1], handles[2]
+    qpos = carray(pointer(handles[3]), 7, np.float64)
+    qvel = carray(pointer(handles[4]), 6, np.float64)
+    force = carray(pointer(handles[5]), 6, np.float64)
+    contact = carray(pointer(handles[6]), 1, np.float64)
+    parameters = carray(pointer(handles[7]), 1, PARAMETERS_DTYPE)[0]
+    state = carray(pointer(handles[8]), 1, FLIGHT_DTYPE)[0]
+    recorder = carray(pointer(handles[9]), 1, RECORDER_DTYPE)[0]
+    samples = carray(pointer(handles[10]), (handles[11], SAMPLE_COLUMNS), np.float64)
     for flown in range(ticks):
         call_mj_step(mj_step, model, data)
         touched = contact[0] > 0.0 and state.collision_tick == NEVER

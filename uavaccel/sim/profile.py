@@ -7,6 +7,7 @@ SimModeWorldBase.h (3 ms), SimpleFlightApi.hpp (50 Hz commands), Params.hpp (api
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
@@ -28,6 +29,7 @@ class Profile:
     def tick_s(self) -> float:
         return self.tick_ns / NS_PER_S
 
+    @lru_cache(maxsize=256)  # noqa: B019  profiles live as long as the program; fractions are slow
     def command_ticks(self, duration_s: float, name: str = "duration") -> int:
         """Ticks that a command of `duration_s` lasts; raises UserError in an exact profile if it does not fit."""
         if self.exact_times:

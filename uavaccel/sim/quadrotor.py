@@ -19,6 +19,8 @@ Record = Any  # one element of a structured array, which numba knows field by fi
 ROTORS = 4
 NEVER = np.iinfo(np.int64).max
 
+KINEMATICS = 3 + 4 + 3 + 3 + 3 + 3
+
 PARAMETERS_DTYPE = np.dtype(
     [
         ("tick_s", "f8"),
@@ -51,7 +53,7 @@ PARAMETERS_DTYPE = np.dtype(
 FLIGHT_DTYPE = np.dtype(
     [
         ("tick", "i8"),
-        # the pose and the velocities at this tick
+        # the kinematics at this tick, from here to angular_acceleration: KINEMATICS numbers
         ("position", "f8", 3),
         ("quaternion", "f8", 4),
         ("velocity", "f8", 3),
@@ -78,13 +80,15 @@ FLIGHT_DTYPE = np.dtype(
 )
 
 
-def parameters(tick_s: float, hover_after_ticks: int, mass_kg: float, inertia: NDArray[np.float64]) -> Record:
-    """One record of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
-    record = np.zeros(1, PARAMETERS_DTYPE)[0]
+def parameters(
+    tick_s: float, hover_after_ticks: int, mass_kg: float, inertia: NDArray[np.float64]
+) -> NDArray[np.void]:
+    """One record (1,) of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
+    record = np.zeros(1, PARAMETERS_DTYPE)
     record["tick_s"] = tick_s
     record["hover_after_ticks"] = hover_after_ticks
     record["mass_kg"] = mass_kg
-    record["inertia_kg_m2"] = inertia
+    record["inertia_kg_m2"][:] = inertia
     record["gravity_m_s2"] = 9.80665
     record["max_thrust_n"] = 4.1794453
     record["max_torque_n_m"] = 0.055562172

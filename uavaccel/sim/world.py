@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 
 import mujoco
@@ -12,7 +13,7 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, Record, density_ratio, parameters
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, density_ratio, parameters
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 SAMPLE_CAPACITY = 1 << 16
@@ -40,22 +41,46 @@ class World:
         self.freeze_on_collision = freeze_on_collision
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
-        self.parameters = parameters(profile.tick_s, profile.hover_after_ticks, mass, inertia)
-        self.state: Record = np.zeros(1, FLIGHT_DTYPE)[0]
-        self._recorder: Record = np.zeros(1, hotloop.RECORDER_DTYPE)[0]
+        self._parameters = parameters(profile.tick_s, profile.hover_after_ticks, mass, inertia)
+        self._flight = np.zeros(1, FLIGHT_DTYPE)
+        self._recorder = np.zeros(1, hotloop.RECORDER_DTYPE)
         self._samples = np.empty((SAMPLE_CAPACITY, hotloop.SAMPLE_COLUMNS))
-        self._mj_step = hotloop.mj_step_address()
+        # views of the records' fields, which numpy finds again only slowly
+        self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
+        self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
+        self._warnings = self.data.warning.number
+        self._handles = self._addresses()
+        self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
         self.stop_recording()
         self.reset()
 
+    def _addresses(self) -> NDArray[np.int64]:
+        """What the hot loop works on, in the order of hotloop.fly."""
+        data = self.data
+        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata)
+        records = (self._parameters, self._flight, self._recorder, self._samples)
+        own = [array.ctypes.data for array in (*arrays, *records)]
+        fixed = [hotloop.mj_step_address(), self.model._address, data._address]
+        return np.array([*fixed, *own, SAMPLE_CAPACITY], np.int64)
+
+    @property
+    def parameters(self) -> Record:
+        """The quadrotor's and the autopilot's parameters (quadrotor.PARAMETERS_DTYPE)."""
+        return self._parameters[0]
+
+    @property
+    def state(self) -> Record:
+        """The flight's state (quadrotor.FLIGHT_DTYPE)."""
+        return self._flight[0]
+
     @property
     def tick(self) -> int:
-        return int(self.state["tick"])
+        return int(self._field["tick"][0])
 
     @property
     def collision_tick(self) -> int | None:
         """Tick of the first touch since the last reset."""
-        tick = int(self.state["collision_tick"])
+        tick = int(self._field["collision_tick"][0])
         return None if tick == NEVER else tick
 
     def reset(self, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
@@ -105,59 +130,34 @@ class World:
         Raises FlightError if MuJoCo warns.
         """
         if self.freeze_on_collision and self.collision_tick is not None:
-            return int(hotloop.stand_still(self.state, self._recorder, self._samples, ticks))
-        flown = hotloop.fly(
-            self._mj_step,
-            self.model._address,
-            self.data._address,
-            self.data.qpos,
-            self.data.qvel,
-            self.data.qfrc_applied,
-            self.data.sensordata,
-            self.parameters,
-            self.state,
-            self._recorder,
-            self._samples,
-            ticks,
-        )
-        self._check_warnings()
-        return int(flown)
-
-    def _check_warnings(self) -> None:
-        counts = self.data.warning.number
-        if counts.any():
-            kind = mujoco.mjtWarning(int(np.flatnonzero(counts)[0])).name
+            return int(hotloop.stand_still(self.state, self._recorder[0], self._samples, ticks))
+        flown: int = hotloop.fly.ctypes(self._handles_pointer, ticks)
+        if self._warnings.any():
+            kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")
+        return flown
 
     def fly_velocity(self, goal: Vector, height_held: bool, yaw: float, yaw_is_rate: bool) -> None:
         """Set the autopilot's goal: NED m/s, the third a height in m if held; yaw in rad or rad/s."""
-        state = self.state
-        state["goal"][:3] = goal
-        state["goal"][3] = yaw
-        state["xy_mode"] = autopilot.VELOCITY
-        state["z_mode"] = autopilot.POSITION if height_held else autopilot.VELOCITY
-        state["yaw_mode"] = autopilot.RATE if yaw_is_rate else autopilot.ANGLE
+        field = self._field
+        field["goal"][0] = (*goal, yaw)
+        field["xy_mode"][0] = autopilot.VELOCITY
+        field["z_mode"][0] = autopilot.POSITION if height_held else autopilot.VELOCITY
+        field["yaw_mode"][0] = autopilot.RATE if yaw_is_rate else autopilot.ANGLE
 
     def hold_from(self, tick: int | None) -> None:
         """Position hold sets in at `tick`; None: not at all."""
-        self.state["hover_tick"] = NEVER if tick is None else tick
+        self._field["hover_tick"][0] = NEVER if tick is None else tick
 
     def kinematics(self, origin_ns: int = 0) -> Kinematics:
         """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
-        state = self.state
-        return Kinematics(
-            origin_ns + self.tick * self.profile.tick_ns,
-            tuple(state["position"].tolist()),
-            tuple(state["quaternion"].tolist()),
-            tuple(state["velocity"].tolist()),
-            tuple(state["rate"].tolist()),
-            tuple(state["acceleration"].tolist()),
-            tuple(state["angular_acceleration"].tolist()),
-        )
+        n = tuple(self._kinematics.tolist())
+        time_ns = origin_ns + self.tick * self.profile.tick_ns
+        return Kinematics(time_ns, n[0:3], n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
 
     @property
     def recording(self) -> bool:
-        return int(self._recorder["next_tick"]) != NEVER
+        return int(self._recorder["next_tick"][0]) != NEVER
 
     def start_recording(self) -> None:
         """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
@@ -165,16 +165,16 @@ class World:
         recorder["count"] = recorder["dropped"] = 0
         recorder["period"] = self.profile.recorder_ticks
         recorder["next_tick"] = self.tick
-        hotloop.record(recorder, self._samples, self.state)
+        hotloop.record(recorder[0], self._samples, self.state)
 
     def stop_recording(self) -> None:
         self._recorder["next_tick"] = NEVER
 
     def samples(self) -> NDArray[np.float64]:
         """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
-        return self._samples[: int(self._recorder["count"])].copy()
+        return self._samples[: int(self._recorder["count"][0])].copy()
 
     @property
     def samples_dropped(self) -> int:
         """Samples that found the buffer full."""
-        return int(self._recorder["dropped"])
+        return int(self._recorder["dropped"][0])

@@ -57,12 +57,15 @@ class Decoder:
 
 def parse_request(message: list[Any]) -> Request:
     """The request that a message is. Raises ProtocolError if it is none."""
-    match message:
-        case [0, int(message_id), str(method), list(params)] if not isinstance(message_id, bool):
-            return Request(message_id, method, params)
-        case [2, str(method), list(params)]:
-            return Request(None, method, params)
-    raise ProtocolError("not a msgpack-rpc request")
+    if len(message) == 4 and message[0] == REQUEST and type(message[1]) is int:
+        message_id, method, params = message[1], message[2], message[3]
+    elif len(message) == 3 and message[0] == NOTIFY:
+        message_id, method, params = None, message[1], message[2]
+    else:
+        raise ProtocolError("not a msgpack-rpc request")
+    if not isinstance(method, str) or not isinstance(params, list):
+        raise ProtocolError("not a msgpack-rpc request")
+    return Request(message_id, method, params)
 
 
 def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:

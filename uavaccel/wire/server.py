@@ -61,6 +61,7 @@ class Server:
         if stop_at_eof is not None:
             self._selector.register(stop_at_eof, selectors.EVENT_READ)
         self._connections: set[Connection] = set()
+        self._answered: list[Connection] = []
         self._busy_until_ns = 0
         self._stopping = False
 
@@ -74,6 +75,7 @@ class Server:
                 for key, events in wait_for_sockets(self._selector, self._wake_ns(simulation)):
                     self._serve_socket(key, events)
                 simulation.advance_to(self.clock.now_ns())
+                self._flush()
         finally:
             self.close()
 
@@ -105,7 +107,7 @@ class Server:
             self.stop()  # the watched stream ended
         else:
             if events & selectors.EVENT_WRITE:
-                self._send(key.data, b"")
+                self._send(key.data)
             if events & selectors.EVENT_READ and key.data.open:
                 self._read(key.data)
 
@@ -161,11 +163,18 @@ class Server:
 
     def _reply(self, connection: Connection, message_id: int, error: str | None, result: Any) -> None:
         if connection.open:
-            self._send(connection, rpc.pack_response(message_id, error, result))
+            connection.unsent += rpc.pack_response(message_id, error, result)
+            self._answered.append(connection)
 
-    def _send(self, connection: Connection, data: bytes) -> None:
+    def _flush(self) -> None:
+        """Send what this turn has answered; one packet where a command and its continue-for end together."""
+        while self._answered:
+            connection = self._answered.pop()
+            if connection.open:
+                self._send(connection)
+
+    def _send(self, connection: Connection) -> None:
         """Send what the socket takes now and the rest when it takes more; drop a client that never reads."""
-        connection.unsent += data
         try:
             while connection.unsent:
                 sent = connection.socket.send(connection.unsent)
