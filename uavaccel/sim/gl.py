@@ -1,0 +1,126 @@
+"""Which OpenGL draws: MUJOCO_GL where the user set it, otherwise EGL, otherwise OSMesa, whichever works.
+
+Nothing here touches OpenGL before a context is asked for, so all that needs no images works on a machine without.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mujoco
+
+from uavaccel.errors import UserError
+
+HEADLESS = ("egl", "osmesa")
+PROBE_TIMEOUT_S = 60.0  # drivers that hang were reported (google-deepmind/mujoco#3444)
+PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6"
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
+
+# MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
+_PROBE = """
+import mujoco
+context = mujoco.GLContext(8, 8)
+context.make_current()
+from OpenGL import GL
+assert GL.glGetString(GL.GL_RENDERER)
+context.free()
+"""
+
+
+@dataclass(frozen=True)
+class GlRenderer:
+    """Who draws: the backend ("egl", "osmesa", ...), GL_RENDERER, and whether that is a program on the CPU."""
+
+    backend: str
+    name: str
+    software: bool
+
+
+def make_context(width: int, height: int) -> Any:
+    """A GL context of MuJoCo's, made current in this thread.
+
+    Raises UserError where nothing can draw: one line that names the packages to install.
+    """
+    backend = choose_backend()
+    try:
+        module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
+        context = importlib.import_module(module).GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # of several libraries, each with its own kind
+        raise UserError(
+            f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
+            f"unset MUJOCO_GL, or install {PACKAGES} (Debian)"
+        ) from error
+    return context
+
+
+def current_renderer(backend: str) -> GlRenderer:
+    """The renderer of the context that is current."""
+    from OpenGL import GL  # takes the platform of the first context, so not before there is one
+
+    name = GL.glGetString(GL.GL_RENDERER).decode()
+    return GlRenderer(backend, name, any(software in name.lower() for software in SOFTWARE_RENDERERS))
+
+
+def sample_textures_fast(context: Any) -> None:
+    """Read one texel a pixel instead of MuJoCo's eight: a third of the frame, in software.
+
+    The nearest texel of the nearest mipmap; with one pixel a texel or less it looks the same, only crisper.
+    """
+    from OpenGL import GL
+
+    for texture, kind in zip(context.texture[: context.ntexture], context.textureType, strict=False):
+        target = GL.GL_TEXTURE_2D if kind == mujoco.mjtTexture.mjTEXTURE_2D else GL.GL_TEXTURE_CUBE_MAP
+        GL.glBindTexture(target, int(texture))
+        GL.glTexParameteri(target, GL.GL_TEXTURE_MIN_FILTER, GL.GL_NEAREST_MIPMAP_NEAREST)
+        GL.glTexParameteri(target, GL.GL_TEXTURE_MAG_FILTER, GL.GL_NEAREST)
+
+
+def describe_renderer() -> GlRenderer:
+    """The renderer that cameras of this process get. Raises UserError where there is none."""
+    context = make_context(8, 8)
+    try:
+        return current_renderer(choose_backend())
+    finally:
+        context.free()
+
+
+def choose_backend() -> str:
+    """The backend's name, as MUJOCO_GL takes it; written there, so that child processes need not try again."""
+    chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if chosen in ("disable", "disabled", "off", "false", "0"):
+        raise UserError(f"MUJOCO_GL={chosen} switches images off; unset it, or run without a camera")
+    if chosen or sys.platform != "linux":
+        return chosen
+    backend = _first_that_works()
+    if backend is None:
+        raise UserError(f"no OpenGL here to draw images with: install {PACKAGES} (Debian)")
+    os.environ["MUJOCO_GL"] = backend
+    return backend
+
+
+@cache
+def _first_that_works() -> str | None:
+    return next((backend for backend in HEADLESS if _works(backend)), None)
+
+
+def _works(backend: str) -> bool:
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    try:
+        command = [sys.executable, "-c", _PROBE]
+        probe = subprocess.run(
+            command, env=environment, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return probe.returncode == 0
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or "no reason given").splitlines()[0]

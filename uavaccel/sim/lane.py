@@ -1,0 +1,173 @@
+"""Layouts of the obstacle lane: drawn from a seed, the same for the same seed; pure geometry, no MuJoCo.
+
+The lane's geometry is this project's own choice, since the paper gives its length alone (150 m, section III-C1).
+Rows of obstacles stand at fixed distances; their lateral places are drawn. North is along the lane, NED.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from uavaccel.config import Config
+from uavaccel.errors import UserError
+
+FloatArray = NDArray[np.float64]
+Split = Literal["training", "evaluation"]
+
+LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
+WIDTH_M = 10.0  # between the inner faces of the walls
+HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
+MAX_OBSTACLES = 64  # as many as lane.xml has to move
+
+OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
+WALL_TEXTURES = ("concrete", "brick")
+GROUND_TEXTURES = ("asphalt", "grass")
+
+EVALUATION_SEEDS = 1_000_000  # seeds below are evaluation lanes, those from here on training lanes
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Difficulty(Config):
+    """How lanes are drawn. The defaults are those of every published figure."""
+
+    first_row_m: Annotated[float, Field(gt=1.0)] = 10.0
+    """Distance of the first row from the start."""
+    row_spacing_m: Annotated[float, Field(gt=1.0)] = 8.0
+    """Distance from row to row."""
+    obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
+    half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
+    """Half the side of an obstacle's square cross-section."""
+    min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M)] = 2.0
+    """Clear width between neighbours in a row, at least."""
+    light: tuple[Share, Share] = (0.7, 1.0)
+    """Range of the daylight, 1 being full daylight."""
+    texture_variation: Share = 1.0
+    """Share of lanes' surfaces and of obstacles whose texture is drawn; the others look all the same."""
+    wind_m_s: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
+    """Speed of a steady horizontal wind of drawn direction."""
+
+    @property
+    def pitch_m(self) -> float:
+        """Least distance of the middles of neighbours in a row."""
+        return 2 * self.half_width_m + self.min_gap_m
+
+    @model_validator(mode="after")
+    def _row_fits(self) -> Self:
+        needed = (self.obstacles_per_row - 1) * self.pitch_m
+        if needed >= WIDTH_M:
+            raise UserError(
+                f"obstacles_per_row = {self.obstacles_per_row} with half_width_m = {self.half_width_m:g} and "
+                f"min_gap_m = {self.min_gap_m:g} need {needed:g} m; the lane is {WIDTH_M:g} m wide"
+            )
+        return self
+
+
+@dataclass(frozen=True)
+class LaneLayout:
+    """Where the obstacles of a lane stand and how it looks: metres, NED, the start at the origin.
+
+    An obstacle is a square post of half side `half_width_m`, or, where `round`, a cylinder of that radius.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    half_width_m: FloatArray
+    round: NDArray[np.bool_]
+    texture: NDArray[np.int64]  # index into OBSTACLE_TEXTURES
+    wall_texture: int = 0
+    ground_texture: int = 0
+    light: float = 1.0
+    sun_azimuth_rad: float = 0.5  # heading of the sunlight: 0 shines north, the way the drone looks
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+
+def lane_seed(split: Split, index: int) -> int:
+    """Seed of lane `index` of a split; no lane belongs to both. Raises ValueError beyond a million."""
+    if not 0 <= index < EVALUATION_SEEDS:
+        raise ValueError(f"lane index {index} must be at least 0 and below {EVALUATION_SEEDS}")
+    return index if split == "evaluation" else EVALUATION_SEEDS + index
+
+
+def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
+    """The lane of a seed: the same arrays for the same seed and difficulty, on every machine."""
+    difficulty = difficulty or Difficulty()
+    rng = np.random.default_rng(seed)
+    rows_m = _row_distances(difficulty)
+    y_m = np.array([_draw_row(rng, difficulty) for _ in rows_m]).reshape(-1)
+    count = len(y_m)
+    varied = difficulty.texture_variation
+    direction = rng.uniform(-np.pi, np.pi)
+    return LaneLayout(
+        x_m=np.repeat(rows_m, difficulty.obstacles_per_row),
+        y_m=y_m,
+        half_width_m=np.full(count, difficulty.half_width_m),
+        round=np.zeros(count, dtype=bool),
+        texture=_draw_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
+        wall_texture=int(_draw_textures(rng, 1, len(WALL_TEXTURES), varied)[0]),
+        ground_texture=int(_draw_textures(rng, 1, len(GROUND_TEXTURES), varied)[0]),
+        light=float(rng.uniform(*difficulty.light)),
+        sun_azimuth_rad=float(rng.uniform(-1.0, 1.0)),
+        wind_m_s=(difficulty.wind_m_s * np.cos(direction), difficulty.wind_m_s * np.sin(direction), 0.0),
+    )
+
+
+def _row_distances(difficulty: Difficulty) -> FloatArray:
+    """Rows up to one spacing short of the lane's end, as many as there are obstacles for."""
+    rows = np.arange(
+        difficulty.first_row_m, LENGTH_M - difficulty.row_spacing_m / 2, difficulty.row_spacing_m
+    )
+    return rows[: MAX_OBSTACLES // max(difficulty.obstacles_per_row, 1)]
+
+
+def _draw_row(rng: np.random.Generator, difficulty: Difficulty) -> FloatArray:
+    """Lateral places of one row: uniform among all that keep neighbours `min_gap_m` apart.
+
+    They reach into the walls, so that flight along a wall is blocked as often as flight down the middle.
+    """
+    count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
+    slack = WIDTH_M - max(count - 1, 0) * pitch
+    return np.sort(rng.uniform(0.0, slack, count)) + pitch * np.arange(count) - WIDTH_M / 2
+
+
+def _draw_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
+    """Texture indices: drawn for a share `varied` of them, 0 for the rest."""
+    return np.where(rng.random(count) < varied, rng.integers(kinds, size=count), 0)
+
+
+def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
+    """Distance in metres from the hull to the nearest obstacle or wall at (..., 2) places; negative inside."""
+    position = np.asarray(position_m, dtype=np.float64)
+    wall = WIDTH_M / 2 - np.abs(position[..., 1])
+    if not len(layout):
+        return wall - HULL_RADIUS_M
+    flat = np.where(layout.round, 0.0, layout.half_width_m)
+    north = np.maximum(np.abs(position[..., :1] - layout.x_m) - flat, 0.0)
+    east = np.maximum(np.abs(position[..., 1:] - layout.y_m) - flat, 0.0)
+    distance = np.hypot(north, east) - (layout.half_width_m - flat)
+    return np.minimum(distance.min(axis=-1), wall) - HULL_RADIUS_M
+
+
+def free_distance_m(layout: LaneLayout, y_m: float) -> float:
+    """How far a drone that flies straight north, `y_m` east of the middle, gets before its hull touches something."""
+    if abs(y_m) + HULL_RADIUS_M >= WIDTH_M / 2:
+        return 0.0
+    flat = np.where(layout.round, 0.0, layout.half_width_m)
+    reach = HULL_RADIUS_M + layout.half_width_m - flat
+    beside = np.maximum(np.abs(layout.y_m - y_m) - flat, 0.0)
+    hit = beside < reach
+    touch = layout.x_m - flat - np.sqrt(np.maximum(reach**2 - beside**2, 0.0))
+    return float(min(touch[hit].min(initial=LENGTH_M), LENGTH_M))
+
+
+def blocked(layout: LaneLayout, y_m: float) -> bool:
+    """Whether straight flight at that lateral offset ends before the lane does."""
+    return free_distance_m(layout, y_m) < LENGTH_M
