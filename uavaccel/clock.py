@@ -7,6 +7,7 @@ says how many ticks of simulated time are due at a wall time.
 from __future__ import annotations
 
 import ctypes
+import select
 import selectors
 import sys
 import time
@@ -112,10 +113,16 @@ def positive_clock_speed(clock_speed: float) -> Fraction:
 def wait_for_sockets(
     selector: selectors.BaseSelector, deadline_ns: int | None
 ) -> Sequence[tuple[selectors.SelectorKey, Any]]:
-    """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever)."""
+    """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
+
+    A deadline in the past only looks. select() sleeps to the microsecond, where epoll rounds up to a millisecond.
+    """
     if deadline_ns is None:
         return selector.select(None)
-    return selector.select(max(deadline_ns - time.monotonic_ns(), 0) / NS_PER_S)
+    left_ns = deadline_ns - time.monotonic_ns()
+    if left_ns > 0:
+        select.select([selector], [], [], left_ns / NS_PER_S)
+    return selector.select(0)
 
 
 def ask_for_fine_timers() -> None:

@@ -123,7 +123,7 @@ class Simulation:
 
     def advance_to(self, wall_ns: int) -> None:
         """Fly every tick that is due by `wall_ns`, and end what ends on the way."""
-        if not self.paused:
+        if self.catch_up_wall_ns is not None and wall_ns - self._wall_ns > self.catch_up_wall_ns:
             self._drop_backlog(wall_ns)
         while not self.paused:
             end_tick = self._next_event_tick()
@@ -140,22 +140,21 @@ class Simulation:
         """When something will end unless a message comes first; None while nothing will."""
         if self.paused:
             return None
-        walls = [] if (tick := self._next_event_tick()) is None else [self.pacer.wall_due(tick)]
-        if (timer := self.wall_timer_ns()) is not None:
-            walls.append(timer)
-        return min(walls, default=None)
+        if (timer := self.wall_timer_ns()) is None:
+            return None if (tick := self._next_event_tick()) is None else self.pacer.wall_due(tick)
+        return timer if self._command is None else min(timer, self.pacer.wall_due(self._command.end_tick))
 
     def wall_timer_ns(self) -> int | None:
         """When a running continue-for of the `airsim` profile is over, on the wall clock."""
         return self._continue.end_wall_ns if self._continue and not self.paused else None
 
     def _drop_backlog(self, wall_ns: int) -> None:
-        if self.catch_up_wall_ns is None:
-            return
-        lost = wall_ns - self.pacer.wall_due(self.world.tick + 1) - self.catch_up_wall_ns
-        if lost > 0:
+        """Give up wall time that nobody asked for in time: the machine, or this process, was held up."""
+        behind_ns = wall_ns - self.pacer.wall_due(self.world.tick + 1)
+        lost = behind_ns - (self.catch_up_wall_ns or 0)
+        if not self.paused and lost > 0:
             self.speed.lost_wall_ns += lost
-            self.pacer.anchor(wall_ns - self.catch_up_wall_ns, self.world.tick)
+            self.pacer.anchor(wall_ns - (self.catch_up_wall_ns or 0), self.world.tick)
 
     def _fly_to(self, tick: int) -> None:
         try:
@@ -176,10 +175,10 @@ class Simulation:
         self._wall_ns = wall_ns
 
     def _next_event_tick(self) -> int | None:
-        ticks = [self._command.end_tick] if self._command else []
-        if self._continue and self._continue.end_tick is not None:
-            ticks.append(self._continue.end_tick)
-        return min(ticks, default=None)
+        command, period = self._command, self._continue
+        if period is None or period.end_tick is None:
+            return command.end_tick if command else None
+        return min(command.end_tick, period.end_tick) if command else period.end_tick
 
     def _end_at_tick(self, wall_ns: int) -> None:
         tick = self.world.tick

@@ -54,7 +54,8 @@ class Api:
         if not entry.required <= len(params) <= entry.most:
             raise rpc.wrong_arity(method, entry.most, len(params))
         self._wall_ns = wall_ns
-        self.simulation.note(f"handle {method}", wall_ns)
+        if self.simulation.trace.enabled:
+            self.simulation.note(f"handle {method}", wall_ns)
         try:
             return entry.handler(*params)
         except (ValueError, UserError) as error:

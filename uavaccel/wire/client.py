@@ -9,6 +9,7 @@ import numpy as np
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.recording import Recording
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.api import decode_state
 from uavaccel.wire.transport import Ticket, Transport
 
@@ -16,14 +17,21 @@ _MAX_DEGREE_OF_FREEDOM = 0
 
 
 class Client:
-    """One connection to a simulation. Calls raise rpc.RpcError with the server's text."""
+    """One connection to a simulation. Calls raise rpc.RpcError with the server's text.
 
-    def __init__(self, transport: Transport, clock_speed: float = 1.0) -> None:
+    `alone` promises that nobody else lets the simulation run. Then the state in which a continue-for left it is still
+    the present one until this client lets it run, and need not be asked for.
+    """
+
+    def __init__(self, transport: Transport, clock_speed: float = 1.0, alone: bool = False) -> None:
         self.transport = transport
         self.clock_speed = float(clock_speed)
+        self._alone = alone
+        self._stopped_at: Kinematics | None = None
 
     def call(self, method: str, *params: Any) -> Any:
         """Call any method of the wire and wait for its result."""
+        self._stopped_at = None
         ticket = self.transport.send(method, params, joined=True)
         self.transport.wait(ticket)
         return ticket.result()
@@ -41,7 +49,9 @@ class Client:
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
-        return self.transport.send(method, params, joined=False)
+        ticket = self.transport.send(method, params, joined=False)
+        ticket.expected_ns = self._wall_after(t_move_s * NS_PER_S)
+        return ticket
 
     def join(self, future: Ticket, deadline_ns: int | None = None) -> bool:
         if not self.transport.wait(future, deadline_ns):
@@ -53,20 +63,31 @@ class Client:
         self.call("simPause", True)
 
     def run(self) -> None:
+        self._stopped_at = None
         self.call("simPause", False)
 
     def continue_for(self, duration_ns: int) -> Kinematics:
-        return decode_state(self.call("uavaccelContinueFor", duration_ns))
+        ticket = self.transport.send("uavaccelContinueFor", (duration_ns,), joined=True)
+        ticket.expected_ns = self._wall_after(duration_ns)
+        self.transport.wait(ticket)
+        state = decode_state(ticket.result())
+        self._stopped_at = state if self._alone else None
+        return state
+
+    def _wall_after(self, simulated_ns: float) -> int:
+        return self.now_ns() + round(simulated_ns / self.clock_speed)
 
     def kinematics(self) -> Kinematics:
-        return decode_state(self.call("uavaccelState"))
+        return self._stopped_at or decode_state(self.call("uavaccelState"))
 
     # --- games ------------------------------------------------------------------------------------
 
     def start_game(self, clock_speed: float) -> Kinematics:
         """A settled hover 10 m up, paused, API control on, recording on."""
         self.clock_speed = float(clock_speed)
-        return decode_state(self.call("uavaccelStartGame", clock_speed))
+        state = decode_state(self.call("uavaccelStartGame", clock_speed))
+        self._stopped_at = state if self._alone else None
+        return state
 
     def speed(self) -> dict[str, Any]:
         """Requested and achieved speed since the game's start."""

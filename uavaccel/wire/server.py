@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import selectors
 import socket
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
@@ -19,7 +19,7 @@ from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 IDLE_NS = 5_000_000  # an idle server advances at least so often
 CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
-SPIN_NS = 150_000  # before something ends, poll instead of sleeping: a process wakes late
+SPIN_NS = 300_000  # before something ends, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
 READ_BYTES = 1 << 16
 MAX_UNSENT_BYTES = 1 << 26
@@ -33,6 +33,21 @@ class Connection:
         self.decoder = rpc.Decoder()
         self.unsent = bytearray()
         self.open = True
+
+
+class Answer(NamedTuple):
+    """What a client is to be told; a `Pending` result is due by now."""
+
+    connection: Connection
+    message_id: int
+    error: str | None
+    result: Any
+
+    def pack(self) -> bytes:
+        result = self.result
+        if isinstance(result, Pending):
+            result = result.encode(result.value)
+        return rpc.pack_response(self.message_id, self.error, result)
 
 
 class Server:
@@ -55,13 +70,12 @@ class Server:
             ) from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._listener.setblocking(False)
-        # select() takes microseconds; epoll and poll round a timeout up to a millisecond
-        self._selector = selectors.SelectSelector()
+        self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         if stop_at_eof is not None:
             self._selector.register(stop_at_eof, selectors.EVENT_READ)
         self._connections: set[Connection] = set()
-        self._answered: list[Connection] = []
+        self._answers: list[Answer] = []
         self._busy_until_ns = 0
         self._stopping = False
 
@@ -121,7 +135,7 @@ class Server:
             raw.setblocking(False)
             set_no_delay(raw)
             self._selector.register(raw, selectors.EVENT_READ, connection)
-        except (OSError, ValueError):  # gone again, or more connections than select() can hold
+        except OSError:  # gone again
             raw.close()
         else:
             self._connections.add(connection)
@@ -153,25 +167,25 @@ class Server:
             result, error = None, str(failure)
         if request.message_id is None:
             return
-        if not isinstance(result, Pending):
-            self._reply(connection, request.message_id, error, result)
-        elif result.due_wall_ns is not None:
-            self._reply(connection, request.message_id, None, result.encode(result.value))
+        answer = Answer(connection, request.message_id, error, result)
+        if isinstance(result, Pending) and result.due_wall_ns is None:
+            result.on_due = lambda _: self._answers.append(answer)
         else:
-            message_id = request.message_id
-            result.on_due = lambda due: self._reply(connection, message_id, None, due.encode(due.value))
-
-    def _reply(self, connection: Connection, message_id: int, error: str | None, result: Any) -> None:
-        if connection.open:
-            connection.unsent += rpc.pack_response(message_id, error, result)
-            self._answered.append(connection)
+            self._answers.append(answer)
 
     def _flush(self) -> None:
-        """Send what this turn has answered; one packet where a command and its continue-for end together."""
-        while self._answered:
-            connection = self._answered.pop()
-            if connection.open:
-                self._send(connection)
+        """Send what this turn has answered, in one packet a client.
+
+        The last answer first: where a command and its continue-for end together, the client waits for the latter.
+        """
+        answered: set[Connection] = set()
+        while self._answers:
+            answer = self._answers.pop()
+            if answer.connection.open:
+                answer.connection.unsent += answer.pack()
+                answered.add(answer.connection)
+        for connection in answered:
+            self._send(connection)
 
     def _send(self, connection: Connection) -> None:
         """Send what the socket takes now and the rest when it takes more; drop a client that never reads."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from typing import Any, Protocol, Self
@@ -36,10 +37,16 @@ class Session(Protocol):
 
 
 class WallSession:
-    """A server in a process of its own, on loopback, paced by the machine's clock."""
+    """A server in a process and, where there are two, on a core of its own, on loopback, paced by the machine's clock.
+
+    Until it is closed, this process stays off that core: the kernel likes to put two processes that talk to each other
+    on one, where each waits for the other.
+    """
 
     def __init__(self, scene: str, profile: str) -> None:
-        options = json.dumps({"scene": scene, "profile": profile})
+        self._cores = _cores()
+        core = max(self._cores) if len(self._cores) > 1 else None
+        options = json.dumps({"scene": scene, "profile": profile, "core": core})
         self._process = subprocess.Popen(
             [sys.executable, "-m", "uavaccel.wire.host", options],
             stdin=subprocess.PIPE,
@@ -52,13 +59,17 @@ class WallSession:
             raise RuntimeError(
                 f"the server process ended with status {self._process.wait()} before it listened"
             )
-        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]))
+        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]), alone=True)
+        if core is not None:
+            os.sched_setaffinity(0, self._cores - {core})
 
     def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         self._client.start_game(clock_speed)
         return self._client
 
     def close(self) -> None:
+        if len(self._cores) > 1:
+            os.sched_setaffinity(0, self._cores)
         self._client.close()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
@@ -72,6 +83,11 @@ class WallSession:
         self.close()
 
 
+def _cores() -> set[int]:
+    """The cores this process may run on; none where the system does not say."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+
+
 class VirtualSession:
     """The simulation in this process, under a simulated wall clock; `latency` zero is `lockstep`."""
 
@@ -83,7 +99,7 @@ class VirtualSession:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
         simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
         transport: Any = VirtualTransport(Api(simulation), clock, latency)
-        client = Client(transport, clock_speed)
+        client = Client(transport, clock_speed, alone=True)
         client.start_game(clock_speed)
         return client
 
