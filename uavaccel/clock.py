@@ -110,19 +110,17 @@ def positive_clock_speed(clock_speed: float) -> Fraction:
     return speed
 
 
-def wait_for_sockets(
-    selector: selectors.BaseSelector, deadline_ns: int | None
-) -> Sequence[tuple[selectors.SelectorKey, Any]]:
+def wait_for_sockets(selector: Any, deadline_ns: int | None) -> Sequence[tuple[selectors.SelectorKey, Any]]:
     """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
 
-    A deadline in the past only looks. select() sleeps to the microsecond, where epoll rounds up to a millisecond.
+    `selector` is selectors.DefaultSelector(). A deadline in the past only looks. select() sleeps to the microsecond, where epoll rounds up to a millisecond.
     """
     if deadline_ns is None:
-        return selector.select(None)
+        return list(selector.select(None))
     left_ns = deadline_ns - time.monotonic_ns()
     if left_ns > 0:
-        select.select([selector], [], [], left_ns / NS_PER_S)
-    return selector.select(0)
+        select.select([selector.fileno()], [], [], left_ns / NS_PER_S)
+    return list(selector.select(0))
 
 
 def ask_for_fine_timers() -> None:

@@ -93,6 +93,18 @@ def calibrate(
     write_calibration(out, commands, profile)
 
 
+@app.command()
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
+    soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,
+    out: Annotated[Path | None, typer.Option(help="JSON file to keep the figures in.")] = None,
+) -> None:
+    """Measure this machine: hot loop, round trips, TCSC, rendering."""
+    from uavaccel.cli.bench import run_benches
+
+    run_benches(names or [], soak_s, out)
+
+
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:

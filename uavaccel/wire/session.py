@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -66,6 +67,11 @@ class WallSession:
     def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         self._client.start_game(clock_speed)
         return self._client
+
+    def server_memory_mib(self) -> float:
+        """Resident memory of the server's process (Linux)."""
+        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
     def close(self) -> None:
         if len(self._cores) > 1:
