@@ -113,7 +113,8 @@ def positive_clock_speed(clock_speed: float) -> Fraction:
 def wait_for_sockets(selector: Any, deadline_ns: int | None) -> Sequence[tuple[selectors.SelectorKey, Any]]:
     """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
 
-    `selector` is selectors.DefaultSelector(). A deadline in the past only looks. select() sleeps to the microsecond, where epoll rounds up to a millisecond.
+    `selector` is selectors.DefaultSelector(). A deadline in the past only looks. select() sleeps to the microsecond,
+    where epoll rounds up to a millisecond.
     """
     if deadline_ns is None:
         return list(selector.select(None))
