@@ -72,8 +72,7 @@ def _markdown(block: Block, folder: Path) -> str:
             lines = [header, ["---"] * len(header), *rows]
             return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
         case Picture(path, caption):
-            link = path.relative_to(folder).as_posix()
-            return f"![{_escape_markdown(caption)}]({link})\n\n{_escape_markdown(caption)}"
+            return f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
         case Listing(text):
             return f"```\n{text.rstrip()}\n```"
 

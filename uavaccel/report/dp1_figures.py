@@ -12,6 +12,7 @@ import numpy as np
 
 from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.metrics.trajectory import command_gaps_s
 from uavaccel.report.document import Picture
 from uavaccel.report.dp1_scores import CellScores, LoadArrays, Row
 from uavaccel.report.figure2_velocity import VelocityPanel, draw_velocity
@@ -21,6 +22,7 @@ from uavaccel.report.figure5_accuracy import draw_accuracy
 from uavaccel.report.figure6_speedup import SpeedupCurve, draw_speedup
 from uavaccel.report.style import clock_label, command_name
 
+_CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
 FIGURE3_ROUNDS = 4  # enough laps to drift, few enough to tell them apart
 
 
@@ -28,52 +30,53 @@ def source_line(rows: Sequence[Row]) -> str:
     """Which clock the games' numbers come from, how many games there are, profile and seed."""
     counts = Counter(row["timing"] for row in rows)
     games = [
-        f"{timing_provenance(timing)} ({timing} clock): {count} game{'s' if count > 1 else ''}"
+        f"{timing_provenance(timing)} ({_CLOCK[timing]}): {count} game{'s' if count > 1 else ''}"
         for timing, count in sorted(counts.items())
     ]
-    conditions = {f"{row['profile']} profile" for row in rows} | {f"seed {row['seed']}" for row in rows}
-    return " · ".join([*games, *sorted(conditions)])
+    return " · ".join([*games, *_conditions(rows)])
 
 
-def velocity_figure(scores: Sequence[CellScores], load_arrays: LoadArrays, path: Path) -> Picture:
-    """Figure 2 from the shortest path of the longest T_move: the reference over the fastest ADSC."""
-    rows = [row for row in (_reference_row(scores), _fastest_row(scores)) if row is not None]
-    draw_velocity([_velocity_panel(row, load_arrays(row)) for row in rows], path, source_line(rows))
+def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) -> Picture:
+    """Figure 2 from the games of role "figure2": two steps forward and one back, slowest ClockSpeed on top."""
+    flown = [row for row in rows if row["role"] == "figure2" and row.get("error") is None]
+    flown.sort(key=lambda row: row["clock_speed"])
+    source = source_line(flown)
+    draw_velocity([_velocity_panel(row, load_arrays(row)) for row in flown], path, source)
     return Picture(
         path,
-        "Figure 2. Velocity over simulated time in real time and in the fastest run, one game each. Dashed: "
-        "a command ends. Grey: no command runs, the drone flies on while the client reacts. "
-        f"{source_line(rows)}.",
+        "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the "
+        "run's highest ClockSpeed. Dashed: a command ends. Grey: no command runs, the drone flies on while "
+        f"the client reacts. Source: {source}.",
     )
 
 
 def trajectory_figure(scores: Sequence[CellScores], load_arrays: LoadArrays, path: Path) -> Picture:
     """Figure 3 from the fastest ADSC cell of the longest T_move: best and worst replica by STLC."""
     score = _fastest_cell(scores, FIGURE3_ROUNDS)
-    rows = [] if score is None else _best_and_worst(score)
-    lines = [
-        TrajectoryLine(_trajectory_label(row, stlc), load_arrays(row)["position_m"]) for row, stlc in rows
-    ]
-    source = source_line([row for row, _ in rows])
-    draw_trajectories(lines, path, source, "" if score is None else _path_label(score))
+    flights = [] if score is None else _compared_flights(score)
+    lines = [TrajectoryLine(label, load_arrays(row)["position_m"]) for row, label in flights]
+    source = source_line([row for row, _ in flights])
+    title = "Trajectories" if score is None else f"Trajectories, {_path_label(score)}"
+    draw_trajectories(lines, path, source, title)
     return Picture(
         path,
         "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC. "
-        f"Height is up, −z of the NED frame. {source}.",
+        f"Height is up, −z of the NED frame. Source: {source}.",
     )
 
 
 def trellis_figure(run_dir: Path, rows: Sequence[Row], path: Path) -> Picture:
     """Figure 4 from the traces that the run recorded, if it did."""
     traces = _traces(run_dir)
-    profiles = sorted({str(row["profile"]) for row in rows})
-    source = f"one recorded command each · {', '.join(profiles)} profile"
+    timings = sorted({row["timing"] for row in rows if row["role"] == "game"})
+    clocks = [f"{timing_provenance(timing)} ({_CLOCK[timing]})" for timing in timings]
+    source = " · ".join(["one recorded command each", *clocks, *_conditions(rows)])
     draw_trellis(traces, path, source)
     return Picture(
         path,
         "Figure 4. Messages of one command between client and server, from a recorded trace; not to scale. "
         "Thick: simulated time runs. Left of the client's line wall time, right of the server's simulated "
-        "time, both since the first event.",
+        f"time, both since the first event. Source: {source}.",
     )
 
 
@@ -90,7 +93,7 @@ def accuracy_figure(scores: Sequence[CellScores], path: Path) -> Picture:
         path,
         "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, "
         "T_moves pooled; line: 1.8. Replicas whose flights are identical make a box of zero width, drawn as "
-        f"it is. {source}.",
+        f"it is. Source: {source}.",
     )
 
 
@@ -106,23 +109,16 @@ def speedup_figure(scores: Sequence[CellScores], summary: Mapping[str, Any], pat
     return Picture(
         path,
         f"Figure 6. Effective speed-up of games of {rounds} rounds: mean wall time of ADSC at 1x over the "
-        f"cell's, with 95 % bootstrap intervals over games. Dashed: the ideal. {source}.",
+        f"cell's, with 95 % bootstrap intervals over games. Dashed: the ideal. Source: {source}.",
     )
+
+
+def _conditions(rows: Sequence[Row]) -> list[str]:
+    return sorted({f"{row['profile']} profile" for row in rows} | {f"seed {row['seed']}" for row in rows})
 
 
 def _rows(scores: Sequence[CellScores]) -> list[Row]:
     return [row for score in scores for row in score.cell.rows]
-
-
-def _reference_row(scores: Sequence[CellScores]) -> Row | None:
-    fastest = _fastest_cell(scores, 0)
-    rows = () if fastest is None else fastest.cell.reference_rows
-    return rows[0] if rows else None
-
-
-def _fastest_row(scores: Sequence[CellScores]) -> Row | None:
-    fastest = _fastest_cell(scores, 0)
-    return None if fastest is None or fastest.cell.is_reference else fastest.cell.rows[0]
 
 
 def _fastest_cell(scores: Sequence[CellScores], rounds: int) -> CellScores | None:
@@ -140,30 +136,40 @@ def _fastest_cell(scores: Sequence[CellScores], rounds: int) -> CellScores | Non
 
 
 def _velocity_panel(row: Row, arrays: Mapping[str, np.ndarray]) -> VelocityPanel:
+    start_s, end_s = arrays["command_start_s"], arrays["command_end_s"]
+    gap_ms = float(np.mean(command_gaps_s(start_s, end_s))) * 1e3
     return VelocityPanel(
-        f"{command_name(row['command'])} at {clock_label(row['clock_speed'])}, T_move {row['t_move_s']:g} s",
+        f"{_flown_by(row)}: {gap_ms:.1f} ms between commands",
         arrays["time_s"],
         arrays["linear_velocity_m_s"],
-        arrays["command_start_s"],
-        arrays["command_end_s"],
+        start_s,
+        end_s,
     )
 
 
-def _best_and_worst(score: CellScores) -> list[tuple[Row, float | None]]:
-    """A reference, then the replicas of highest and lowest STLC; one replica only once."""
-    chosen: list[tuple[Row, float | None]] = [(row, None) for row in score.cell.reference_rows[:1]]
-    order = [] if score.cell.is_reference else np.argsort(-np.nan_to_num(score.stlc), kind="stable").tolist()
-    replicas = dict.fromkeys([*order[:1], *order[-1:]])
-    return chosen + [(score.cell.rows[i], float(score.stlc[i])) for i in replicas]
+def _compared_flights(score: CellScores) -> list[tuple[Row, str]]:
+    """A reference, then the replicas of highest and lowest STLC, each with its label."""
+    cell = score.cell
+    flights = [(row, f"{_flown_by(row)}: reference") for row in cell.reference_rows[:1]]
+    if cell.is_reference:
+        return flights
+    best_first = np.argsort(-np.nan_to_num(score.stlc), kind="stable").tolist()
+    if score.distinct_games == 1:
+        ranks = {best_first[0]: f"all {len(cell.rows)} identical"}
+    else:
+        ranks = {best_first[0]: "best", best_first[-1]: "worst"}
+    return flights + [
+        (cell.rows[i], f"{_flown_by(cell.rows[i])}, {rank}: {_stlc_text(score.stlc[i])}")
+        for i, rank in ranks.items()
+    ]
 
 
-def _trajectory_label(row: Row, stlc: float | None) -> str:
-    name = f"{command_name(row['command'])} at {clock_label(row['clock_speed'])}"
-    if stlc is None:
-        return f"{name}: reference"
-    return (
-        f"{name}, game {row['game']}: STLC {stlc:.3f}" if np.isfinite(stlc) else f"{name}, game {row['game']}"
-    )
+def _flown_by(row: Row) -> str:
+    return f"{command_name(row['command'])} at {clock_label(row['clock_speed'])}"
+
+
+def _stlc_text(stlc: float) -> str:
+    return f"STLC {stlc:.3f}" if np.isfinite(stlc) else "STLC unknown"
 
 
 def _path_label(score: CellScores) -> str:

@@ -59,7 +59,7 @@ def _draw(
 ) -> list[Picture]:
     folder = run_dir / "figures"
     return [
-        figures.velocity_figure(scores, load_arrays, folder / "figure2_velocity.png"),
+        figures.velocity_figure(rows, load_arrays, folder / "figure2_velocity.png"),
         figures.trajectory_figure(scores, load_arrays, folder / "figure3_trajectories.png"),
         figures.trellis_figure(run_dir, rows, folder / "figure4_trellis.png"),
         figures.accuracy_figure(scores, folder / "figure5_accuracy.png"),
@@ -69,7 +69,7 @@ def _draw(
 
 def _blocks(run: RunDirectory, rows: list[Row], summary: Summary, pictures: list[Picture]) -> list[Block]:
     return [
-        Paragraph(f"{figures.source_line(rows)}."),
+        Paragraph(f"Games: {figures.source_line(rows)}."),
         *map(Paragraph, _warnings(summary)),
         Heading("Overview: worst cell, range of speeds"),
         Table(OVERVIEW_HEADER, overview(summary)),

@@ -68,13 +68,13 @@ class CellScores:
 
 
 def cells_of(rows: Sequence[Row]) -> list[Cell]:
-    """The run's cells in canonical order; rows of role "lockstep" only serve as comparison.
+    """The run's cells in canonical order, made of the rows of role "game" and "reference".
 
     Where a cell holds references, these are its games: ADSC at 1x is not counted twice.
     """
     grouped: dict[CellKey, list[Row]] = defaultdict(list)
     for row in rows:
-        if row["role"] != "lockstep":
+        if row["role"] in ("game", "reference"):
             grouped[_key(row)].append(row)
     return [_cell(key, grouped[key], rows) for key in sorted(grouped)]
 

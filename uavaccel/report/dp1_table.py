@@ -50,17 +50,11 @@ def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [_overview_line(cells) for cells in groups.values()]
 
 
-def source(cell: Cell) -> str:
-    """Where a cell's flights and its speed-up's two wall times come from."""
-    flights, speedup = cell["provenance"], cell["effective_speedup_provenance"]
-    return flights if speedup in (None, flights) else f"{flights}, speed-up {speedup}"
-
-
 def _line(cell: Cell) -> tuple[str, ...]:
     failed = f" ({cell['failed_games']} failed)" if cell["failed_games"] else ""
     stlc = "-"
     if cell["stlc_median"] is not None:
-        stlc = f"{cell['stlc_median']:.4f} [{cell['stlc_q25']:.4f}, {cell['stlc_q75']:.4f}]"
+        stlc = f"{cell['stlc_median']:.3f} [{cell['stlc_q25']:.3f}, {cell['stlc_q75']:.3f}]"
     return (
         command_name(cell["command"]),
         clock_label(cell["clock_speed"]),
@@ -71,9 +65,9 @@ def _line(cell: Cell) -> tuple[str, ...]:
         _metres(cell["position_rmse_m"]),
         _metres(cell["position_rmse_vs_lockstep_m"]),
         _number(cell["duration_error_s"], "+.3f"),
-        _number(cell["effective_speedup"], ".2f"),
+        _number(cell["effective_speedup"], ".2f") + _mixed(cell),
         _number(cell["real_time_factor"], ".2f"),
-        source(cell),
+        cell["provenance"],
     )
 
 
@@ -86,10 +80,15 @@ def _overview_line(cells: Sequence[Cell]) -> tuple[str, ...]:
         _number(_extreme(min, cells, "stlc_median"), ".4f"),
         _metres(_extreme(max, cells, "position_rmse_m")),
         _metres(_extreme(max, cells, "position_rmse_vs_lockstep_m")),
-        _range(cells, "effective_speedup"),
+        _range(cells, "effective_speedup") + _mixed(first),
         _range(cells, "real_time_factor"),
-        source(first),
+        first["provenance"],
     )
+
+
+def _mixed(cell: Cell) -> str:
+    """Marks a speed-up of which one wall time is measured and the other modelled."""
+    return " (mixed)" if cell["effective_speedup_provenance"] == "mixed" else ""
 
 
 def _extreme(choose: Callable[[Iterable[float]], float], cells: Sequence[Cell], key: str) -> float | None:
@@ -112,4 +111,4 @@ def _metres(value: float | None) -> str:
 
 
 def _number(value: float | None, spec: str) -> str:
-    return "-" if value is None else format(value, spec)
+    return "-" if value is None else format(value, spec).replace("-0.000", "+0.000")

@@ -23,18 +23,17 @@ class TrajectoryLine:
     position_m: np.ndarray
 
 
-def draw_trajectories(lines: Sequence[TrajectoryLine], path: Path, source: str, subtitle: str = "") -> Path:
+def draw_trajectories(lines: Sequence[TrajectoryLine], path: Path, source: str, title: str) -> Path:
     """Draw up to three flights from above and the side, height upwards; returns `path`."""
     with style.look():
-        figure = style.new_figure(7.2, 6.0, "Trajectories: real time and accelerated", source)
+        figure = style.new_figure(7.2, 6.0, title, source)
         axes: Any = figure.add_subplot(projection="3d")
-        axes.set_title(subtitle)
         for line, colour in zip(lines, _COLOURS, strict=False):
             north, east, down = line.position_m.T
             axes.plot(north, east, -down, color=colour, label=line.label, linewidth=1.2)
         _scale(axes, lines)
         if lines:
-            figure.legend(loc="outside lower center", ncols=1)
+            axes.legend(loc="upper left", bbox_to_anchor=(-0.05, 0.98))
         return style.save(figure, path)
 
 

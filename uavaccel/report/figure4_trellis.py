@@ -1,7 +1,7 @@
 """Figure 4: the message trellis of commands, drawn from recorded traces.
 
-A trace is a list of events in time order, each
-`{"source": "client" | "server", "event": str, "wall_s": float, "sim_s": float}`. Client events are "call <method>" and "return <method>", server events
+A trace is a list of events in time order, each with the keys "source" ("client" or "server"), "event" (str),
+"wall_s" and "sim_s" (float). Client events are "call <method>" and "return <method>", server events
 "handle <method>", "end <what>", "pause" and "run".
 """
 
@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from uavaccel.report import style
 
@@ -21,6 +23,10 @@ Trace = Sequence[Event]
 
 MOST_EVENTS = 44  # a longer trace is cut: the trellis shows one command, not a flight
 _CLIENT_X, _SERVER_X = 0.0, 1.0
+_CALL: dict[str, Any] = {"color": style.BLUE, "linewidth": 1.1}
+_ANSWER: dict[str, Any] = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+_RUNNING: dict[str, Any] = {"color": style.ORANGE, "linewidth": 6, "solid_capstyle": "butt"}
+_LEGEND = {"call": _CALL, "answer": _ANSWER, "simulated time runs": _RUNNING}
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ def draw_trellis(traces: Mapping[str, Trace], path: Path, source: str) -> Path:
     """
     longest = max((min(len(trace), MOST_EVENTS) for trace in traces.values()), default=1)
     with style.look():
-        size_in = (5.4 * max(len(traces), 1), 2.0 + 0.24 * longest)
+        size_in = (5.0 * max(len(traces), 1), 2.0 + 0.2 * longest)
         figure = style.new_figure(*size_in, "Messages of one command", source)
         panels = figure.subplots(1, max(len(traces), 1), sharey=True, squeeze=False)[0]
         if not traces:
@@ -47,6 +53,8 @@ def draw_trellis(traces: Mapping[str, Trace], path: Path, source: str) -> Path:
         for axes, (name, trace) in zip(panels, traces.items(), strict=False):
             _draw_trace(axes, trace[:MOST_EVENTS])
             axes.set_title(name)
+        if traces:
+            _legend(figure)
         return style.save(figure, path)
 
 
@@ -102,15 +110,13 @@ def _answer(trace: Trace, handled: int, returned: int) -> int:
 
 def _draw_trace(axes: Axes, trace: Trace) -> None:
     axes.set_axis_off()
-    axes.set_xlim(-1.15, 2.15)
+    axes.set_xlim(-1.85, 2.0)
     axes.set_ylim(len(trace) - 0.3, -1.9)
     for x, name in ((_CLIENT_X, "client"), (_SERVER_X, "server")):
         axes.plot([x, x], [-0.7, len(trace) - 0.5], color=style.GREY, linewidth=1.0)
         axes.text(x, -1.0, name, ha="center", va="bottom", fontweight="bold")
     for start, end in running_spans(trace):
-        axes.plot(
-            [_SERVER_X] * 2, [start, end], color=style.ORANGE, linewidth=6, solid_capstyle="butt", zorder=1
-        )
+        axes.plot([_SERVER_X] * 2, [start, end], **_RUNNING, zorder=1)
     for arrow in messages(trace):
         _draw_arrow(axes, trace, arrow)
     for row, event in enumerate(trace):
@@ -120,23 +126,25 @@ def _draw_trace(axes: Axes, trace: Trace) -> None:
 def _draw_arrow(axes: Axes, trace: Trace, arrow: Message) -> None:
     x = {"client": _CLIENT_X, "server": _SERVER_X}
     ends = [(x[trace[i]["source"]], i) for i in (arrow.received, arrow.sent)]
-    is_call = trace[arrow.sent]["source"] == "client"
-    properties = {
-        "arrowstyle": "-|>",
-        "color": style.BLUE if is_call else style.GREEN,
-        "linewidth": 1.1,
-        "linestyle": "-" if is_call else (0, (4, 2)),
-        "shrinkA": 0,
-        "shrinkB": 3,
-    }
-    axes.annotate("", xy=ends[0], xytext=ends[1], arrowprops=properties)
+    line = _CALL if trace[arrow.sent]["source"] == "client" else _ANSWER
+    axes.annotate(
+        "", xy=ends[0], xytext=ends[1], arrowprops={"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 3, **line}
+    )
 
 
 def _draw_event(axes: Axes, row: int, event: Event, wall0_s: float, sim0_s: float) -> None:
-    text = str(event["event"])
+    """A call has its method's name at the client; where an arrow arrives, the time alone says enough."""
+    kind, _, method = str(event["event"]).partition(" ")
     if event["source"] == "client":
+        name = f"{method}   " if kind == "call" else ""
         time = f"{(event['wall_s'] - wall0_s) * 1e3:.2f} ms"
-        axes.text(_CLIENT_X - 0.06, row, f"{text}   {time}", ha="right", va="center", fontsize=7.5)
+        axes.text(_CLIENT_X - 0.06, row, name + time, ha="right", va="center", fontsize=7.5)
     else:
+        name = "" if kind == "handle" else f"   {event['event']}"
         time = f"{event['sim_s'] - sim0_s:.3f} s"
-        axes.text(_SERVER_X + 0.06, row, f"{time}   {text}", ha="left", va="center", fontsize=7.5)
+        axes.text(_SERVER_X + 0.08, row, time + name, ha="left", va="center", fontsize=7.5)
+
+
+def _legend(figure: Figure) -> None:
+    lines = [Line2D([], [], label=label, **look) for label, look in _LEGEND.items()]
+    figure.legend(handles=lines, loc="outside upper right", ncols=len(lines))

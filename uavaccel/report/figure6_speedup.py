@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from uavaccel.report import style
 
@@ -28,7 +27,7 @@ class SpeedupCurve:
 
 
 def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds: int) -> Path:
-    """Draw the curves of the games of `rounds` rounds on logarithmic axes; returns `path`."""
+    """Draw the curves of the games of `rounds` rounds; returns `path`."""
     commands = sorted({curve.command for curve in curves})
     with style.look():
         title = f"Effective speed-up over ADSC at 1x, {rounds} rounds"
@@ -42,7 +41,7 @@ def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds
         for axes, command in zip(panels, commands, strict=True):
             _draw_panel(axes, [curve for curve in curves if curve.command == command], t_moves, clocks)
             axes.set_title(style.command_name(command))
-        panels[0].set_ylabel("effective speed-up")
+        panels[0].set(ylabel="effective speed-up", ylim=(0, None))
         panels[0].legend(loc="upper left")
         return style.save(figure, path)
 
@@ -50,12 +49,12 @@ def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds
 def _draw_panel(
     axes: Axes, curves: Sequence[SpeedupCurve], t_moves: Sequence[float], clocks: np.ndarray
 ) -> None:
-    ends = np.array([min(clocks.min(), 1.0), max(clocks.max(), 1.0)])
-    axes.plot(ends, ends, color=style.BLACK, linestyle="--", linewidth=1.1, label="ideal")
+    """ClockSpeeds at equal distances: what is lost at the highest is to be seen."""
+    axes.plot(clocks, color=style.BLACK, linestyle="--", linewidth=1.1, label="ideal")
     for curve in curves:
         place = t_moves.index(curve.t_move_s)
         axes.errorbar(
-            curve.clock_speed,
+            np.searchsorted(clocks, curve.clock_speed),
             curve.speedup,
             yerr=np.clip([curve.speedup - curve.low, curve.high - curve.speedup], 0, None),
             color=style.CYCLE[place % len(style.CYCLE)],
@@ -64,16 +63,5 @@ def _draw_panel(
             capsize=2,
             label=f"T_move {curve.t_move_s:g} s",
         )
-    axes.set(xscale="log", yscale="log", xlabel="ClockSpeed")
-    _number_ticks(axes, clocks)
-
-
-def _number_ticks(axes: Axes, clocks: np.ndarray) -> None:
-    """Plain numbers instead of powers of ten, and a tick for every ClockSpeed flown."""
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_major_locator(FixedLocator(clocks.tolist()))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(plain)
-    axes.yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(plain)
+    axes.set_xticks(range(len(clocks)), [style.clock_label(clock) for clock in clocks])
+    axes.set_xlabel("ClockSpeed")
