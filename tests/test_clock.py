@@ -1,0 +1,132 @@
+"""Wall clocks, and the exact map between wall time and ticks."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from uavaccel.clock import (
+    MonotonicClock,
+    Pacer,
+    VirtualClock,
+    calendar_time,
+    positive_clock_speed,
+    timer_grain_ns,
+    wait_for_sockets,
+)
+from uavaccel.errors import UserError
+
+TICKS_NS = (2_000_000, 3_000_000)
+LARGEST = 10**15  # nanoseconds: twelve days
+
+decimal_speeds = st.decimals("0.001", "1000", places=3).map(float)
+ratios = st.fractions("0.01", 1000, max_denominator=100).map(float)
+speeds = (
+    st.sampled_from([1.5, 0.1, 0.3333333, 100, 0.1 + 0.2]) | decimal_speeds | ratios | st.floats(0.001, 1000)
+)
+instants = st.integers(0, LARGEST)
+
+
+@st.composite
+def pacers(draw: st.DrawFn) -> Pacer:
+    pacer = Pacer(draw(speeds), draw(st.sampled_from(TICKS_NS)))
+    pacer.anchor(draw(instants), draw(st.integers(0, 10**9)))
+    return pacer
+
+
+@given(pacers(), st.integers(0, 10**9))
+@example(Pacer(1.5, 2_000_000), 1)
+@example(Pacer(0.1, 2_000_000), 10**9)
+@example(Pacer(1 / 3, 2_000_000), 999_999_999)
+@example(Pacer(100, 3_000_000), 7)
+def test_a_tick_is_due_exactly_when_it_is_due(pacer: Pacer, ticks: int) -> None:
+    tick = pacer.ticks_due(pacer.wall_due(0)) + ticks
+    due = pacer.wall_due(tick)
+    assert pacer.ticks_due(due) == tick
+    assert pacer.ticks_due(due - 1) == tick - 1
+
+
+@given(pacers(), instants, st.integers(0, 10**9))
+def test_ticks_follow_the_formula_and_never_go_back(pacer: Pacer, wall_ns: int, later_ns: int) -> None:
+    anchor_wall, anchor_tick = pacer.wall_due(0), pacer.ticks_due(pacer.wall_due(0))
+    elapsed = wall_ns - anchor_wall
+    due = pacer.ticks_due(wall_ns)
+    assert due <= pacer.ticks_due(wall_ns + later_ns)
+    exact = anchor_tick + Fraction(elapsed) * pacer.clock_speed / pacer.tick_ns
+    assert abs(due - exact) <= 1 + pacer.clock_speed / pacer.tick_ns  # wall_due(0) is rounded to a nanosecond
+
+
+@given(speeds, instants, st.integers(0, 10**6))
+def test_an_anchor_is_exact(speed: float, wall_ns: int, tick: int) -> None:
+    pacer = Pacer(speed, 2_000_000)
+    pacer.anchor(wall_ns, tick)
+    assert (pacer.ticks_due(wall_ns), pacer.wall_due(tick)) == (tick, wall_ns)
+
+
+def test_a_speed_is_the_decimal_that_was_written() -> None:
+    """1.5 is 1.5 (AirSim makes 1 of it), and a tenth is a tenth: not one tick is lost in a day."""
+    assert Pacer(1.5, 2_000_000).ticks_due(4_000_000) == 3
+    a_day_ns = 86_400 * 10**9
+    assert Pacer(0.1, 2_000_000).ticks_due(a_day_ns) == a_day_ns // 20_000_000
+    assert Pacer(0.1, 2_000_000).wall_due(4_320_000) == a_day_ns
+    assert positive_clock_speed(np.float64(0.1)) == Fraction(1, 10)
+
+
+def test_a_new_speed_goes_on_from_its_anchor() -> None:
+    pacer = Pacer(1, 2_000_000)
+    pacer.set_clock_speed(10)
+    pacer.anchor(5_000_000, 2)
+    assert pacer.ticks_due(5_000_000 + 1_000_000) == 2 + 5
+
+
+@pytest.mark.parametrize("speed", [0, 0.0, -1, -0.5, float("nan"), float("inf"), -float("inf")])
+def test_a_speed_must_be_above_zero(speed: float) -> None:
+    with pytest.raises(UserError, match=r"^clock_speed must be a finite number above 0, .* not "):
+        Pacer(speed, 2_000_000)
+
+
+def test_a_virtual_clock_jumps_and_never_goes_back() -> None:
+    clock = VirtualClock(100)
+    clock.sleep_until(50)
+    assert clock.now_ns() == 100
+    clock.sleep_until(10**18)
+    clock.charge(5)
+    assert clock.now_ns() == 10**18 + 5
+
+
+def test_the_machines_clock_sleeps_long_enough_and_ignores_charges() -> None:
+    clock = MonotonicClock()
+    start = clock.now_ns()
+    clock.charge(10**15)
+    clock.sleep_until(start - 1)
+    for sleep_ns in (10_000, 2_000_000):  # one spins, one sleeps
+        deadline = clock.now_ns() + sleep_ns
+        clock.sleep_until(deadline)
+        assert clock.now_ns() >= deadline
+    assert clock.now_ns() < start + 10**15
+
+
+def test_sockets_are_waited_for_until_the_deadline() -> None:
+    clock = MonotonicClock()
+    here, there = socket.socketpair()
+    with here, there, selectors.DefaultSelector() as selector:
+        selector.register(here, selectors.EVENT_READ, "here")
+        deadline = clock.now_ns() + 1_000_000
+        assert not wait_for_sockets(selector, deadline)
+        assert clock.now_ns() >= deadline
+        there.send(b"x")
+        for any_deadline in (None, 0, clock.now_ns() + 10**12):
+            assert [key.data for key, _ in wait_for_sockets(selector, any_deadline)] == ["here"]
+
+
+def test_grain_and_calendar() -> None:
+    grain = timer_grain_ns(5)
+    assert grain == sorted(grain)
+    assert len(grain) == 5
+    assert calendar_time()[4] == "-"
