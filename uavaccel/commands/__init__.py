@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from uavaccel.commands import adsc as _adsc
 from uavaccel.commands import tcsc as _tcsc
 from uavaccel.commands.adsc import adsc
 from uavaccel.commands.protocol import MissionClient
 from uavaccel.commands.tcsc import tcsc
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import VelocityGoal
 
 __all__ = ["COMMANDS", "Command", "MissionClient", "VelocityGoal", "adsc", "tcsc"]
 
@@ -19,7 +19,7 @@ class Command(NamedTuple):
     """A command and what a game has to do before its first one."""
 
     begin: Callable[[MissionClient], None]
-    fly: Callable[[MissionClient, VelocityGoal, float, float], Iterator[Kinematics]]
+    fly: Callable[[MissionClient, VelocityGoal, float, float], Iterator[Any]]
 
 
 COMMANDS = {"adsc": Command(_adsc.begin, adsc), "tcsc": Command(_tcsc.begin, tcsc)}

@@ -6,10 +6,11 @@ The simulation runs on while the client waits for the command's end, gathers and
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from uavaccel.commands.protocol import MissionClient
 from uavaccel.commands.slices import samples_due
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import VelocityGoal
 
 
 def begin(client: MissionClient) -> None:
@@ -17,9 +18,7 @@ def begin(client: MissionClient) -> None:
     client.run()
 
 
-def adsc(
-    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float
-) -> Iterator[Kinematics]:
+def adsc(client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float) -> Iterator[Any]:
     """Fly `velocity` for T_move, join, and yield the state every T_sample.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
@@ -32,16 +31,16 @@ def adsc(
         if client.join(future, t_issue + paused_ns + round(t_due / client.clock_speed)):
             break
         t_pause = client.now_ns()
-        state = gather(client)
+        sample = gather(client)
         paused_ns += client.now_ns() - t_pause
-        yield state
+        yield sample
     client.join(future)
     yield gather(client)
 
 
-def gather(client: MissionClient) -> Kinematics:
-    """One sample: the state of a moment at which the clock stood."""
+def gather(client: MissionClient) -> Any:
+    """One sample: of a moment at which the clock stood."""
     client.pause()
-    state = client.kinematics()
+    sample = client.gather(client.kinematics())
     client.run()
-    return state
+    return sample

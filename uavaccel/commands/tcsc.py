@@ -6,10 +6,11 @@ The clock is stopped whenever the client is not flying, so no latency reaches th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from uavaccel.commands.protocol import MissionClient
 from uavaccel.commands.slices import slice_of
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.units import seconds_to_ns
 
 
@@ -20,7 +21,7 @@ def begin(client: MissionClient) -> None:
 
 def tcsc(
     client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
-) -> Iterator[Kinematics]:
+) -> Iterator[Any]:
     """Fly `velocity` for T_move and yield the state every T_sample, the simulation paused before and after.
 
     `t_th_ns`: simulated time below which a slice that ended early counts as complete; the client's latency times
@@ -35,5 +36,5 @@ def tcsc(
         state = client.continue_for(t_wakeup)
         while (t_left := t_start + t_wakeup - state.time_ns) > t_th_ns:  # 3  woke early: run the difference
             state = client.continue_for(t_left)
-        yield state  # 4  gather, the clock stopped
+        yield client.gather(state)  # 4  gather, the clock stopped
         t_start, t_move = t_start + t_wakeup, t_move - t_wakeup

@@ -119,7 +119,11 @@ class Simulation:
     @property
     def time_ns(self) -> int:
         """Simulated time since the simulation was made; a reset does not set it back, as in AirSim."""
-        return self._time0_ns + self.world.tick * self.profile.tick_ns
+        return self.time_of(self.world.tick)
+
+    def time_of(self, tick: int) -> int:
+        """Simulated time at a tick since the last reset."""
+        return self._time0_ns + tick * self.profile.tick_ns
 
     def advance_to(self, wall_ns: int) -> None:
         """Fly every tick that is due by `wall_ns`, and end what ends on the way."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
+from uavaccel.sim.lane import LaneLayout
+from uavaccel.sim.lane_scene import apply_layout, collision_object
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, density_ratio, parameters
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
+
+if TYPE_CHECKING:
+    from uavaccel.sim.camera import Camera
 
 SAMPLE_CAPACITY = 1 << 16
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
@@ -28,17 +33,20 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotor, flown by SimpleFlight's cascade.
 
-    `freeze_on_collision` stops the vehicle where it first touches anything; otherwise MuJoCo's contacts act.
+    In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
+    contacts act.
     """
 
-    def __init__(self, scene: str | Path, profile: Profile, freeze_on_collision: bool = False) -> None:
-        path = scene if isinstance(scene, Path) else asset(f"mjcf/{scene}.xml")
+    def __init__(self, scene: str, profile: Profile) -> None:
+        path = asset(f"mjcf/{scene}.xml")
         self.model = mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.timestep = profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
         self.profile = profile
-        self.freeze_on_collision = freeze_on_collision
+        self.freeze_on_collision = scene == "lane"
+        self.collision_object = ""
+        self._cameras: dict[tuple[int, int], Camera] = {}
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
         self._parameters = parameters(profile.tick_s, profile.hover_after_ticks, mass, inertia)
@@ -83,6 +91,24 @@ class World:
         tick = int(self._field["collision_tick"][0])
         return None if tick == NEVER else tick
 
+    def camera(self, width: int, height: int) -> Camera:
+        """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
+        from uavaccel.sim.camera import Camera  # what needs no images needs no OpenGL
+
+        if (width, height) not in self._cameras:
+            self._cameras[width, height] = Camera(self.model, width, height)
+        return self._cameras[width, height]
+
+    def set_lane(self, layout: LaneLayout) -> None:
+        """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
+        apply_layout(self.model, self.data, layout)
+        self._field["wind"][0] = layout.wind_m_s
+
+    def close(self) -> None:
+        """Give back what OpenGL holds."""
+        while self._cameras:
+            self._cameras.popitem()[1].close()
+
     def reset(self, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
         """Tick 0, at rest in a settled position hold at `position_m`; the recorder stops."""
         self.stop_recording()
@@ -105,6 +131,7 @@ class World:
         self.data.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
         self.data.qvel[:3] = ned_to_mujoco(velocity_m_s)
         self.state["collision_tick"] = NEVER
+        self.collision_object = ""
         hotloop.read_pose(self.state, self.data.qpos)
         hotloop.kick(self.parameters, self.state, self.data.qvel, self.data.qfrc_applied)
 
@@ -132,6 +159,8 @@ class World:
         if self.freeze_on_collision and self.collision_tick is not None:
             return int(hotloop.stand_still(self.state, self._recorder[0], self._samples, ticks))
         flown: int = hotloop.fly.ctypes(self._handles_pointer, ticks)
+        if not self.collision_object and self.collision_tick is not None:
+            self.collision_object = collision_object(self.model, self.data)
         if self._warnings.any():
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")

@@ -14,7 +14,9 @@ from typing import Any
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.world import START_M
 from uavaccel.wire import rpc, types
+from uavaccel.wire.image_api import ImageApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
@@ -37,11 +39,14 @@ class Method:
 class Api:
     """The calls that one simulation answers. `settings` is what getSettingsString returns."""
 
-    def __init__(self, simulation: Simulation, settings: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, simulation: Simulation, settings: dict[str, Any] | None = None, render: bool = True
+    ) -> None:
         self.simulation = simulation
+        self._images = ImageApi(simulation, render)
         self.settings = settings or {}
         self._wall_ns = 0
-        self.methods = self._airsim_methods() | self._own_methods()
+        self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or a `Pending` one. Raises rpc.RpcError.
@@ -87,11 +92,25 @@ class Api:
             "isRecording": Method(lambda: simulation.world.recording, 0),
         }
 
+    def _image_methods(self) -> dict[str, Method]:
+        images = self._images
+        return {
+            "simGetImages": Method(images.get_images, 1, 2),
+            "simGetImage": Method(images.get_image, 2, 2),
+            "simGetCameraInfo": Method(images.camera_info, 1, 2),
+            "simGetCollisionInfo": Method(images.collision_info, 0, 1),
+            "simGetVehiclePose": Method(images.vehicle_pose, 0, 1),
+            "simSetVehiclePose": Method(images.set_vehicle_pose, 2, 1),
+            "uavaccelImage": Method(images.raw_image, 1),
+            "uavaccelSetLane": Method(images.set_lane, 1),
+            "uavaccelCollision": Method(images.collision, 0),
+        }
+
     def _own_methods(self) -> dict[str, Method]:
         return {
             "uavaccelContinueFor": Method(self._continue_for, 1),
             "uavaccelState": Method(lambda: encode_state(self.simulation.kinematics()), 0),
-            "uavaccelStartGame": Method(self._start_game, 1),
+            "uavaccelStartGame": Method(self._start_game, 1, 1),
             "uavaccelSetClockSpeed": Method(self._set_clock_speed, 1),
             "uavaccelSpeed": Method(self._speed, 0),
             "uavaccelRecording": Method(self._recording, 0),
@@ -198,12 +217,12 @@ class Api:
         reply.encode = encode_state
         return reply
 
-    def _start_game(self, clock_speed: Any) -> list[float | int]:
-        """A settled hover, paused, API control on, recording; replies the state."""
+    def _start_game(self, clock_speed: Any, height_m: Any = START_M[2]) -> list[float | int]:
+        """A settled hover at a NED z over the origin, paused, API control on, recording; replies the state."""
         simulation = self.simulation
         simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
         simulation.pause(self._wall_ns)
-        simulation.reset(self._wall_ns)
+        simulation.reset(self._wall_ns, (START_M[0], START_M[1], types.number(height_m, "height_m")))
         simulation.api_control = True
         simulation.world.start_recording()
         return encode_state(simulation.kinematics())

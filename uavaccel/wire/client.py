@@ -6,13 +6,16 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.api import decode_state
+from uavaccel.wire.image_api import decode_image
 from uavaccel.wire.transport import Ticket, Transport
 
+START_HEIGHT_M = -10.0  # NED z: 10 m up
 _MAX_DEGREE_OF_FREEDOM = 0
 
 
@@ -80,14 +83,35 @@ class Client:
     def kinematics(self) -> Kinematics:
         return self._stopped_at or decode_state(self.call("uavaccelState"))
 
+    def gather(self, state: Kinematics) -> Any:
+        return state
+
     # --- games ------------------------------------------------------------------------------------
 
-    def start_game(self, clock_speed: float) -> Kinematics:
-        """A settled hover 10 m up, paused, API control on, recording on."""
+    def start_game(self, clock_speed: float, height_m: float = START_HEIGHT_M) -> Kinematics:
+        """A settled hover at NED z `height_m`, paused, API control on, recording on."""
         self.clock_speed = float(clock_speed)
-        state = decode_state(self.call("uavaccelStartGame", clock_speed))
+        state = decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
         self._stopped_at = state if self._alone else None
         return state
+
+    def set_lane(self, lane: Any) -> None:
+        """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
+        self.call("uavaccelSetLane", lane)
+
+    def image(self, kind: str) -> NDArray[Any]:
+        """The front camera's picture of this moment: gray, colour, depth or segmentation; 144 rows of 256 pixels.
+
+        Unlike other calls it leaves the state known: looking moves nothing.
+        """
+        ticket = self.transport.send("uavaccelImage", (kind,), joined=True)
+        self.transport.wait(ticket)
+        return decode_image(ticket.result())
+
+    def collision(self) -> dict[str, Any]:
+        """What the vehicle has touched since the game's start: time_ns, object, position_m; empty if nothing."""
+        collision: dict[str, Any] = self.call("uavaccelCollision")
+        return collision
 
     def speed(self) -> dict[str, Any]:
         """Requested and achieved speed since the game's start."""

@@ -23,6 +23,9 @@ CHANNELS = {
     "moveByVelocityZ": "move",
     "uavaccelContinueFor": "continue_for",
     "uavaccelState": "state",
+    "uavaccelImage": "image",
+    "simGetImages": "image",
+    "simGetImage": "image",
 }
 _BLOCK = 1024
 
@@ -35,7 +38,7 @@ def channel_of(method: str, params: Sequence[Any]) -> str:
 
 
 class LatencyConfig(Config):
-    """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state; "call" is every other one.
+    """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state, image; "call" is the rest.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
     server ends (it matters to the `airsim` profile's continue-for alone).

@@ -16,7 +16,7 @@ from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
-from uavaccel.wire.client import Client
+from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
@@ -26,8 +26,17 @@ TIMINGS = ("wall", "virtual", "lockstep")
 class Session(Protocol):
     """Starts games and hands out the client that flies them."""
 
-    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
-        """A settled hover, paused and recording; `seed` draws the latencies of a simulated wall clock."""
+    def start_game(
+        self,
+        clock_speed: float,
+        seed: np.random.SeedSequence,
+        lane: Any = None,
+        height_m: float = START_HEIGHT_M,
+    ) -> Client:
+        """A settled hover, paused and recording; `seed` draws the latencies of a simulated wall clock.
+
+        `lane`, in the lane's scene, is laid out before: a seed or whatever else Client.set_lane takes.
+        """
         ...
 
     def close(self) -> None: ...
@@ -64,9 +73,14 @@ class WallSession:
         if core is not None:
             os.sched_setaffinity(0, self._cores - {core})
 
-    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
-        self._client.start_game(clock_speed)
-        return self._client
+    def start_game(
+        self,
+        clock_speed: float,
+        seed: np.random.SeedSequence,
+        lane: Any = None,
+        height_m: float = START_HEIGHT_M,
+    ) -> Client:
+        return _start(self._client, clock_speed, lane, height_m)
 
     def server_memory_mib(self) -> float:
         """Resident memory of the server's process (Linux)."""
@@ -89,6 +103,13 @@ class WallSession:
         self.close()
 
 
+def _start(client: Client, clock_speed: float, lane: Any, height_m: float) -> Client:
+    if lane is not None:
+        client.set_lane(lane)
+    client.start_game(clock_speed, height_m)
+    return client
+
+
 def _cores() -> set[int]:
     """The cores this process may run on; none where the system does not say."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
@@ -101,16 +122,20 @@ class VirtualSession:
         self._world = World(scene, PROFILES[profile])
         self._latency = latency
 
-    def start_game(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+    def start_game(
+        self,
+        clock_speed: float,
+        seed: np.random.SeedSequence,
+        lane: Any = None,
+        height_m: float = START_HEIGHT_M,
+    ) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
         simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
         transport: Any = VirtualTransport(Api(simulation), clock, latency)
-        client = Client(transport, clock_speed, alone=True)
-        client.start_game(clock_speed)
-        return client
+        return _start(Client(transport, clock_speed, alone=True), clock_speed, lane, height_m)
 
     def close(self) -> None:
-        pass
+        self._world.close()
 
     def __enter__(self) -> Self:
         return self

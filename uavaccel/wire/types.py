@@ -87,6 +87,19 @@ def number(value: Any, name: str) -> float:
     return float(value)
 
 
+def pose(value: Any) -> tuple[Vector, Quaternion]:
+    """A Pose's position and wxyz orientation, NaN allowed; raises ValueError."""
+    try:
+        position, orientation = value["position"], value["orientation"]
+        xyz = tuple(float(position[key]) for key in ("x_val", "y_val", "z_val"))
+        wxyz = tuple(float(orientation[key]) for key in ("w_val", "x_val", "y_val", "z_val"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError("pose must be {position: {x_val, ...}, orientation: {w_val, ...}}") from error
+    if math.isinf(sum(xyz)) or math.isinf(sum(wxyz)) or not any(wxyz):
+        raise ValueError("pose must be finite, its orientation not zero")
+    return xyz, wxyz  # type: ignore[return-value]
+
+
 def flag(value: Any, name: str) -> bool:
     """A truth value; raises ValueError."""
     if not isinstance(value, bool | int):

@@ -1,0 +1,57 @@
+"""A client whose samples are images: gathered, checked by the guard, and turned into DVS events while the clock stands.
+
+This is the paper's mission computer (sections II-A, III-B and III-C1): state of the UAV "in a broad sense".
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kinematics import Kinematics
+from uavaccel.vision.guard import GuardSettings, GuardState, acquire
+from uavaccel.vision.perturb import PerturbationSettings, perturb_share
+from uavaccel.wire.client import Client
+
+
+class Sample(NamedTuple):
+    """One gathered sample: the state, the picture of that moment, and how often it was asked for again."""
+
+    state: Kinematics
+    image: NDArray[np.uint8]
+    retries: int
+
+
+class CameraClient(Client):
+    """A `Client` that gathers pictures of `kind`, gray or colour, through the guard.
+
+    `perturbation` spoils a share of the pictures on their way, for testing a pipeline; off by default.
+    """
+
+    def __init__(
+        self,
+        inner: Client,
+        kind: str = "gray",
+        guard: GuardSettings | None = None,
+        perturbation: PerturbationSettings | None = None,
+    ) -> None:
+        super().__init__(inner.transport, inner.clock_speed, alone=True)
+        self._kind = kind
+        self._guard, self._guard_state = guard or GuardSettings(), GuardState()
+        self._perturbation = perturbation
+        self._received = 0
+
+    def gather(self, state: Kinematics) -> Sample:
+        """The picture of this moment. The simulation has to stand still."""
+        acquisition = acquire(self._guard_state, self._receive, self._guard)
+        self._guard_state = acquisition.state
+        return Sample(state, acquisition.image, acquisition.retries)
+
+    def _receive(self) -> NDArray[Any]:
+        image = self.image(self._kind)
+        self._received += 1
+        if self._perturbation is None:
+            return image
+        return perturb_share(image, self._perturbation, self._received)[0]
