@@ -64,7 +64,15 @@ def test_a_nose_up_by_a_quarter_turn_has_a_pitch() -> None:
 def test_attitude_difference_is_the_angle_between(a: Array, b: Array) -> None:
     expected = (rotation(a).inv() * rotation(b)).magnitude()
     assert units.attitude_difference_rad(unit(a), unit(b)) == pytest.approx(expected, abs=1e-6)
-    assert units.attitude_difference_rad(unit(a), -unit(a)) == pytest.approx(0.0, abs=1e-7)
+
+
+@given(quaternions)
+def test_equal_attitudes_differ_by_nothing(quaternion: Array) -> None:
+    """Nor does the float32 that an attitude may have passed through count for more than it is."""
+    attitude = unit(quaternion)
+    assert units.attitude_difference_rad(attitude, attitude) == 0.0
+    assert units.attitude_difference_rad(attitude, -attitude) == 0.0
+    assert units.attitude_difference_rad(attitude, attitude.astype(np.float32)) < 1e-6
 
 
 def test_attitude_differences_of_many() -> None:
