@@ -13,6 +13,7 @@ import numpy as np
 from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import command_gaps_s
+from uavaccel.report import style
 from uavaccel.report.document import Picture
 from uavaccel.report.dp1_scores import CellScores, LoadArrays, Row
 from uavaccel.report.figure2_velocity import VelocityPanel, draw_velocity
@@ -20,7 +21,6 @@ from uavaccel.report.figure3_trajectories import TrajectoryLine, draw_trajectori
 from uavaccel.report.figure4_trellis import Trace, draw_trellis
 from uavaccel.report.figure5_accuracy import draw_accuracy
 from uavaccel.report.figure6_speedup import SpeedupCurve, draw_speedup
-from uavaccel.report.style import clock_label, command_name
 
 _CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
 FIGURE3_ROUNDS = 4  # enough laps to drift, few enough to tell them apart
@@ -108,7 +108,7 @@ def speedup_figure(scores: Sequence[CellScores], summary: Mapping[str, Any], pat
     draw_speedup([_curve(*key, cells) for key, cells in sorted(curves.items())], path, source, rounds)
     return Picture(
         path,
-        f"Figure 6. Effective speed-up of games of {rounds} rounds: mean wall time of ADSC at 1x over the "
+        f"Figure 6. Effective speed-up of games of {style.rounds_label(rounds)}: mean wall time of ADSC at 1x over the "
         f"cell's, with 95 % bootstrap intervals over games. Dashed: the ideal. Source: {source}.",
     )
 
@@ -155,7 +155,7 @@ def _compared_flights(score: CellScores) -> list[tuple[Row, str]]:
         return flights
     best_first = np.argsort(-np.nan_to_num(score.stlc), kind="stable").tolist()
     if score.distinct_games == 1:
-        ranks = {best_first[0]: f"all {len(cell.rows)} identical"}
+        ranks = {0: f"all {len(cell.rows)} identical" if len(cell.rows) > 1 else "one game"}
     else:
         ranks = {best_first[0]: "best", best_first[-1]: "worst"}
     return flights + [
@@ -165,7 +165,7 @@ def _compared_flights(score: CellScores) -> list[tuple[Row, str]]:
 
 
 def _flown_by(row: Row) -> str:
-    return f"{command_name(row['command'])} at {clock_label(row['clock_speed'])}"
+    return f"{style.command_name(row['command'])} at {style.clock_label(row['clock_speed'])}"
 
 
 def _stlc_text(stlc: float) -> str:
@@ -174,7 +174,7 @@ def _stlc_text(stlc: float) -> str:
 
 def _path_label(score: CellScores) -> str:
     key = score.cell.key
-    return f"{key.rounds} round{'s' if key.rounds > 1 else ''}, T_move {key.t_move_s:g} s"
+    return f"{style.rounds_label(key.rounds)}, T_move {key.t_move_s:g} s"
 
 
 def _curve(command: str, t_move_s: float, cells: Sequence[Mapping[str, Any]]) -> SpeedupCurve:
@@ -194,7 +194,7 @@ def _traces(run_dir: Path) -> dict[str, Trace]:
         if not path.is_file():
             continue
         try:
-            found[command_name(command)] = json.loads(path.read_text(encoding="utf-8"))
+            found[style.command_name(command)] = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise UserError(f"{path}: not JSON: {error}") from error
     return found

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from uavaccel.report import style
 
 _AXIS_NAMES = ("north", "east", "down")
+_END: dict[str, Any] = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
+_GAP_COLOUR = "#D0D0D0"
 _VISIBLE_M_S = 0.05  # a component that never gets faster is left out
 
 
@@ -42,7 +48,7 @@ def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str) -> P
         for axes, panel in zip(all_axes, panels, strict=False):
             _draw_panel(axes, panel, _components(panels))
         if panels:
-            _label(all_axes)
+            _label(figure, all_axes)
         return style.save(figure, path)
 
 
@@ -54,21 +60,20 @@ def _components(panels: Sequence[VelocityPanel]) -> list[int]:
 def _draw_panel(axes: Axes, panel: VelocityPanel, components: Sequence[int]) -> None:
     axes.set_title(panel.title)
     for start, end in zip(panel.command_end_s[:-1], panel.command_start_s[1:], strict=True):
-        axes.axvspan(start, end, color="#D0D0D0", linewidth=0)
+        axes.axvspan(start, end, color=_GAP_COLOUR, linewidth=0)
     for end in panel.command_end_s:
-        axes.axvline(end, color=style.BLACK, linestyle=(0, (4, 3)), linewidth=0.9)
+        axes.axvline(end, **_END)
     for axis in components:
         axes.plot(panel.time_s, panel.velocity_m_s[:, axis], label=_AXIS_NAMES[axis], color=style.CYCLE[axis])
 
 
-def _label(all_axes: Sequence[Axes]) -> None:
-    last = all_axes[-1]
-    last.set_xlabel("simulated time, s")
+def _label(figure: Figure, all_axes: Sequence[Axes]) -> None:
     for axes in all_axes:
         axes.set_ylabel("velocity, m/s")
-    last.plot([], [], color=style.BLACK, linestyle=(0, (4, 3)), linewidth=0.9, label="command ends")
-    last.fill_between([], [], color="#D0D0D0", label="no command runs")
-    handles, labels = last.get_legend_handles_labels()
-    all_axes[0].legend(
-        handles, labels, ncols=len(labels), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2
-    )
+    all_axes[-1].set_xlabel("simulated time, s")
+    handles, _ = all_axes[0].get_legend_handles_labels()
+    handles += [
+        Line2D([], [], label="command ends", **_END),
+        Patch(color=_GAP_COLOUR, label="no command runs"),
+    ]
+    figure.legend(handles=handles, ncols=len(handles), loc="outside upper right")

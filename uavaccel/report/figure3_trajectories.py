@@ -12,6 +12,7 @@ import numpy as np
 from uavaccel.report import style
 
 _COLOURS = (style.BLUE, style.GREEN, style.VERMILION)
+_LEAST_SPAN_M = 0.2
 _LEAST_HEIGHT_SPAN_M = 0.5  # millimetres of altitude are not to look like a climb
 
 
@@ -44,7 +45,7 @@ def _scale(axes: Any, lines: Sequence[TrajectoryLine]) -> None:
         return
     points = np.concatenate([line.position_m for line in lines])
     low, high = points.min(axis=0), points.max(axis=0)
-    half_m = max(float(np.max((high - low)[:2])) / 2, 0.5) * 1.05  # north and east to one scale
+    half_m = max(float(np.max((high - low)[:2])), _LEAST_SPAN_M) / 2 * 1.05  # north and east to one scale
     north, east, down = (low + high) / 2
     half_height_m = max(high[2] - low[2], _LEAST_HEIGHT_SPAN_M) / 2
     axes.set_xlim(north - half_m, north + half_m)

@@ -59,7 +59,7 @@ def _draw_boxes(axes: Axes, cell: Mapping[int, Sequence[float]], colour: str) ->
             flierprops={"marker": ".", "markersize": 3, "markeredgecolor": colour},
         )
     else:
-        axes.text(0.5, 0.15, "not flown", transform=axes.transAxes, ha="center", color=style.GREY)
+        axes.text(0.5, 0.15, "no games to compare", transform=axes.transAxes, ha="center", color=style.GREY)
     axes.set_xticks(list(places), [str(n) for n in cell])
     axes.set_xlim(-0.6, len(cell) - 0.4)
     axes.grid(axis="x", visible=False)

@@ -30,7 +30,7 @@ def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds
     """Draw the curves of the games of `rounds` rounds; returns `path`."""
     commands = sorted({curve.command for curve in curves})
     with style.look():
-        title = f"Effective speed-up over ADSC at 1x, {rounds} rounds"
+        title = f"Effective speed-up over ADSC at 1x, {style.rounds_label(rounds)}"
         figure = style.new_figure(2.0 + 3.6 * max(len(commands), 1), 4.2, title, source)
         panels = figure.subplots(1, max(len(commands), 1), sharex=True, sharey=True, squeeze=False)[0]
         if not curves:

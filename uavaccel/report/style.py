@@ -72,6 +72,11 @@ def command_name(command: str) -> str:
     return command.upper()
 
 
+def rounds_label(rounds: int) -> str:
+    """1 round, 24 rounds."""
+    return f"{rounds} round" if rounds == 1 else f"{rounds} rounds"
+
+
 def clock_label(clock_speed: float) -> str:
     """A ClockSpeed as it is written in the figures and tables: 1x, 1.5x, 100x."""
     return f"{clock_speed:g}x"
