@@ -203,6 +203,12 @@ class World:
         """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
         return self._samples[: int(self._recorder["count"][0])].copy()
 
+    def take_samples(self) -> NDArray[np.float64]:
+        """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
+        rows = self.samples()
+        self._recorder["count"] = 0
+        return rows
+
     @property
     def samples_dropped(self) -> int:
         """Samples that found the buffer full."""

@@ -6,9 +6,9 @@ Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBa
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
@@ -17,12 +17,15 @@ from uavaccel.sim.simulation import Pending, Simulation
 from uavaccel.sim.world import START_M
 from uavaccel.wire import rpc, types
 from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.settings import Settings
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
-VEHICLE = "SimpleFlight"
 FORWARD_ONLY = 1
 MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
+LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
+FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
 Handler = Callable[..., Any]
 
@@ -37,14 +40,19 @@ class Method:
 
 
 class Api:
-    """The calls that one simulation answers. `settings` is what getSettingsString returns."""
+    """The calls that one simulation answers. `recordings`: the folder for what startRecording records."""
 
     def __init__(
-        self, simulation: Simulation, settings: dict[str, Any] | None = None, render: bool = True
+        self,
+        simulation: Simulation,
+        settings: Settings | None = None,
+        render: bool = True,
+        recordings: Path | None = None,
     ) -> None:
         self.simulation = simulation
+        self.settings = settings or Settings()
+        self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
         self._images = ImageApi(simulation, render)
-        self.settings = settings or {}
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
 
@@ -65,6 +73,8 @@ class Api:
             return entry.handler(*params)
         except (ValueError, UserError) as error:
             raise rpc.threw(method, len(params), str(error)) from error
+        except Exception as error:  # costs the caller its call and nobody else, as in rpclib
+            raise rpc.threw(method, len(params), f"{type(error).__name__}: {error}") from error
 
     def _airsim_methods(self) -> dict[str, Method]:
         simulation = self.simulation
@@ -72,9 +82,9 @@ class Api:
             "ping": Method(lambda: True, 0),
             "getServerVersion": Method(lambda: SERVER_VERSION, 0),
             "getMinRequiredClientVersion": Method(lambda: MIN_CLIENT_VERSION, 0),
-            "getSettingsString": Method(lambda: json.dumps(self.settings), 0),
-            "listVehicles": Method(lambda: [VEHICLE], 0),
-            "reset": Method(lambda: simulation.reset(self._wall_ns), 0),
+            "getSettingsString": Method(lambda: self.settings.as_json(float(simulation.clock_speed)), 0),
+            "listVehicles": Method(lambda: [self.settings.vehicle], 0),
+            "reset": Method(self._reset, 0),
             "enableApiControl": Method(self._enable_api_control, 1, 1),
             "isApiControlEnabled": Method(self._is_api_control_enabled, 0, 1),
             "armDisarm": Method(self._arm, 1, 1),
@@ -87,8 +97,8 @@ class Api:
             "moveByVelocityZ": Method(self._move_by_velocity_z, 6, 1),
             "hover": Method(self._hover, 0, 1),
             "cancelLastTask": Method(self._cancel, 0, 1),
-            "startRecording": Method(simulation.world.start_recording, 0),
-            "stopRecording": Method(simulation.world.stop_recording, 0),
+            "startRecording": Method(self.recorder.start, 0),
+            "stopRecording": Method(self.recorder.stop, 0),
             "isRecording": Method(lambda: simulation.world.recording, 0),
         }
 
@@ -120,11 +130,20 @@ class Api:
     # --- AirSim -----------------------------------------------------------------------------------
 
     def _check_vehicle(self, name: Any) -> None:
-        if name not in ("", VEHICLE):
+        if name not in ("", self.settings.vehicle):
             raise ValueError(
                 f"Vehicle API for '{name}' is not available. This could either because this is simulation"
-                f"-only API or this vehicle does not exist; there is '{VEHICLE}'"
+                f"-only API or this vehicle does not exist; there is '{self.settings.vehicle}'"
             )
+
+    def _reset(self) -> None:
+        """A recording goes on through it, as in AirSim."""
+        world = self.simulation.world
+        self.recorder.keep()
+        recording = world.recording
+        self.simulation.reset(self._wall_ns)
+        if recording:
+            world.start_recording()
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
@@ -153,7 +172,7 @@ class Api:
         seconds = types.number(value, name)
         if seconds < 0:
             raise ValueError(f"{name} must not be negative, not {seconds:g}")
-        return seconds
+        return min(seconds, LONGEST_S)
 
     def _multirotor_state(self, vehicle: Any = "") -> dict[str, Any]:
         self._check_vehicle(vehicle)
@@ -181,7 +200,7 @@ class Api:
         if seconds <= 0:
             self.simulation.cancel(self._wall_ns)
             return True
-        return self.simulation.fly_velocity(goal, seconds, self._wall_ns)
+        return self._fly(goal, seconds)
 
     def _move_by_velocity_z(
         self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
@@ -193,7 +212,11 @@ class Api:
         if seconds <= 0:
             self.simulation.cancel(self._wall_ns)
             return False
-        return self.simulation.fly_velocity(goal, seconds, self._wall_ns)
+        return self._fly(goal, seconds)
+
+    def _fly(self, goal: VelocityGoal, seconds: float) -> Pending:
+        self.recorder.keep()  # the first command starts the simulation's recorder anew
+        return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
 
     def _hover(self, vehicle: Any = "") -> bool:
         """AirSim's hover ends the running command and lets the goal timeout bring position hold."""
@@ -220,15 +243,20 @@ class Api:
     def _start_game(self, clock_speed: Any, height_m: Any = START_M[2]) -> list[float | int]:
         """A settled hover at a NED z over the origin, paused, API control on, recording; replies the state."""
         simulation = self.simulation
-        simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
+        start_m = (START_M[0], START_M[1], types.coordinate(height_m, "height_m"))
+        self._set_clock_speed(clock_speed)
+        self.recorder.keep()
         simulation.pause(self._wall_ns)
-        simulation.reset(self._wall_ns, (START_M[0], START_M[1], types.number(height_m, "height_m")))
+        simulation.reset(self._wall_ns, start_m)
         simulation.api_control = True
         simulation.world.start_recording()
         return encode_state(simulation.kinematics())
 
     def _set_clock_speed(self, clock_speed: Any) -> None:
-        self.simulation.set_clock_speed(types.number(clock_speed, "clock_speed"), self._wall_ns)
+        speed = types.number(clock_speed, "clock_speed")
+        if speed > FASTEST:
+            raise ValueError(f"clock_speed must be at most {FASTEST:g}, not {speed:g}")
+        self.simulation.set_clock_speed(speed, self._wall_ns)
 
     def _speed(self) -> dict[str, Any]:
         """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""

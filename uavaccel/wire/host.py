@@ -13,7 +13,7 @@ import os
 import sys
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
@@ -24,16 +24,20 @@ def main() -> None:
     options = json.loads(sys.argv[1])
     if options["core"] is not None:
         os.sched_setaffinity(0, {options["core"]})
-    profile = PROFILES[options["profile"]]
-    world = World(options["scene"], profile)
-    world.advance(1)  # compile, or load, the hot loop before anything is timed
-    world.reset()
-    simulation = Simulation(world, 1.0, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
+    simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
     simulation.pause(MonotonicClock().now_ns())
-    server = Server(Api(simulation, {"SimMode": "Multirotor"}), port=0, stop_at_eof=sys.stdin.buffer)
-    gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up
+    server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
     print(json.dumps({"port": server.address[1]}), flush=True)
     server.serve()
+
+
+def ready_simulation(scene: str, profile: Profile, clock_speed: float = 1.0) -> Simulation:
+    """A settled hover on the machine's clock, with nothing left to compile, load or collect that could hold it up."""
+    world = World(scene, profile)
+    world.advance(1)  # compiles the hot loop, or loads it
+    world.reset()
+    gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up
+    return Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0
 CAMERA_MOUNT_M = (0.46, 0.0, 0.0)  # FRD, BP_FlyingPawn's front_center
 FRONT_CAMERAS = ("0", "front_center", "", "fpv")
 DEPTH_VIS_FAR_M = 100.0
+MOST_IMAGES = 64  # of one call, while which the clock is not served
 
 SCENE, DEPTH_PLANAR, DEPTH_PERSPECTIVE, DEPTH_VIS, SEGMENTATION = 0, 1, 2, 3, 5
 PICTURES = ("gray", "colour", "depth", "segmentation")
@@ -63,8 +64,8 @@ class ImageApi:
 
     def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[dict[str, Any]]:
         """simGetImages."""
-        if not isinstance(requests, list):
-            raise ValueError("requests must be a list of ImageRequest")
+        if not isinstance(requests, list) or len(requests) > MOST_IMAGES:
+            raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
         return [self._response(request) for request in requests]
 
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:

@@ -13,6 +13,7 @@ import msgpack
 
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
+MAX_ITEMS = 1 << 14  # of an array: room is made for as many as it announces, at every level of nesting
 
 
 class RpcError(Exception):
@@ -35,12 +36,14 @@ class Request:
 class Decoder:
     """Turns a byte stream into requests, or responses; raises ProtocolError on anything else."""
 
-    def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES) -> None:
+    def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES, max_items: int = MAX_ITEMS) -> None:
         self._unpacker = msgpack.Unpacker(
             raw=False,
             unicode_errors="surrogateescape",  # clients of msgpack 0.5 send bytes as text
             strict_map_key=False,
             max_buffer_size=max_message_bytes,
+            max_array_len=max_items,
+            max_map_len=max_items,
         )
 
     def messages(self, data: bytes) -> Iterator[list[Any]]:
@@ -73,6 +76,8 @@ def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
 
 
 def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
+    if error is not None:  # it may quote bytes that were no text
+        error = error.encode("utf-8", "replace").decode()
     return bytes(msgpack.packb([RESPONSE, message_id, error, result]))
 
 

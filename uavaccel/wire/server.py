@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import selectors
 import socket
+from collections.abc import Callable
 from typing import IO, Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
@@ -23,6 +24,8 @@ SPIN_NS = 300_000  # before something ends, poll instead of sleeping: a process 
 BUSY_NS = 200_000  # after a message, poll for the next one
 READ_BYTES = 1 << 16
 MAX_UNSENT_BYTES = 1 << 26
+MAX_UNPACKED = 8  # answers that wait to be packed: one may be a recording of megabytes
+MAX_CONNECTIONS = 512  # fewer than the files that a process may open
 
 
 class Connection:
@@ -63,11 +66,10 @@ class Server:
         self.api = api
         self.clock = MonotonicClock()
         try:
-            self._listener = socket.create_server((host, port), backlog=16)
-        except OSError as error:
-            raise UserError(
-                f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port"
-            ) from None
+            self._listener = socket.create_server((host, port), backlog=MAX_CONNECTIONS)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise UserError(f"cannot listen on {host}:{port}: {reason}; choose another with --port") from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()
@@ -79,8 +81,8 @@ class Server:
         self._busy_until_ns = 0
         self._stopping = False
 
-    def serve(self) -> None:
-        """Run until `stop`, or an exception such as KeyboardInterrupt."""
+    def serve(self, each_turn: Callable[[], None] = lambda: None) -> None:
+        """Run until `stop`, or an exception such as KeyboardInterrupt; `each_turn` is called after every wake-up."""
         ask_for_fine_timers()
         simulation = self.api.simulation
         simulation.advance_to(self.clock.now_ns())
@@ -90,6 +92,7 @@ class Server:
                     self._serve_socket(key, events)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
+                each_turn()
         finally:
             self.close()
 
@@ -130,6 +133,9 @@ class Server:
             raw, _ = self._listener.accept()
         except OSError:
             return  # it has gone again
+        if len(self._connections) >= MAX_CONNECTIONS:
+            raw.close()
+            return
         connection = Connection(raw)
         try:
             raw.setblocking(False)
@@ -155,6 +161,10 @@ class Server:
             set_quick_ack(connection.socket)
             for message in connection.decoder.messages(data):
                 self._handle(connection, rpc.parse_request(message))
+                if len(self._answers) >= MAX_UNPACKED:
+                    self._flush()
+                if not connection.open:
+                    return  # it asks and never reads
         except (rpc.ProtocolError, OSError):
             self._drop(connection)
 
@@ -196,7 +206,6 @@ class Server:
         except BlockingIOError:
             pass
         except OSError:
-            connection.unsent.clear()
             self._drop(connection)
             return
         if len(connection.unsent) > MAX_UNSENT_BYTES:
@@ -210,6 +219,7 @@ class Server:
         """Forget a client; a command of its own runs on."""
         if connection.open:
             connection.open = False
+            connection.unsent.clear()
             self._selector.unregister(connection.socket)
             connection.socket.close()
             self._connections.discard(connection)

@@ -17,6 +17,7 @@ from uavaccel.wire.latency import Latency, channel_of
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 300_000
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
+_CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 
 
 class Ticket:
@@ -84,7 +85,7 @@ class SocketTransport:
             ) from None
         self._socket.settimeout(None)
         set_no_delay(self._socket)
-        self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES)
+        self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
         self._open: dict[int, Ticket] = {}
         self._next_id = 0
         self._selector = selectors.DefaultSelector()

@@ -10,6 +10,8 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 
 HOME_LATITUDE, HOME_LONGITUDE, HOME_ALTITUDE_M = 47.641468, -122.140165, 122.0
 EARTH_RADIUS_M = 6378137.0
+LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
+FARTHEST_M = 1e6  # a place that physics still resolves
 
 
 def vector_map(vector: Vector) -> dict[str, float]:
@@ -79,25 +81,34 @@ def rc_data_map() -> dict[str, Any]:
 
 
 def number(value: Any, name: str) -> float:
-    """A finite number; raises ValueError."""
+    """A finite number of single precision's range; raises ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} must be a number, not {type(value).__name__}")
-    if not math.isfinite(value):
+    if not abs(value) <= LARGEST:
         raise ValueError(f"{name} must be finite, not {value}")
     return float(value)
 
 
+def coordinate(value: Any, name: str) -> float:
+    """Metres from the origin; raises ValueError."""
+    metres = number(value, name)
+    if abs(metres) > FARTHEST_M:
+        raise ValueError(f"{name} must be within {FARTHEST_M:g} m, not {metres:g}")
+    return metres
+
+
 def pose(value: Any) -> tuple[Vector, Quaternion]:
-    """A Pose's position and wxyz orientation, NaN allowed; raises ValueError."""
+    """A Pose's position and unit wxyz orientation, NaN allowed; raises ValueError."""
     try:
         position, orientation = value["position"], value["orientation"]
         xyz = tuple(float(position[key]) for key in ("x_val", "y_val", "z_val"))
         wxyz = tuple(float(orientation[key]) for key in ("w_val", "x_val", "y_val", "z_val"))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError("pose must be {position: {x_val, ...}, orientation: {w_val, ...}}") from error
-    if math.isinf(sum(xyz)) or math.isinf(sum(wxyz)) or not any(wxyz):
-        raise ValueError("pose must be finite, its orientation not zero")
-    return xyz, wxyz  # type: ignore[return-value]
+    length = math.hypot(*wxyz)
+    if length in (0.0, math.inf) or any(abs(place) > FARTHEST_M for place in xyz):
+        raise ValueError(f"pose must be within {FARTHEST_M:g} m, its orientation finite and not zero")
+    return xyz, tuple(part / length for part in wxyz)  # type: ignore[return-value]
 
 
 def flag(value: Any, name: str) -> bool:
