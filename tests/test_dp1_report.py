@@ -288,7 +288,7 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
 
 
 def test_the_summary_is_the_same_bytes_every_time_and_for_any_jobs(tmp_path: Path) -> None:
-    flown = synthetic_games(rounds=(1, 2), games=2)
+    flown = synthetic_games(clocks=(100.0,), rounds=(1,), games=2)
     written = []
     for name, jobs in (("first", 1), ("second", 2)):
         run_dir = write_run(tmp_path / name, flown)

@@ -20,6 +20,7 @@ from uavaccel.report.dp1_table import HEADER, OVERVIEW_HEADER, overview, table
 __all__ = ["HEADER", "table", "write_report"]
 
 PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
+MOST_JOBS = 8
 
 Summary = dict[str, Any]
 
@@ -27,8 +28,9 @@ Summary = dict[str, Any]
 def write_report(run_dir: Path, jobs: int | None = None) -> Summary:
     """Write summary.json, figures/*.png, report.md and report.html into a DP1 run; returns the summary.
 
-    `jobs` processes compute the metrics (by default all cores, for a large run), the results do not depend
-    on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged files.
+    `jobs` processes compute the metrics, by default one for a small run and otherwise one a core; the
+    results do not depend on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged
+    files.
     """
     run = RunDirectory(run_dir)
     rows: list[Row] = [row for row in run.rows() if row.get("suite") == "dp1"]
@@ -51,7 +53,7 @@ def _load_arrays(run_dir: Path, row: Row) -> Arrays:
 
 
 def _default_jobs(rows: list[Row]) -> int:
-    return 1 if len(rows) < PARALLEL_FROM_GAMES else joblib.cpu_count()
+    return 1 if len(rows) < PARALLEL_FROM_GAMES else min(joblib.cpu_count(), MOST_JOBS)
 
 
 def _draw(

@@ -39,9 +39,7 @@ def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str) -> P
     """
     with style.look():
         rows = max(len(panels), 1)
-        figure = style.new_figure(
-            8.0, 1.2 + 2.1 * rows, "Velocity and ends of commands: two steps forward, one back", source
-        )
+        figure = style.new_figure(8.0, 1.2 + 2.1 * rows, "Two steps forward, one back", source)
         all_axes = list(figure.subplots(rows, 1, sharex=True, sharey=True, squeeze=False)[:, 0])
         if not panels:
             style.note(all_axes[0], "no flight recorded")
