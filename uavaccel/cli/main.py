@@ -105,6 +105,29 @@ def bench(
     run_benches(names or [], soak_s, out)
 
 
+@app.command()
+def serve(
+    settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
+    clock: Annotated[float | None, typer.Option(help="ClockSpeed; otherwise the settings', or 1.")] = None,
+    port: Annotated[
+        int | None, typer.Option(help="Otherwise the settings', or 41451; 0: any free one.")
+    ] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; without it never beyond this machine.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+    scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
+    recordings: Annotated[
+        Path | None, typer.Option(help="Folder for what startRecording records; otherwise the settings'.")
+    ] = None,
+) -> None:
+    """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""
+    from uavaccel.cli.serve import Request
+    from uavaccel.cli.serve import serve as serve_clients
+
+    serve_clients(Request(settings, clock, port, host, profile, scene, recordings))
+
+
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:

@@ -1,0 +1,202 @@
+"""`uavaccel serve`: a free-running server for AirSim's clients, until Ctrl-C."""
+
+from __future__ import annotations
+
+import ipaddress
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from uavaccel.errors import UserError
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.simulation import Simulation, Speed
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.api import FASTEST, Api
+from uavaccel.wire.host import ready_simulation
+from uavaccel.wire.server import Server
+from uavaccel.wire.settings import Settings, read_settings
+
+PERIOD_NS = 2 * NS_PER_S  # between two looks at the achieved speed
+
+console = Console(highlight=False, markup=False)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for on the command line; None leaves it to the settings."""
+
+    settings: Path | None = None
+    clock_speed: float | None = None
+    port: int | None = None
+    host: str | None = None
+    profile: str = "native"
+    scene: str = "blocks"
+    recordings: Path | None = None
+
+
+def serve(request: Request) -> None:
+    """Listen, say where, and serve until SIGINT or SIGTERM. Raises UserError with one clear line."""
+    settings = read_settings(request.settings) if request.settings else Settings()
+    host, clock_speed = address_of(request, settings), clock_speed_of(request, settings)
+    simulation = simulation_of(request, settings, clock_speed)
+    api = Api(simulation, settings, recordings=recordings_of(request, settings))
+    server = Server(api, host, settings.api_server_port if request.port is None else request.port)
+    if settings.recording.enabled:
+        start_recording(api)
+    greet(server, request, settings)
+    report = Report(server)
+    with stopped_by_signals(server):
+        try:
+            server.serve(report.each_turn)
+        finally:
+            report.finish()
+
+
+def address_of(request: Request, settings: Settings) -> str:
+    """Where to listen. Beyond this machine only if the command line says so. Raises UserError."""
+    if request.host is not None:
+        return request.host
+    if not is_loopback(settings.host):
+        raise UserError(
+            f"{request.settings}: LocalHostIp = {settings.host!r} listens beyond this machine, where anybody may "
+            f"fly the drone; if that is meant, add --host {settings.host}"
+        )
+    return settings.host
+
+
+def is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def clock_speed_of(request: Request, settings: Settings) -> float:
+    """The requested ClockSpeed; the simulation refuses 0 and below. Raises UserError."""
+    speed = settings.clock_speed if request.clock_speed is None else request.clock_speed
+    if speed > FASTEST:
+        raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
+    return speed
+
+
+def simulation_of(request: Request, settings: Settings, clock_speed: float) -> Simulation:
+    """The scene, settled and running. Raises UserError for an unknown scene or profile."""
+    if request.profile not in PROFILES:
+        raise UserError(f"--profile {request.profile}: there are {', '.join(PROFILES)}")
+    profile = settings.recorder_of(PROFILES[request.profile])
+    simulation = ready_simulation(request.scene, profile, clock_speed)
+    wind = settings.wind
+    simulation.world.state["wind"] = (wind.x, wind.y, wind.z)
+    return simulation
+
+
+def recordings_of(request: Request, settings: Settings) -> Path | None:
+    """The folder for recordings; None keeps them in memory."""
+    return request.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
+
+
+def start_recording(api: Api) -> None:
+    """Record from the start, as Recording.Enabled asks. Raises UserError."""
+    try:
+        api.recorder.start()
+    except OSError as error:
+        raise UserError(f"the recording cannot be written: {error}") from None
+
+
+def greet(server: Server, request: Request, settings: Settings) -> None:
+    """Say where the server listens and how the vehicle waits for its client."""
+    host, port = server.address
+    speed = float(server.api.simulation.clock_speed)
+    console.print(
+        f"listening on {host}:{port}: scene {request.scene}, profile {request.profile}, ClockSpeed {speed:g}"
+    )
+    console.print(
+        f"{settings.vehicle} hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
+    )
+    if not is_loopback(host):
+        console.print(
+            f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password"
+        )
+    if passed_over := settings.passed_over():
+        console.print(f"{request.settings}: without meaning here: {', '.join(passed_over)}")
+
+
+@contextmanager
+def stopped_by_signals(server: Server) -> Iterator[None]:
+    """Let SIGINT and SIGTERM end the server after its present turn."""
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, lambda *_: server.stop()) for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
+
+
+class Report:
+    """What the terminal shows while the server runs, and the upkeep that can wait for it."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._simulation = server.api.simulation
+        self._next_ns = server.clock.now_ns() + PERIOD_NS
+        self._speed = self._simulation.speed
+        self._total = Speed()
+        self._warned_of_lost_ns = 0
+        self._failure: str | None = None
+
+    def each_turn(self) -> None:
+        """Cheap, except once in a period."""
+        if self._simulation.speed is not self._speed:  # a reset begins a new count
+            self._total = add(self._total, self._speed)
+            self._speed = self._simulation.speed
+        if self._server.clock.now_ns() >= self._next_ns:
+            self._next_ns = self._server.clock.now_ns() + PERIOD_NS
+            self._look()
+
+    def finish(self) -> None:
+        """Close the recording; say in one line how fast it went."""
+        self._upkeep(self._server.api.recorder.stop)
+        console.print(f"stopped; {self._text()}")
+
+    def _look(self) -> None:
+        self._upkeep(self._server.api.recorder.keep)
+        lost_ns = add(self._total, self._speed).lost_wall_ns
+        if lost_ns > 2 * self._warned_of_lost_ns:  # a few lines, however long it goes on
+            self._warned_of_lost_ns = lost_ns
+            console.print(f"warning: the machine does not keep up; {self._text()}")
+        failure = self._simulation.failure
+        if failure and failure != self._failure:
+            console.print(f"warning: the flight cannot go on ({failure}); a reset starts anew")
+        self._failure = failure
+        if console.is_terminal:
+            console.print(f"{self._text()} ", end="\r")
+
+    def _upkeep(self, work: Any) -> None:
+        try:
+            work()
+        except OSError as error:
+            console.print(f"warning: the recording ends here: {error}")
+
+    def _text(self) -> str:
+        speed = add(self._total, self._speed)
+        requested = float(self._simulation.clock_speed)
+        lost = f", {speed.lost_wall_ns / NS_PER_S:.3f} s of wall time lost" if speed.lost_wall_ns else ""
+        return (
+            f"requested {requested:g}x, achieved {speed.real_time_factor:.2f}x "
+            f"over {speed.wall_ns / NS_PER_S:.1f} s{lost}"
+        )
+
+
+def add(one: Speed, other: Speed) -> Speed:
+    """Both together."""
+    return Speed(
+        one.simulated_ns + other.simulated_ns,
+        one.wall_ns + other.wall_ns,
+        one.lost_wall_ns + other.lost_wall_ns,
+    )
