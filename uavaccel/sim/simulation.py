@@ -133,7 +133,7 @@ class Simulation:
             end_tick = self._next_event_tick()
             target = self.pacer.ticks_due(wall_ns)
             self._fly_to(target if end_tick is None else min(target, end_tick))
-            if end_tick is None or end_tick > target or self.failure:
+            if end_tick is None or end_tick > target:
                 break
             self._end_at_tick(self.pacer.wall_due(end_tick))
         if (timer := self.wall_timer_ns()) is not None and wall_ns >= timer:
@@ -158,20 +158,20 @@ class Simulation:
         lost = behind_ns - (self.catch_up_wall_ns or 0)
         if not self.paused and lost > 0:
             self.speed.lost_wall_ns += lost
-            self.pacer.anchor(wall_ns - (self.catch_up_wall_ns or 0), self.world.tick)
+            self.pacer.anchor(wall_ns - (self.catch_up_wall_ns or 0), self.world.tick + 1)
 
     def _fly_to(self, tick: int) -> None:
-        try:
-            while (ticks := tick - self.world.tick) > 0:
-                self.speed.simulated_ns += self.world.advance(ticks) * self.profile.tick_ns
-        except FlightError as error:
-            self._fail(str(error))
+        """Fly up to a tick. What cannot be integrated is a `failure`, and the vehicle stands still from there on.
 
-    def _fail(self, reason: str) -> None:
-        """Stop a flight that cannot be integrated; a reset starts anew."""
-        self.failure = reason
-        self._end_command(False, self._wall_ns)
-        self.pause(self._wall_ns)
+        Time goes on, so that nobody waits for ever; commands end with False.
+        """
+        start_tick = self.world.tick
+        while (ticks := tick - self.world.tick) > 0:
+            try:
+                self.world.advance(ticks)
+            except FlightError as error:
+                self.failure = str(error)
+        self.speed.simulated_ns += (self.world.tick - start_tick) * self.profile.tick_ns
 
     def _account(self, wall_ns: int) -> None:
         if not self.paused:
@@ -187,7 +187,7 @@ class Simulation:
     def _end_at_tick(self, wall_ns: int) -> None:
         tick = self.world.tick
         if self._command and self._command.end_tick <= tick:
-            self._end_command(True, wall_ns)
+            self._end_command(self.failure is None, wall_ns)
         if self._continue and self._continue.end_tick is not None and self._continue.end_tick <= tick:
             self.pause(wall_ns)
 

@@ -132,6 +132,7 @@ class World:
         self.data.qvel[:3] = ned_to_mujoco(velocity_m_s)
         self.state["collision_tick"] = NEVER
         self.collision_object = ""
+        self._failed = False
         hotloop.read_pose(self.state, self.data.qpos)
         hotloop.kick(self.parameters, self.state, self.data.qvel, self.data.qfrc_applied)
 
@@ -154,14 +155,15 @@ class World:
     def advance(self, ticks: int) -> int:
         """Fly up to `ticks` ticks; returns how many: fewer where something is touched for the first time.
 
-        Raises FlightError if MuJoCo warns.
+        Raises FlightError when MuJoCo warns; the vehicle then stands still until it is placed anew.
         """
-        if self.freeze_on_collision and self.collision_tick is not None:
+        if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
             return int(hotloop.stand_still(self.state, self._recorder[0], self._samples, ticks))
         flown: int = hotloop.fly.ctypes(self._handles_pointer, ticks)
         if not self.collision_object and self.collision_tick is not None:
             self.collision_object = collision_object(self.model, self.data)
         if self._warnings.any():
+            self._failed = True
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")
         return flown

@@ -1,0 +1,45 @@
+"""A simulation to test on: one world of each profile, shared, so only one simulation of a profile at a time."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.profile import NATIVE, Profile
+from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.world import World
+
+NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
+
+
+@cache
+def world_of(profile: Profile) -> World:
+    return World("blocks", profile)
+
+
+def simulate(clock_speed: float = 1.0, profile: Profile = NATIVE, **options: Any) -> Simulation:
+    """A settled hover at wall time 0, running, with API control."""
+    simulation = Simulation(world_of(profile), clock_speed, **options)
+    simulation.reset(0)
+    simulation.api_control = True
+    return simulation
+
+
+def go_to(simulation: Simulation, tick: int) -> int:
+    """Let wall time pass until the tick is due; the wall time."""
+    wall_ns = simulation.pacer.wall_due(tick)
+    simulation.advance_to(wall_ns)
+    return wall_ns
+
+
+def position(simulation: Simulation) -> NDArray[np.float64]:
+    return np.array(simulation.world.state["position"])
+
+
+def answer(reply: Pending) -> Any:
+    assert reply.due_wall_ns is not None, "the reply is not due yet"
+    return reply.value
