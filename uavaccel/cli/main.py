@@ -128,6 +128,14 @@ def serve(
     serve_clients(Request(settings, clock, port, host, profile, scene, recordings))
 
 
+@app.command()
+def doctor() -> None:
+    """Look at this machine: versions, timers, hot loop, who draws the images."""
+    from uavaccel.cli.doctor import examine
+
+    examine()
+
+
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:

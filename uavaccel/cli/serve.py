@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import ipaddress
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
@@ -22,8 +21,6 @@ from uavaccel.wire.server import Server
 from uavaccel.wire.settings import Settings, read_settings
 
 PERIOD_NS = 2 * NS_PER_S  # between two looks at the achieved speed
-
-console = Console(highlight=False, markup=False)
 
 
 @dataclass(frozen=True)
@@ -112,18 +109,14 @@ def greet(server: Server, request: Request, settings: Settings) -> None:
     """Say where the server listens and how the vehicle waits for its client."""
     host, port = server.address
     speed = float(server.api.simulation.clock_speed)
-    console.print(
-        f"listening on {host}:{port}: scene {request.scene}, profile {request.profile}, ClockSpeed {speed:g}"
-    )
-    console.print(
+    say(f"listening on {host}:{port}: scene {request.scene}, profile {request.profile}, ClockSpeed {speed:g}")
+    say(
         f"{settings.vehicle} hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
     )
     if not is_loopback(host):
-        console.print(
-            f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password"
-        )
+        say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
     if passed_over := settings.passed_over():
-        console.print(f"{request.settings}: without meaning here: {', '.join(passed_over)}")
+        say(f"{request.settings}: without meaning here: {', '.join(passed_over)}")
 
 
 @contextmanager
@@ -162,26 +155,26 @@ class Report:
     def finish(self) -> None:
         """Close the recording; say in one line how fast it went."""
         self._upkeep(self._server.api.recorder.stop)
-        console.print(f"stopped; {self._text()}")
+        say(f"stopped; {self._text()}")
 
     def _look(self) -> None:
         self._upkeep(self._server.api.recorder.keep)
         lost_ns = add(self._total, self._speed).lost_wall_ns
         if lost_ns > 2 * self._warned_of_lost_ns:  # a few lines, however long it goes on
             self._warned_of_lost_ns = lost_ns
-            console.print(f"warning: the machine does not keep up; {self._text()}")
+            say(f"warning: the machine does not keep up; {self._text()}")
         failure = self._simulation.failure
         if failure and failure != self._failure:
-            console.print(f"warning: the flight cannot go on ({failure}); a reset starts anew")
+            say(f"warning: the flight cannot go on ({failure}); a reset starts anew")
         self._failure = failure
-        if console.is_terminal:
-            console.print(f"{self._text()} ", end="\r")
+        if sys.stdout.isatty():
+            say(self._text(), end="\r")
 
     def _upkeep(self, work: Any) -> None:
         try:
             work()
         except OSError as error:
-            console.print(f"warning: the recording ends here: {error}")
+            say(f"warning: the recording ends here: {error}")
 
     def _text(self) -> str:
         speed = add(self._total, self._speed)
@@ -191,6 +184,11 @@ class Report:
             f"requested {requested:g}x, achieved {speed.real_time_factor:.2f}x "
             f"over {speed.wall_ns / NS_PER_S:.1f} s{lost}"
         )
+
+
+def say(text: str, end: str = "\n") -> None:
+    """One line, at once; on a terminal over what "\\r" left there."""
+    print(text + ("\x1b[K" if sys.stdout.isatty() else ""), end=end, flush=True)
 
 
 def add(one: Speed, other: Speed) -> Speed:

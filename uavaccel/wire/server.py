@@ -68,7 +68,7 @@ class Server:
         try:
             self._listener = socket.create_server((host, port), backlog=MAX_CONNECTIONS)
         except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = (getattr(error, "strerror", None) or str(error)).partition(" (while")[0]
             raise UserError(f"cannot listen on {host}:{port}: {reason}; choose another with --port") from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._listener.setblocking(False)

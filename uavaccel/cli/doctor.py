@@ -1,0 +1,139 @@
+"""`uavaccel doctor`: what this machine has for a simulator, a measurement and a camera, and what it lacks."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from uavaccel.clock import calendar_time
+from uavaccel.errors import UserError
+from uavaccel.manifest import describe_run
+from uavaccel.suites.host_check import check_host
+
+USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
+TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it
+PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"  # not from sim.gl: importing MuJoCo may be what fails
+
+# Both in processes of their own: a library that is missing or crashes is a line of the report.
+HOT_LOOP = """
+import json
+from uavaccel.clock import MonotonicClock
+clock = MonotonicClock()
+import mujoco, numba, numpy, pydantic
+start_ns = clock.now_ns()
+from uavaccel.sim import hotloop
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+World("blocks", NATIVE).advance(1)
+print(json.dumps({"cached": bool(hotloop.fly.cache_hits), "seconds": (clock.now_ns() - start_ns) / 1e9}))
+"""
+RENDERER = """
+import dataclasses, json
+from uavaccel.sim.gl import describe_renderer
+print(json.dumps(dataclasses.asdict(describe_renderer())))
+"""
+
+console = Console(highlight=False, markup=False)
+
+
+class Finding(NamedTuple):
+    """One line of the report; `problem` marks what somebody might want to mend."""
+
+    name: str
+    text: str
+    problem: bool = False
+
+
+class ProbeError(Exception):
+    """A probe ended without an answer; the text says how, in one line, and if `advised` what to do about it."""
+
+    def __init__(self, text: str, advised: bool = False) -> None:
+        super().__init__(text)
+        self.advised = advised
+
+
+def examine() -> None:
+    """Print the report, as the findings come in."""
+    problems = 0
+    for finding in findings():
+        row = Table.grid(padding=(0, 1))
+        row.add_column(min_width=9)
+        row.add_column(overflow="fold")
+        row.add_row(finding.name, f"{'! ' if finding.problem else ''}{finding.text}")
+        console.print(row)
+        problems += finding.problem
+    console.print("nothing to mend" if not problems else f"{problems} to look at, marked with !")
+
+
+def findings() -> Iterator[Finding]:
+    """Everything that is looked at, the quick things first."""
+    run = describe_run(["doctor"], 0, calendar_time())
+    versions = run["versions"]
+    missing = [name for name, version in versions.items() if version is None]
+    yield Finding(
+        "versions",
+        ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items()),
+        bool(missing),
+    )
+    yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
+    yield from measuring()
+    yield hot_loop()
+    yield renderer()
+
+
+def measuring() -> Iterator[Finding]:
+    """Whether a wall clock measures anything here."""
+    host = check_host()
+    yield Finding("cores", f"{host['cores']}, load {host['load_1min']:.2f}")
+    yield Finding(
+        "timers",
+        f"a sleep ends {host['timer_late_median_us']:.0f} us late (median), "
+        f"{host['timer_late_p90_us']:.0f} us (90th percentile)",
+    )
+    yield Finding("timing", f"wall: {host['verdict']}", host["verdict"] != "quiet")
+
+
+def hot_loop() -> Finding:
+    """Whether the simulator flies, and whether numba has kept the compiled loop."""
+    try:
+        found = probe(HOT_LOOP)
+    except ProbeError as error:
+        return Finding("hot loop", f"does not run: {error}", True)
+    if found["cached"]:
+        return Finding("hot loop", f"ready in {found['seconds']:.1f} s, from numba's cache")
+    return Finding("hot loop", f"compiled in {found['seconds']:.1f} s; numba's cache has it from now on")
+
+
+def renderer() -> Finding:
+    """Who would draw the camera's images."""
+    try:
+        found = probe(RENDERER)
+    except ProbeError as error:
+        advice = "" if error.advised else f"; install {PACKAGES} (Debian)"
+        return Finding("images", f"none, all else works: {error}{advice}", True)
+    where = ", software on the CPU, slow" if found["software"] else ""
+    return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
+
+
+def probe(program: str) -> dict[str, Any]:
+    """What a Python program prints as JSON. Raises ProbeError with one line."""
+    command = [sys.executable, "-c", program]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        raise ProbeError(f"no answer within {TIMEOUT_S:.0f} s") from None
+    if done.returncode < 0:
+        raise ProbeError(f"it crashed ({signal.Signals(-done.returncode).name})")
+    if done.returncode:
+        kind, _, text = done.stderr.strip().splitlines()[-1].partition(": ")
+        advised = kind == USER_ERROR
+        raise ProbeError(text if advised else f"{kind}: {text}", advised)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
