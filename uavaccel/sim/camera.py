@@ -56,17 +56,21 @@ class Camera:
         fov_deg: float = FOV_DEG,
     ) -> None:
         self.model = model
-        self.width, self.height, self.fov_deg = width, height, fov_deg
+        self.width, self.height = width, height
+        self._half_width = float(np.tan(np.radians(fov_deg) / 2))  # of the picture, one metre ahead
+        self._half_height = self._half_width * height / width
         self._view = _fixed_view(model, camera)
         self._options = _options(model, self._view.fixedcamid)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 8)
         for flag, value in _RENDER_FLAGS.items():
             self._scene.flags[flag] = value
+        self._as_ids = False
+        self._resized = not self._models_own_view()
         self._eyes = list(self._scene.camera)  # views of MuJoCo's own two, which it averages
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._pixels: Image = np.empty((height, width, 3), np.uint8)
         self._depth: DepthImage = np.empty((height, width), np.float32)
-        self._ray_length = _ray_lengths(width, height, fov_deg)
+        self._ray_length = _ray_lengths(width, height, self._half_width)
         self._open()
 
     def _open(self) -> None:
@@ -91,9 +95,16 @@ class Camera:
         mujoco.mjr_readPixels(self._pixels, None, self._rectangle, self._context)
         return _turn_over(self._pixels, out)
 
+    def render_again(self, out: Image) -> None:
+        """The scene of the last picture once more, upside down: the bare loop that ours is measured against."""
+        mujoco.mjr_render(self._rectangle, self._scene, self._context)
+        mujoco.mjr_readPixels(out, None, self._rectangle, self._context)
+
     def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
         """Luma of the colour picture (ITU-R BT.601, as OpenCV and v2e take it); (height, width) uint8."""
-        return np.asarray(cv2.cvtColor(self.colour(data), cv2.COLOR_RGB2GRAY, dst=out))
+        self._draw(data)
+        mujoco.mjr_readPixels(self._pixels, None, self._rectangle, self._context)
+        return _turn_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGB2GRAY), out)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
         """Metres along the optical axis (AirSim's DepthPlanar); `far_m` for the sky; (height, width) float32."""
@@ -130,16 +141,23 @@ class Camera:
         self._make_current()
         mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
         mujoco.mj_camlight(self.model, data)
-        self._scene.flags[_ID_FLAGS] = as_ids
+        if as_ids != self._as_ids:
+            self._scene.flags[_ID_FLAGS] = self._as_ids = as_ids
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._view, _EVERYTHING, self._scene)
-        self._set_field_of_view()
+        if self._resized:
+            self._set_field_of_view()
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
 
+    def _models_own_view(self) -> bool:
+        """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
+        half_height = np.tan(np.radians(self.model.cam_fovy[self._view.fixedcamid]) / 2)
+        return abs(half_height / self._half_height - 1) * self.width < 1e-3
+
     def _set_field_of_view(self) -> None:
-        half_width = self._eyes[0].frustum_near * np.tan(np.radians(self.fov_deg) / 2)
-        half_height = half_width * self.height / self.width
+        near = self._eyes[0].frustum_near
         for eye in self._eyes:
-            eye.frustum_width, eye.frustum_top, eye.frustum_bottom = half_width, half_height, -half_height
+            eye.frustum_width = near * self._half_width
+            eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
 
     def _make_current(self) -> None:
         if getattr(_in_thread, "camera", None) is self:
@@ -193,12 +211,12 @@ def _set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
 
 
-def _ray_lengths(width: int, height: int, fov_deg: float) -> DepthImage:
+def _ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
     """Length of each pixel's ray to the plane one metre ahead; (height, width)."""
-    pixel = 2 * np.tan(np.radians(fov_deg) / 2) / width
-    east = (np.arange(width) + 0.5 - width / 2) * pixel
+    pixel = 2 * half_width / width
+    right = (np.arange(width) + 0.5 - width / 2) * pixel
     down = (np.arange(height) + 0.5 - height / 2) * pixel
-    return np.sqrt(1 + east[None, :] ** 2 + down[:, None] ** 2).astype(np.float32)
+    return np.sqrt(1 + right[None, :] ** 2 + down[:, None] ** 2).astype(np.float32)
 
 
 def _turn_over(picture: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:

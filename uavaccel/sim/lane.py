@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
-from uavaccel.errors import UserError
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation"]
@@ -61,7 +60,7 @@ class Difficulty(Config):
     def _row_fits(self) -> Self:
         needed = (self.obstacles_per_row - 1) * self.pitch_m
         if needed >= WIDTH_M:
-            raise UserError(
+            raise ValueError(
                 f"obstacles_per_row = {self.obstacles_per_row} with half_width_m = {self.half_width_m:g} and "
                 f"min_gap_m = {self.min_gap_m:g} need {needed:g} m; the lane is {WIDTH_M:g} m wide"
             )

@@ -48,9 +48,7 @@ class Obstacle(Config):
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
         if (self.radius_m is None) == (self.half_side_m is None):
-            raise UserError(
-                "an obstacle needs radius_m (a cylinder) or half_side_m (a square post), one of them"
-            )
+            raise ValueError("should have radius_m (a cylinder) or half_side_m (a square post), one of them")
         return self
 
 

@@ -1,0 +1,362 @@
+"""The camera: known geometry, pictures of the moment, contexts that come and go, and machines without OpenGL."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.resources import asset
+from uavaccel.sim import gl
+from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
+from uavaccel.sim.camera_bench import bench_camera
+from uavaccel.sim.lane import draw_layout
+from uavaccel.sim.lane_file import layout_from
+from uavaccel.sim.lane_scene import apply_layout
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+
+
+def opengl_works() -> bool:
+    try:
+        return bool(gl.choose_backend())
+    except UserError:
+        return False
+
+
+needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
+
+EYE_AHEAD_M = 0.46
+WALL_FACE_M, POST_FACE_M = 5.0, 6.0
+SCENE = """
+<mujoco>
+  <include file="{quadrotor}"/>
+  <visual>
+    <map znear="0.0005" zfar="3"/>
+    <headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/>
+  </visual>
+  <statistic extent="100" center="0 0 0"/>
+  <asset>
+    <texture name="sky" type="skybox" builtin="flat" rgb1="0 0 1" width="8" height="8"/>
+  </asset>
+  <worldbody>
+    <light directional="true" castshadow="false" dir="1 0 0" diffuse="1 1 1" ambient="0 0 0" specular="0 0 0"/>
+    <geom name="post" type="box" pos="{post} 0 10" size="1 1 1" rgba="1 0 0 1"/>
+    <geom name="left_up" type="box" pos="{post} 3 12" size="1 0.5 0.5" rgba="0 1 0 1"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def posts() -> mujoco.MjModel:
+    """A red cube 6 m ahead of the eye, a green block up to the left, a blue sky."""
+    quadrotor = asset("mjcf/quadrotor.xml")
+    return mujoco.MjModel.from_xml_string(
+        SCENE.format(quadrotor=quadrotor, post=EYE_AHEAD_M + POST_FACE_M + 1.0)
+    )
+
+
+@pytest.fixture
+def lane() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    data = mujoco.MjData(model)
+    apply_layout(model, data, draw_layout(0))
+    return model, data
+
+
+@pytest.fixture
+def eye(posts: mujoco.MjModel) -> Iterator[Camera]:
+    with Camera(posts) as camera:
+        yield camera
+
+
+@needs_opengl
+def test_a_picture_has_its_top_first_and_its_left_to_the_left(posts: mujoco.MjModel, eye: Camera) -> None:
+    picture = eye.colour(mujoco.MjData(posts))
+    assert picture.shape == (HEIGHT, WIDTH, 3) == (144, 256, 3)
+    assert picture.dtype == np.uint8
+    assert picture[72, 128].tolist() == [255, 0, 0]
+    assert picture[140, 250].tolist() == [0, 0, 255]
+    green = np.argwhere(picture[:, :, 1] > 200)
+    assert green[:, 0].max() < 72
+    assert green[:, 1].max() < 128
+
+
+@needs_opengl
+def test_gray_is_the_luma_of_the_colours(posts: mujoco.MjModel, eye: Camera) -> None:
+    gray = eye.gray(mujoco.MjData(posts))
+    assert gray.shape == (144, 256)
+    assert gray[72, 128] == round(0.299 * 255)
+    assert gray[140, 250] == round(0.114 * 255)
+
+
+@needs_opengl
+def test_depth_is_in_metres(posts: mujoco.MjModel, eye: Camera) -> None:
+    data = mujoco.MjData(posts)
+    planar, along_rays = eye.depth(data), eye.depth_perspective(data)
+    assert planar.dtype == along_rays.dtype == np.float32
+    face = eye.segmentation(data) == posts.geom("post").id
+    assert np.allclose(planar[face], POST_FACE_M, rtol=1e-4)
+    row, column = np.argwhere(face)[0]
+    ray = np.hypot(1.0, np.hypot((column + 0.5 - 128) / 128, (row + 0.5 - 72) / 128))
+    assert along_rays[row, column] == pytest.approx(POST_FACE_M * ray, rel=1e-4)
+    assert planar[140, 250] == pytest.approx(eye.far_m, rel=1e-4)
+
+
+@needs_opengl
+@pytest.mark.parametrize(("width", "height", "fov_deg"), [(256, 144, 90.0), (64, 64, 90.0), (160, 40, 120.0)])
+def test_the_field_of_view_is_horizontal(
+    posts: mujoco.MjModel, width: int, height: int, fov_deg: float
+) -> None:
+    """The cube is 2 m wide and 6 m away."""
+    with Camera(posts, width, height, fov_deg=fov_deg) as camera:
+        cube = camera.segmentation(mujoco.MjData(posts)) == posts.geom("post").id
+    focal = width / 2 / np.tan(np.radians(fov_deg) / 2)
+    assert cube.any(axis=0).sum() == pytest.approx(2.0 / POST_FACE_M * focal, abs=1.0)
+    assert cube.any(axis=1).sum() == pytest.approx(2.0 / POST_FACE_M * focal, abs=1.0)
+
+
+@needs_opengl
+def test_segmentation_names_what_is_seen(posts: mujoco.MjModel, eye: Camera) -> None:
+    seen = eye.segmentation(mujoco.MjData(posts))
+    assert seen.dtype == np.int32
+    assert seen[72, 128] == posts.geom("post").id
+    assert seen[140, 250] == -1
+    assert eye.object_names(seen) == ["left_up", "post"]
+
+
+@needs_opengl
+def test_the_lane_is_worth_seeing(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    model, data = lane
+    with Camera(model) as camera:
+        picture, seen = camera.colour(data), camera.segmentation(data)
+        names = camera.object_names(seen)
+    assert picture.std() > 30
+    assert {"ground", "wall_east", "wall_west", "obstacle_00"} <= set(names)
+    assert not [name for name in names if name.startswith("quadrotor")]
+
+
+@needs_opengl
+def test_moved_obstacles_and_less_light_are_seen(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    model, data = lane
+    with Camera(model) as camera:
+        before = camera.colour(data)
+        for post in ({"y_m": 0.0, "half_side_m": 1.0}, {"y_m": 0.0, "radius_m": 1.0}):
+            apply_layout(model, data, layout_from({"obstacles": [{"x_m": 5.0, **post}]}, "test"))
+            moved = camera.colour(data)
+            assert camera.segmentation(data)[72, 128] == model.geom("obstacle_00").id
+            assert camera.depth(data)[72, 128] == pytest.approx(5.0 - 1.0 - EYE_AHEAD_M, rel=0.03)
+            assert not np.array_equal(before, moved)
+        apply_layout(model, data, layout_from({"obstacles": [], "light": 0.3}, "test"))
+        assert camera.gray(data)[72:].mean() < 0.5 * moved[72:].mean()
+
+
+@needs_opengl
+def test_a_picture_is_of_the_pose_at_that_moment(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    """MuJoCo's own places lag a step behind the pose; the camera's must not."""
+    model, data = lane
+    with Camera(model) as camera:
+        mujoco.mj_forward(model, data)
+        data.qpos[0] = 3.0
+        late = camera.depth(data)
+        mujoco.mj_forward(model, data)
+        assert np.array_equal(late, camera.depth(data))
+        data.qpos[0] = 0.0
+        assert not np.array_equal(late, camera.depth(data))
+
+
+@needs_opengl
+def test_looking_does_not_change_the_flight() -> None:
+    ends = []
+    for looks in (False, True):
+        world = World("lane", NATIVE)
+        world.set_lane(draw_layout(1))
+        world.reset()
+        world.fly_velocity((1.0, 0.4, 0.0), height_held=False, yaw=0.2, yaw_is_rate=True)
+        for _ in range(20):
+            world.advance(50)
+            if looks:
+                world.camera(WIDTH, HEIGHT).colour(world.data)
+        ends.append((world.data.qpos.tobytes(), world.data.qvel.tobytes()))
+        world.close()
+    assert ends[0] == ends[1]
+
+
+@needs_opengl
+def test_same_data_same_bytes_in_every_kind(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    """Whatever was drawn in between, by whichever of two cameras."""
+    model, data = lane
+    with Camera(model) as first, Camera(model, 64, 36) as second:
+        kinds = (first.colour, first.gray, first.depth, first.depth_perspective, first.segmentation)
+        before = [kind(data).tobytes() for kind in kinds]
+        small = second.colour(data).tobytes()
+        assert [kind(data).tobytes() for kind in reversed(kinds)] == before[::-1]
+        assert second.colour(data).tobytes() == small
+    with Camera(model) as third:
+        assert third.colour(data).tobytes() == before[0]
+
+
+@needs_opengl
+def test_pictures_fill_what_is_given_and_are_not_reused(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    model, data = lane
+    with Camera(model) as camera:
+        kinds = (camera.colour, camera.gray, camera.depth, camera.depth_perspective, camera.segmentation)
+        for kind in cast("tuple[Callable[..., NDArray[Any]], ...]", kinds):
+            fresh = kind(data)
+            out = np.zeros_like(fresh)
+            assert kind(data, out) is out
+            assert np.array_equal(out, fresh)
+            assert kind(data) is not fresh
+            with pytest.raises(ValueError, match=r"shape|broadcast|does not match"):
+                kind(data, np.zeros((3, 4, 5, 6), fresh.dtype))
+
+
+@needs_opengl
+def test_contexts_open_and_close_many_times(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+    model, data = lane
+    with Camera(model) as kept:
+        wanted = kept.colour(data)
+        for _ in range(5):
+            other = Camera(model, 32, 18)
+            assert other.colour(data).any()
+            other.close()
+            other.close()
+            assert np.array_equal(kept.colour(data), wanted)
+    with pytest.raises(ValueError, match="closed"):
+        kept.colour(data)
+
+
+@needs_opengl
+def test_a_camera_that_is_not_there(posts: mujoco.MjModel) -> None:
+    with pytest.raises(UserError, match="no camera 'tail' in the scene; there is front_center"):
+        Camera(posts, camera="tail")
+
+
+LOOK = """
+import mujoco, sys
+from uavaccel.resources import asset
+from uavaccel.sim.camera import Camera
+model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+camera, dropped = Camera(model), Camera(model, 32, 18)
+print(camera.colour(mujoco.MjData(model)).any())
+del dropped
+{end}
+"""
+
+
+def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+
+
+@needs_opengl
+@pytest.mark.parametrize(
+    ("end", "status", "said"),
+    [("", 0, ""), ("sys.exit(3)", 3, ""), ("1 / 0", 1, "ZeroDivisionError: division by zero\n")],
+)
+def test_nothing_is_said_at_exit(end: str, status: int, said: str) -> None:
+    done = run_python(LOOK.format(end=end))
+    assert done.stdout == "True\n"
+    assert done.returncode == status
+    assert done.stderr.endswith(said)
+    assert done.stderr.count("Error") == said.count("Error")
+    assert "Exception ignored" not in done.stderr
+
+
+WORKERS = """
+import sys
+from joblib import Parallel, delayed
+sys.path.insert(0, {folder!r})
+from test_camera_worker import look
+if __name__ == "__main__":
+    print(Parallel(n_jobs=2)(delayed(look)(index) for index in range(3)))
+"""
+WORKER = """
+import mujoco
+from uavaccel.resources import asset
+from uavaccel.sim.camera import Camera
+
+kept = []
+
+def look(index):
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    kept.append(Camera(model, 32, 18))
+    return bool(kept[-1].colour(mujoco.MjData(model)).any())
+"""
+
+
+@needs_opengl
+def test_workers_end_without_noise(tmp_path: os.PathLike[str]) -> None:
+    folder = os.fspath(tmp_path)
+    with open(os.path.join(folder, "test_camera_worker.py"), "w", encoding="utf-8") as module:
+        module.write(WORKER)
+    done = run_python(WORKERS.format(folder=folder))
+    assert done.stdout == "[True, True, True]\n"
+    assert done.stderr == ""
+
+
+def test_without_opengl_one_line_names_the_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(UserError, match=r"libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 \(Debian\)$"):
+        gl.make_context(8, 8)
+
+
+def test_images_that_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    with pytest.raises(UserError, match="MUJOCO_GL=off switches images off"):
+        gl.choose_backend()
+
+
+def test_a_backend_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setitem(sys.modules, "mujoco.egl", None)
+    with pytest.raises(UserError, match=r"does not work with MUJOCO_GL=egl .*install libegl1"):
+        gl.make_context(8, 8)
+
+
+def test_a_probe_that_crashes_is_no_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl, "_PROBE", "import os; os.abort()")
+    gl._first_that_works.cache_clear()
+    assert gl._first_that_works() is None
+    gl._first_that_works.cache_clear()
+
+
+def test_flying_needs_no_opengl() -> None:
+    code = (
+        "import sys\n"
+        "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
+        "from uavaccel.sim.lane import draw_layout\n"
+        "world = World('lane', NATIVE); world.set_lane(draw_layout(0)); world.reset(); world.advance(10)\n"
+        "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@needs_opengl
+def test_the_bench_measures_ours_and_the_bare_loop() -> None:
+    figures = bench_camera(rounds=1)
+    assert figures["frames_per_s"] > 0
+    assert figures["bare_frames_per_s"] > 0
+    assert (figures["width"], figures["height"]) == (256, 144)
+    assert figures["gl_software"] == gl.describe_renderer().software
