@@ -16,7 +16,8 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.report.dp1_report import HEADER, table, write_report
+from uavaccel.report.dp1_report import write_report
+from uavaccel.report.dp1_table import HEADER, OVERVIEW_HEADER, overview, table
 from uavaccel.suites import dp1
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.host_check import check_host
@@ -28,6 +29,8 @@ SINGLE_CLOCK_GAMES = 3  # of a quick measurement: `run dp1 --clock 50` and nothi
 NPZ_BYTES_PER_S = 20 * 14 * 8  # of simulated time
 VIRTUAL_RATE = 300.0  # simulated seconds a wall second and process, about
 CALL_S = 150e-6  # wall time of a call on a loopback socket, about
+
+TABLE_WIDTH = 170
 
 console = Console(highlight=False)
 
@@ -122,13 +125,20 @@ def fly(config: dp1.Dp1Config, cases: Sequence[dp1.Case], run: RunDirectory, job
             run.write_json(f"traces/{command}.json", trace)
 
 
+def print_table(summary: dict[str, Any]) -> None:
+    """Every cell where the terminal is wide enough, as a file or pipe is; else the worst of each ClockSpeed."""
+    wide = not console.is_terminal or console.width >= TABLE_WIDTH
+    header, rows = (HEADER, table(summary)) if wide else (OVERVIEW_HEADER, overview(summary))
+    lines = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        lines.add_row(*row)
+    console.print(lines, width=TABLE_WIDTH if wide else None)
+
+
 def report_run(run_dir: Path) -> None:
     """Write a run's report; print its table and the paths of its figures."""
     summary = write_report(run_dir)
-    terminal_table = Table(*HEADER, box=None, pad_edge=False)
-    for row in table(summary):
-        terminal_table.add_row(*row)
-    console.print(terminal_table)
+    print_table(summary)
     slow = [cell for cell in summary["cells"] if cell["lost_wall_s"]]
     if slow:
         lost_s = sum(cell["lost_wall_s"] for cell in slow)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from uavaccel.commands import adsc as _adsc
 from uavaccel.commands import tcsc as _tcsc
@@ -15,11 +15,24 @@ from uavaccel.kinematics import VelocityGoal
 __all__ = ["COMMANDS", "Command", "MissionClient", "VelocityGoal", "adsc", "tcsc"]
 
 
+class Fly(Protocol):
+    """A command's flight: yields what the client gathers every T_sample."""
+
+    def __call__(
+        self,
+        client: MissionClient,
+        velocity: VelocityGoal,
+        t_move_s: float,
+        t_sample_s: float,
+        t_th_ns: int = 0,
+    ) -> Iterator[Any]: ...
+
+
 class Command(NamedTuple):
     """A command and what a game has to do before its first one."""
 
     begin: Callable[[MissionClient], None]
-    fly: Callable[[MissionClient, VelocityGoal, float, float], Iterator[Any]]
+    fly: Fly
 
 
 COMMANDS = {"adsc": Command(_adsc.begin, adsc), "tcsc": Command(_tcsc.begin, tcsc)}

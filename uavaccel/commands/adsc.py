@@ -18,8 +18,10 @@ def begin(client: MissionClient) -> None:
     client.run()
 
 
-def adsc(client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float) -> Iterator[Any]:
-    """Fly `velocity` for T_move, join, and yield the state every T_sample.
+def adsc(
+    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
+) -> Iterator[Any]:
+    """Fly `velocity` for T_move, join, and yield a sample every T_sample; `t_th_ns` is TCSC's and has no part here.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
     pause, gather, continue, the last one after the join.

@@ -26,15 +26,15 @@ def tcsc(
 
     `t_th_ns`: simulated time below which a slice that ended early counts as complete; the client's latency times
     ClockSpeed where continue-for is a wall timer, 0 where it is exact. The paper never advances T_start; here
-    deadlines are absolute, so nothing accumulates.
+    deadlines are absolute, so neither an early nor a late end adds up.
     """
-    t_start = client.kinematics().time_ns  # 1  measure the start, issue the command
+    state = client.kinematics()  # 1  measure the start, issue the command
+    t_start = state.time_ns
     client.move_async(velocity, t_move_s)
     t_move, t_sample = seconds_to_ns(t_move_s), seconds_to_ns(t_sample_s)
     while t_move > 0:
-        t_wakeup = slice_of(t_move, t_sample)  # 2  run, then pause
-        state = client.continue_for(t_wakeup)
-        while (t_left := t_start + t_wakeup - state.time_ns) > t_th_ns:  # 3  woke early: run the difference
-            state = client.continue_for(t_left)
+        t_wakeup = slice_of(t_move, t_sample)
+        while (t_left := t_start + t_wakeup - state.time_ns) > t_th_ns:
+            state = client.continue_for(t_left)  # 2  run, then pause; 3  woke early: run the difference
         yield client.gather(state)  # 4  gather, the clock stopped
         t_start, t_move = t_start + t_wakeup, t_move - t_wakeup

@@ -19,7 +19,7 @@ from uavaccel.commands.paths import PATHS, velocities
 from uavaccel.commands.slices import samples_due
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import CommandName, Experiment, Timing, positive
+from uavaccel.suites.experiment import CommandName, Experiment, Timing, positive, t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
@@ -167,9 +167,12 @@ def fly(config: Dp1Config, case: Case, client: Client) -> float:
     """Fly the case's path; seconds of wall time from the first issue to the last return."""
     command = COMMANDS[case.command]
     t_sample_s = config.t_sample_s or case.t_move_s
+    t_th = t_th_ns(config, case.clock_speed, t_sample_s)
     command.begin(client)
     start_ns = client.now_ns()
     for velocity in velocities(case.path, case.rounds, config.speed_m_s):
-        for _ in command.fly(client, VelocityGoal(velocity, config.height_m), case.t_move_s, t_sample_s):
+        for _ in command.fly(
+            client, VelocityGoal(velocity, config.height_m), case.t_move_s, t_sample_s, t_th
+        ):
             pass
     return (client.now_ns() - start_ns) / NS_PER_S

@@ -11,6 +11,8 @@ from pydantic import field_validator
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
+from uavaccel.sim.profile import PROFILES
+from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyConfig
 
 Timing = Literal["wall", "virtual", "lockstep"]
@@ -30,6 +32,8 @@ class Experiment(Config):
     """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
     profile: ProfileName = "native"
     seed: int = 0
+    t_th_wall_s: float = 0.001
+    """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
     latency: LatencyConfig
     """The latency model that `virtual` draws from; `uavaccel calibrate` writes this block."""
 
@@ -54,6 +58,18 @@ def positive(values: tuple[float, ...]) -> tuple[float, ...]:
         if value <= 0:
             raise ValueError(f"must be above 0, not {value:g}")
     return values
+
+
+def t_th_ns(config: Experiment, clock_speed: float, t_sample_s: float) -> int:
+    """T_th in simulated nanoseconds: 0 where continue-for is exact; else the latency times ClockSpeed.
+
+    At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
+    """
+    profile = PROFILES[config.profile]
+    if profile.exact_times:
+        return 0
+    latency_s = min(config.t_th_wall_s * clock_speed, 0.1 * t_sample_s)
+    return max(seconds_to_ns(latency_s), profile.tick_ns)
 
 
 ExperimentType = TypeVar("ExperimentType", bound=Experiment)
