@@ -117,7 +117,7 @@ def renderer() -> Finding:
         found = probe(RENDERER)
     except ProbeError as error:
         advice = "" if error.advised else f"; install {PACKAGES} (Debian)"
-        return Finding("images", f"none, all else works: {error}{advice}", True)
+        return Finding("images", f"none: {error}{advice}", True)
     where = ", software on the CPU, slow" if found["software"] else ""
     return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
 
