@@ -1,0 +1,247 @@
+"""ADSC and TCSC against a scripted client: which calls, in which order, at which times."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uavaccel.commands import COMMANDS, VelocityGoal, adsc, tcsc
+from uavaccel.commands.paths import PATHS, velocities
+from uavaccel.commands.slices import samples_due, slice_of
+from uavaccel.kinematics import Kinematics
+
+MS = 1_000_000
+NORTH = VelocityGoal((1.0, 0.0, 0.0))
+AT_REST = Kinematics(0, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+Call = tuple[Any, ...]
+
+
+@dataclass
+class ScriptedClient:
+    """Simulated and wall time under a script; every call is logged.
+
+    `early_ns`: by how much each continue-for in turn ends early. `latency_ns`: wall time that a call takes. The command
+    ends `clock_speed` times faster than simulated, on a wall clock that stands while the simulation is paused.
+    """
+
+    clock_speed: float = 1.0
+    early_ns: list[int] = field(default_factory=list)
+    latency_ns: int = 0
+    calls: list[Call] = field(default_factory=list)
+    time_ns: int = 7 * MS
+    wall_ns: int = 1_000 * MS
+    left_ns: int = 0
+    paused: bool = False
+
+    def now_ns(self) -> int:
+        return self.wall_ns
+
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> str:
+        self._take(self.latency_ns, "move", goal, t_move_s)
+        self.left_ns = round(t_move_s * 1e9 / self.clock_speed)
+        return "future"
+
+    def join(self, future: str, deadline_ns: int | None = None) -> bool:
+        assert future == "future"
+        end_ns = self.wall_ns + self.left_ns
+        until_ns = end_ns if deadline_ns is None else min(end_ns, max(deadline_ns, self.wall_ns))
+        self._take(until_ns - self.wall_ns, "join", deadline_ns)
+        return self.left_ns == 0
+
+    def pause(self) -> None:
+        self._take(self.latency_ns, "pause")
+        self.paused = True
+
+    def run(self) -> None:
+        self._take(self.latency_ns, "run")
+        self.paused = False
+
+    def continue_for(self, duration_ns: int) -> Kinematics:
+        self.calls.append(("continue", duration_ns))
+        self.time_ns += duration_ns - (self.early_ns.pop(0) if self.early_ns else 0)
+        return replace(AT_REST, time_ns=self.time_ns)
+
+    def kinematics(self) -> Kinematics:
+        self._take(self.latency_ns, "state")
+        return replace(AT_REST, time_ns=self.time_ns)
+
+    def gather(self, state: Kinematics) -> tuple[str, int]:
+        self.calls.append(("gather",))
+        return ("sample", state.time_ns)
+
+    def _take(self, wall_ns: int, *call: Any) -> None:
+        self.calls.append(call)
+        self.wall_ns += wall_ns
+        if not self.paused:
+            passed_ns = min(wall_ns, self.left_ns)
+            self.left_ns -= passed_ns
+            self.time_ns += round(passed_ns * self.clock_speed)
+
+    def names(self) -> str:
+        return " ".join(str(call[0]) for call in self.calls)
+
+
+# --- TCSC: Figure 4 ---------------------------------------------------------------------------------------
+
+
+def test_tcsc_is_figure_4() -> None:
+    client = ScriptedClient()
+    assert list(tcsc(client, NORTH, 1.0, 1.0)) == [("sample", 1007 * MS)]
+    assert client.calls == [("state",), ("move", NORTH, 1.0), ("continue", 1000 * MS), ("gather",)]
+
+
+def test_tcsc_takes_three_samples_a_command_as_in_the_paper() -> None:
+    client = ScriptedClient()
+    samples = list(tcsc(client, NORTH, 1.0, 0.33))
+    assert samples == [("sample", (7 + t) * MS) for t in (330, 660, 1000)]
+    assert client.calls[2:] == [
+        *[("continue", 330 * MS), ("gather",)] * 2,
+        *[("continue", 340 * MS), ("gather",)],
+    ]
+
+
+def test_tcsc_gathers_before_it_goes_on() -> None:
+    """A generator: who thinks between two samples thinks while the clock stands."""
+    client = ScriptedClient()
+    flight = tcsc(client, NORTH, 1.0, 0.5)
+    next(flight)
+    assert client.names() == "state move continue gather"
+    next(flight)
+    assert client.names() == "state move continue gather continue gather"
+
+
+def test_tcsc_that_woke_early_runs_the_difference() -> None:
+    client = ScriptedClient(early_ns=[30 * MS, 5 * MS, 0, 2 * MS])
+    samples = list(tcsc(client, NORTH, 1.0, 0.5))
+    assert [call[1] for call in client.calls if call[0] == "continue"] == [
+        *[500 * MS, 30 * MS, 5 * MS],
+        *[500 * MS, 2 * MS],
+    ]
+    assert samples == [("sample", 507 * MS), ("sample", 1007 * MS)]
+
+
+@pytest.mark.parametrize(("early_ms", "calls"), [(9, 1), (10, 1), (11, 2)])
+def test_a_difference_up_to_t_th_counts_as_complete(early_ms: int, calls: int) -> None:
+    client = ScriptedClient(early_ns=[early_ms * MS])
+    list(tcsc(client, NORTH, 1.0, 1.0, t_th_ns=10 * MS))
+    assert client.names().count("continue") == calls
+
+
+def test_neither_early_nor_late_ends_add_up() -> None:
+    """Deadlines are absolute: each slice makes good what the last one was short of or beyond by."""
+    client = ScriptedClient(early_ns=[8 * MS, 8 * MS, -6 * MS, -6 * MS])
+    samples = list(tcsc(client, NORTH, 1.0, 0.25, t_th_ns=10 * MS))
+    assert [time_ns // MS - 7 for _, time_ns in samples] == [242, 492, 756, 1006]
+    assert [call[1] // MS for call in client.calls if call[0] == "continue"] == [250, 258, 258, 244]
+
+
+# --- ADSC: section II-B -------------------------------------------------------------------------------------
+
+
+def test_adsc_joins_and_gathers_with_the_clock_stopped() -> None:
+    client = ScriptedClient()
+    assert list(adsc(client, NORTH, 1.0, 1.0)) == [("sample", 1007 * MS)]
+    assert client.calls == [
+        ("move", NORTH, 1.0),
+        ("join", None),
+        ("pause",),
+        ("state",),
+        ("gather",),
+        ("run",),
+    ]
+
+
+def test_adsc_samples_are_due_at_multiples_of_t_sample() -> None:
+    client = ScriptedClient(clock_speed=10.0)
+    samples = list(adsc(client, NORTH, 1.0, 0.33))
+    assert samples == [("sample", (7 + t) * MS) for t in (330, 660, 1000)]
+    assert [call for call in client.calls if call[0] == "join"] == [
+        ("join", 1_000 * MS + 33 * MS),
+        ("join", 1_000 * MS + 66 * MS),
+        ("join", None),
+    ]
+    gather = "pause state gather run"
+    assert client.names() == f"move join {gather} join {gather} join {gather}"
+
+
+def test_adsc_allows_for_the_time_it_stood_still() -> None:
+    """The deadline of the second sample is later by what the first one took from pause to continue."""
+    client = ScriptedClient(latency_ns=2 * MS)
+    list(adsc(client, NORTH, 1.0, 0.5))
+    deadlines = [call[1] for call in client.calls if call[0] == "join"]
+    assert deadlines == [1_000 * MS + 500 * MS, None]
+    client = ScriptedClient(latency_ns=2 * MS)
+    list(adsc(client, NORTH, 1.0, 0.25))
+    deadlines = [call[1] for call in client.calls if call[0] == "join"]
+    assert deadlines[:3] == [1_000 * MS + (250 * n + 6 * (n - 1)) * MS for n in (1, 2, 3)]
+
+
+def test_adsc_whose_command_ended_takes_no_more_samples_but_the_last() -> None:
+    """At 1000x a call costs more simulated time than there is between two samples."""
+    client = ScriptedClient(clock_speed=1000.0, latency_ns=2 * MS)
+    assert list(adsc(client, NORTH, 1.0, 0.1)) == [("sample", 1007 * MS)] * 2
+    gather = "pause state gather run"
+    assert client.names() == f"move join {gather} join join {gather}"
+
+
+def test_adsc_lets_the_clock_run_and_tcsc_stops_it() -> None:
+    """Before the first command of a game."""
+    for name, call in (("adsc", "run"), ("tcsc", "pause")):
+        client = ScriptedClient()
+        COMMANDS[name].begin(client)
+        assert client.calls == [(call,)]
+
+
+# --- slices and paths -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("t_move_s", "t_sample_s", "due_ms"),
+    [
+        (1.0, 0.33, [330, 660, 1000]),
+        (1.0, 1.0, [1000]),
+        (0.1, 1.0, [100]),
+        (0.1, 0.05, [50, 100]),
+        (1.0, 0.4, [400, 800, 1000]),
+        (0.2, 0.06, [60, 120, 180, 200]),
+    ],
+)
+def test_a_command_is_cut_into_samples(t_move_s: float, t_sample_s: float, due_ms: Sequence[int]) -> None:
+    assert samples_due(t_move_s, t_sample_s) == [due * MS for due in due_ms]
+
+
+@given(st.integers(1, 5000), st.integers(1, 5000))
+def test_slices_fill_the_command_and_none_is_a_stub(t_move_ms: int, t_sample_ms: int) -> None:
+    due = samples_due(t_move_ms / 1000, t_sample_ms / 1000)
+    slices = [later - earlier for earlier, later in zip([0, *due], due, strict=False)]
+    assert sum(slices) == due[-1] == t_move_ms * MS
+    assert all(length == t_sample_ms * MS for length in slices[:-1])
+    assert len(slices) == 1 or slices[-1] >= 0.05 * t_sample_ms * MS
+    assert slices[-1] < 1.05 * t_sample_ms * MS
+    assert slice_of(t_move_ms * MS, t_sample_ms * MS) == slices[0]
+
+
+def test_paths_are_lists_of_velocities() -> None:
+    assert velocities("square", 2) == [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)] * 2
+    assert velocities("two_forward_one_back", 1, 2.0) == [(2, 0, 0), (2, 0, 0), (-2, 0, 0)]
+    assert velocities([(0.0, 0.0, -1.0)], 3, 5.0) == [(0, 0, -1)] * 3, "the caller's own are not scaled"
+    for path in PATHS.values():
+        assert len(set(path)) > 1
+
+
+def test_the_commands_bring_no_simulator_with_them() -> None:
+    """They could drive a real AirSim: neither MuJoCo nor our simulation, wire or NumPy's accelerators come along."""
+    code = "import sys, uavaccel.commands, uavaccel.commands.paths; print(*sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(result.stdout.split())
+    assert "uavaccel.commands.tcsc" in loaded
+    strangers = {"mujoco", "numba", "msgpack", "pydantic", "uavaccel.sim", "uavaccel.wire", "uavaccel.envs"}
+    assert not {name for name in loaded for stranger in strangers if f"{name}.".startswith(f"{stranger}.")}
