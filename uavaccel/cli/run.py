@@ -12,25 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from uavaccel.cli.progress import Progress
+from uavaccel.cli.suites import SuiteEntry, entry
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.report.dp1_report import write_report
-from uavaccel.report.dp1_table import HEADER, OVERVIEW_HEADER, overview, table
-from uavaccel.suites import dp1
-from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.suites.experiment import Experiment, read_mapping, resolve
 from uavaccel.suites.host_check import check_host
-from uavaccel.suites.runner import Suite, run_cases
-from uavaccel.suites.traces import record_trace
-from uavaccel.wire.session import open_session
-
-SINGLE_CLOCK_GAMES = 3  # of a quick measurement: `run dp1 --clock 50` and nothing else
-NPZ_BYTES_PER_S = 20 * 14 * 8  # of simulated time
-VIRTUAL_RATE = 300.0  # simulated seconds a wall second and process, about
-CALL_S = 150e-6  # wall time of a call on a loopback socket, about
-
-TABLE_WIDTH = 170
+from uavaccel.suites.runner import AnyCase, run_cases
 
 console = Console(highlight=False)
 
@@ -50,27 +39,19 @@ class Request:
 
 def run_experiment(request: Request) -> None:
     """Fly, report, print the table. Raises UserError or UsageError with one clear line."""
-    config = configure(request)
+    suite, config = configure(request)
     if request.jobs < 1 or (request.jobs > 1 and config.timing == "wall"):
         raise UsageError(
             "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
         )
-    cases = list(dp1.cases(config))
-    out = (
-        request.out
-        or Path("runs")
-        / f"{request.experiment.removesuffix('.yaml').split('/')[-1]}-{calendar_time()[:19].replace(':', '')}"
-    )
-    print_plan(config, cases, request.jobs, out)
+    cases = list(suite.cases(config))
+    out = request.out or Path("runs") / f"{Path(request.experiment).stem}-{_time_stamp()}"
+    print_plan(suite, config, cases, request.jobs, out)
     if request.dry_run:
         return
-    manifest = describe_run(sys.argv, config.seed, calendar_time())
-    if config.timing == "wall":
-        manifest["host_check"] = check_host()
-        console.print(f"host check: {manifest['host_check']['verdict']}")
-    run = RunDirectory.create(out, config, manifest, request.resume)
+    run = RunDirectory.create(out, config, manifest_of(suite, config), request.resume)
     try:
-        fly(config, cases, run, request.jobs)
+        fly(suite, config, cases, run, request.jobs)
     except KeyboardInterrupt:
         raise UserError(
             f"interrupted; go on with --out {out} --resume, the other options as they were"
@@ -78,25 +59,60 @@ def run_experiment(request: Request) -> None:
     report_run(out)
 
 
-def configure(request: Request) -> dp1.Dp1Config:
-    """The configuration. A shipped experiment with a single --clock is measured, on a wall clock, in few games."""
+def configure(request: Request) -> tuple[SuiteEntry, Any]:
+    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly."""
     mapping, source = read_mapping(request.experiment)
-    options = dict(request.options)
-    single_clock = options["clock_speed"] is not None and len(options["clock_speed"]) == 1
-    if single_clock and not request.experiment.endswith((".yaml", ".yml")):
-        options["timing"] = options["timing"] or "wall"
-        options["games"] = options["games"] or SINGLE_CLOCK_GAMES
-        mapping["reference_games"] = SINGLE_CLOCK_GAMES
-    if mapping.get("suite") != "dp1":
-        raise UserError(f"{source}: suite = {mapping.get('suite')!r} is unknown; there is dp1")
-    return resolve(dp1.Dp1Config, mapping, source, options, request.overrides)
+    suite = entry(mapping.get("suite"), source)
+    options = {key: value for key, value in request.options.items() if value is not None}
+    shipped = not request.experiment.endswith((".yaml", ".yml"))
+    if shipped and len(options.get("clock_speed", ())) == 1:
+        mapping |= suite.quick
+        options.setdefault("timing", "wall")
+    _fit_options(suite, options, mapping["suite"])
+    return suite, resolve(suite.config, mapping, source, options, request.overrides)
 
 
-def print_plan(config: dp1.Dp1Config, cases: Sequence[dp1.Case], jobs: int, out: Path) -> None:
+def _fit_options(suite: SuiteEntry, options: dict[str, Any], name: str) -> None:
+    """Turn an option given once into the one value that the suite takes. Raises UsageError where it takes none."""
+    for key, value in options.items():
+        option = f"--{key.replace('clock_speed', 'clock').removesuffix('_s').replace('_', '-')}"
+        if key not in suite.config.model_fields:
+            raise UsageError(f"{option}: {name} has no such option")
+        several = "tuple" in str(suite.config.model_fields[key].annotation)
+        if isinstance(value, list) and not several:
+            if len(value) > 1:
+                raise UsageError(f"{option}: {name} takes one value, not {len(value)}")
+            options[key] = value[0]
+
+
+def _time_stamp() -> str:
+    return calendar_time()[:19].replace(":", "")
+
+
+def manifest_of(suite: SuiteEntry, config: Experiment) -> dict[str, Any]:
+    """What the run is made with. Checks the host first, and the renderer of a suite that needs one."""
+    renderer = None
+    if suite.renders:
+        from uavaccel.sim.gl import describe_renderer
+
+        renderer = describe_renderer()
+        console.print(f"renderer: {renderer.name}{' (software)' if renderer.software else ''}")
+    name = renderer.name if renderer else None
+    manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
+    if config.timing == "wall":
+        manifest["host_check"] = check_host()
+        console.print(f"host check: {manifest['host_check']['verdict']}")
+    return manifest
+
+
+def print_plan(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], jobs: int, out: Path) -> None:
     """Games, simulated seconds, estimated wall time and disk of the run to come."""
     simulated_s = sum(case.simulated_s() for case in cases)
-    wall_s = sum(estimated_wall_s(case, jobs) for case in cases)
-    disk_mb = simulated_s * NPZ_BYTES_PER_S / 1e6
+    costs = [suite.cost(config, case) for case in cases]
+    wall_s = sum(
+        cost.wall_s / (1 if case.timing == "wall" else jobs) for case, cost in zip(cases, costs, strict=True)
+    )
+    disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
     console.print(
         f"{len(cases)} games, {simulated_s:,.0f} simulated s, timing {config.timing} "
         f"({'measured' if config.timing == 'wall' else 'modelled'}; references {config.reference_timing}): "
@@ -104,41 +120,27 @@ def print_plan(config: dp1.Dp1Config, cases: Sequence[dp1.Case], jobs: int, out:
     )
 
 
-def estimated_wall_s(case: dp1.Case, jobs: int) -> float:
-    """About how long a game takes on this kind of machine."""
-    if case.timing != "wall":
-        return case.simulated_s() / VIRTUAL_RATE / jobs
-    return case.simulated_s() / case.clock_speed + 6 * CALL_S * case.simulated_s() / case.t_move_s
-
-
-def fly(config: dp1.Dp1Config, cases: Sequence[dp1.Case], run: RunDirectory, jobs: int) -> None:
-    """Fly what has no row yet, then record one trace of each command."""
+def fly(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], run: RunDirectory, jobs: int) -> None:
+    """Fly what has no row yet, then record what else the suite's report needs."""
     done = run.done_cases()
     with Progress(sum(case.simulated_s() for case in cases), len(cases), console) as progress:
         for case in cases:
             if case.id in done:
                 progress.skip(case.simulated_s())
-        run_cases(Suite(dp1.SCENE, dp1.run_case), config, cases, run, jobs, progress.flown)
-    with open_session(config.timing, config.profile, dp1.SCENE, config.latency) as session:
-        for command in config.command:
-            trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))
-            run.write_json(f"traces/{command}.json", trace)
-
-
-def print_table(summary: dict[str, Any]) -> None:
-    """Every cell where the terminal is wide enough, as a file or pipe is; else the worst of each ClockSpeed."""
-    wide = not console.is_terminal or console.width >= TABLE_WIDTH
-    header, rows = (HEADER, table(summary)) if wide else (OVERVIEW_HEADER, overview(summary))
-    lines = Table(*header, box=None, pad_edge=False)
-    for row in rows:
-        lines.add_row(*row)
-    console.print(lines, width=TABLE_WIDTH if wide else None)
+        run_cases(suite.suite, config, cases, run, jobs, progress.flown)
+    if suite.finish is not None:
+        suite.finish(config, run)
 
 
 def report_run(run_dir: Path) -> None:
     """Write a run's report; print its table and the paths of its figures."""
-    summary = write_report(run_dir)
-    print_table(summary)
+    run = RunDirectory(run_dir)
+    suite = entry(run.config().get("suite"), str(run.path / "config.yaml"))
+    summary = suite.write_report(run_dir)
+    terminal_table = Table(*suite.header, box=None, pad_edge=False)
+    for row in suite.table(summary):
+        terminal_table.add_row(*row)
+    console.print(terminal_table)
     slow = [cell for cell in summary["cells"] if cell["lost_wall_s"]]
     if slow:
         lost_s = sum(cell["lost_wall_s"] for cell in slow)
