@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, read_mapping, resolve
 from uavaccel.suites.host_check import check_host
 from uavaccel.suites.runner import AnyCase, run_cases
+
+TABLE_WIDTH = 170
 
 console = Console(highlight=False)
 
@@ -132,15 +134,22 @@ def fly(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], run: RunDirect
         suite.finish(config, run)
 
 
+def print_table(suite: SuiteEntry, summary: Mapping[str, Any]) -> None:
+    """Every cell where there is room, as in a file or pipe; else the suite's overview, if it has one."""
+    wide = not console.is_terminal or console.width >= TABLE_WIDTH
+    header, rows = suite.table if wide or suite.overview is None else suite.overview
+    lines = Table(*header, box=None, pad_edge=False)
+    for row in rows(summary):
+        lines.add_row(*row)
+    console.print(lines, width=TABLE_WIDTH if wide else None)
+
+
 def report_run(run_dir: Path) -> None:
     """Write a run's report; print its table and the paths of its figures."""
     run = RunDirectory(run_dir)
     suite = entry(run.config().get("suite"), str(run.path / "config.yaml"))
     summary = suite.write_report(run_dir)
-    terminal_table = Table(*suite.header, box=None, pad_edge=False)
-    for row in suite.table(summary):
-        terminal_table.add_row(*row)
-    console.print(terminal_table)
+    print_table(suite, summary)
     slow = [cell for cell in summary["cells"] if cell["lost_wall_s"]]
     if slow:
         lost_s = sum(cell["lost_wall_s"] for cell in slow)

@@ -1,0 +1,86 @@
+"""What the image guard would let through of DP2's own images, were a share of them perturbed (MODELLED)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.vision.guard_study import guard_study
+from uavaccel.vision.perturb import Kind
+
+SHARE = 0.05
+STREAMS = (
+    20  # the same images, each time perturbed by another seed: one stream alone has too few of each kind
+)
+
+HEADER = ("kind of perturbation", "perturbed images sent", "pass without guard", "pass the guard")
+
+
+def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> dict[str, Any]:
+    """Perturbed images sent and handed on, by kind, over `STREAMS` streams of `images` (n, H, W, 3).
+
+    An image that the guard asks for again may be perturbed again, so with the guard more are sent.
+    """
+    streams = [guard_study(images, SHARE, seed + stream, settings) for stream in range(STREAMS)]
+    clean = streams[0]["clean"]
+    return {
+        "modelled": True,
+        "images": len(images),
+        "share": SHARE,
+        "streams": STREAMS,
+        "by_kind": {str(kind): _by_kind(streams, str(kind)) for kind in Kind},
+        "perturbed_share_handed_on": {
+            guard: float(np.mean([stream[guard]["perturbed_share_handed_on"] for stream in streams]))
+            for guard in ("off", "on")
+        },
+        "clean_false_alarms": clean["false_alarms"],
+        "clean_retries": clean["retries"],
+    }
+
+
+def _by_kind(streams: list[dict[str, Any]], kind: str) -> dict[str, Any]:
+    result = {}
+    for guard in ("off", "on"):
+        counts = [stream[guard]["by_kind"][kind] for stream in streams]
+        sent, passed = (sum(count[key] for count in counts) for key in ("sent", "passed"))
+        result[guard] = {"sent": sent, "passed": passed, "share_passed": passed / sent if sent else None}
+    return result
+
+
+def table(guard: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row of text a kind, below `HEADER`, and one of all images together."""
+    rows = [
+        (
+            kind.replace("_", " "),
+            str(counts["on"]["sent"]),
+            _percent(counts["off"]["share_passed"]),
+            _percent(counts["on"]["share_passed"]),
+        )
+        for kind, counts in guard["by_kind"].items()
+    ]
+    sent = sum(counts["on"]["sent"] for counts in guard["by_kind"].values())
+    passed = [_ratio([counts[mode] for counts in guard["by_kind"].values()]) for mode in ("off", "on")]
+    return [*rows, ("all", str(sent), *map(_percent, passed))]
+
+
+def sentence(guard: Mapping[str, Any]) -> str:
+    """The false alarms, and what of all images handed on is perturbed."""
+    handed_on = guard["perturbed_share_handed_on"]
+    return (
+        f"Of {guard['images']} clean images the guard refused {guard['clean_false_alarms']} and took each on "
+        f"asking again. With {guard['share']:.0%} of the images perturbed, {handed_on['off']:.1%} of those handed "
+        f"on are perturbed without the guard and {handed_on['on']:.1%} with it."
+    )
+
+
+def _ratio(counts: list[Mapping[str, Any]]) -> float | None:
+    sent = sum(count["sent"] for count in counts)
+    return sum(count["passed"] for count in counts) / sent if sent else None
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{share:.1%}"
