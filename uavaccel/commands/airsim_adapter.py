@@ -1,0 +1,91 @@
+"""AirSim's own Python client as the client that ADSC and TCSC fly: the same commands drive a real AirSim.
+
+    import airsim
+    client = AirSimAdapter(airsim.MultirotorClient(), clock_speed=10)
+    for state in tcsc(client, VelocityGoal((1.0, 0.0, 0.0)), t_move_s=1.0, t_sample_s=0.33, t_th_ns=...):
+
+Nothing here imports airsim: any object with the methods of its MultirotorClient will do.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.units import NS_PER_S
+
+_MAX_DEGREE_OF_FREEDOM = 0
+
+
+class AirSimAdapter:
+    """A `MissionClient` around an airsim.MultirotorClient that is connected and has API control.
+
+    `clock_speed` is the simulator's ClockSpeed: AirSim's simContinueForTime takes wall seconds. There it ends by the
+    scheduler's grain early or late, so TCSC wants a `t_th_ns` of the client's latency times ClockSpeed.
+    """
+
+    def __init__(self, client: Any, clock_speed: float, vehicle_name: str = "") -> None:
+        self.client = client
+        self.clock_speed = float(clock_speed)
+        self.vehicle_name = vehicle_name
+        self._clock = MonotonicClock()
+
+    def now_ns(self) -> int:
+        return self._clock.now_ns()
+
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Any:
+        """Returns the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
+        vx, vy, vz = goal.velocity_m_s
+        yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
+        move, third = self.client.moveByVelocityAsync, vz
+        if goal.height_m is not None:
+            move, third = self.client.moveByVelocityZAsync, goal.height_m
+        return move(vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, self.vehicle_name)
+
+    def join(self, future: Any, deadline_ns: int | None = None) -> bool:
+        """Wait for the command's end; with a deadline, for that alone.
+
+        AirSim's client cannot wait for both. ADSC's samples fall before the command's end, so it asks for no more.
+        Raises msgpack-rpc's RPCError with the server's text, which AirSim's own join() keeps to itself.
+        """
+        if deadline_ns is not None:
+            self._clock.sleep_until(deadline_ns)
+            return False
+        future.get()
+        return True
+
+    def pause(self) -> None:
+        self.client.simPause(True)
+
+    def run(self) -> None:
+        self.client.simPause(False)
+
+    def continue_for(self, duration_ns: int) -> Kinematics:
+        self.client.simContinueForTime(duration_ns / NS_PER_S / self.clock_speed)
+        return self.kinematics()
+
+    def kinematics(self) -> Kinematics:
+        state = self.client.getMultirotorState(self.vehicle_name)
+        truth = state.kinematics_estimated  # SimpleFlight estimates by looking at the truth
+        return Kinematics(
+            int(state.timestamp),
+            _vector(truth.position),
+            _quaternion(truth.orientation),
+            _vector(truth.linear_velocity),
+            _vector(truth.angular_velocity),
+            _vector(truth.linear_acceleration),
+            _vector(truth.angular_acceleration),
+        )
+
+    def gather(self, state: Kinematics) -> Any:
+        return state
+
+
+def _vector(vector: Any) -> Vector:
+    return vector.x_val, vector.y_val, vector.z_val
+
+
+def _quaternion(quaternion: Any) -> Quaternion:
+    return quaternion.w_val, quaternion.x_val, quaternion.y_val, quaternion.z_val
