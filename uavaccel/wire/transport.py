@@ -176,11 +176,11 @@ class VirtualTransport:
         simulation = self._api.simulation
         while pending.due_wall_ns is None:
             due = simulation.next_event_wall_ns()
-            if due is None:
-                raise RuntimeError(f"{ticket.method} would wait for ever: the simulation is paused")
-            if deadline_ns is not None and due > deadline_ns:
+            if deadline_ns is not None and (due is None or due > deadline_ns):
                 self.clock.sleep_until(deadline_ns)
                 return False
+            if due is None:
+                raise RuntimeError(f"{ticket.method} would wait for ever: the simulation is paused")
             self._run_to(due)
         if ticket.reply_wall_ns is None:
             ticket.value = pending.encode(pending.value)

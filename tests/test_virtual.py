@@ -1,0 +1,278 @@
+"""What the two commands cost, on a simulated wall clock: exact, repeatable, and without end-less waits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tests.simulating import world_of
+from uavaccel.clock import VirtualClock
+from uavaccel.commands import COMMANDS
+from uavaccel.commands.paths import SQUARE, TWO_FORWARD_ONE_BACK
+from uavaccel.kinematics import Vector, VelocityGoal
+from uavaccel.resources import experiment
+from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.simulation import Simulation
+from uavaccel.suites.experiment import read_latency
+from uavaccel.wire.api import Api
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig, channel_of
+from uavaccel.wire.rpc import RpcError
+from uavaccel.wire.transport import VirtualTransport
+
+NASTY_US = (0.0, 1.0, 5.0, 20.0, 60.0, 150.0, 400.0, 2e3, 1e4, 5e4, 2e5, 1e6)
+CHANNELS = ("call", "move", "pause", "continue", "continue_for", "state")
+NASTY = LatencyConfig(
+    request_us=dict.fromkeys(CHANNELS, NASTY_US),
+    reply_us=dict.fromkeys(CHANNELS, NASTY_US),
+    issue_us=NASTY_US,
+    timer_us=NASTY_US,
+)
+SHIPPED = LatencyConfig.model_validate(read_latency(experiment("latency.yaml")))
+
+Arrays = dict[str, NDArray[np.float64]]
+
+
+def start(
+    clock_speed: float, latency: LatencyConfig = ZERO_LATENCY, seed: int = 0, profile: Profile = NATIVE
+) -> Client:
+    """A game on a simulated wall clock, as a session starts one."""
+    draws = Latency(latency, np.random.SeedSequence(seed))
+    simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
+    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws), clock_speed, alone=True)
+    client.start_game(clock_speed)
+    return client
+
+
+def fly(
+    client: Client,
+    command: str,
+    path: Sequence[Vector] = SQUARE,
+    t_move_s: float = 1.0,
+    t_sample_s: float = 1.0,
+    t_th_ns: int = 0,
+) -> Arrays:
+    COMMANDS[command].begin(client)
+    for velocity in path:
+        for _ in COMMANDS[command].fly(client, VelocityGoal(velocity), t_move_s, t_sample_s, t_th_ns):
+            pass
+    return client.recording().arrays()
+
+
+def equal(a: Arrays, b: Arrays) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def position_rmse_m(a: Arrays, b: Arrays) -> float:
+    shorter = min(len(a["time_s"]), len(b["time_s"]))
+    errors = a["position_m"][:shorter] - b["position_m"][:shorter]
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+# --- accuracy ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("t_sample_s", [1.0, 0.33])
+@pytest.mark.parametrize("clock_speed", [0.5, 1, 1.5, 5, 10, 50, 100])
+def test_tcsc_in_native_loses_nothing_at_any_clock_speed(clock_speed: float, t_sample_s: float) -> None:
+    lockstep = fly(start(1.0), "tcsc")
+    for seed in range(3):
+        flown = fly(start(clock_speed, NASTY, seed), "tcsc", t_sample_s=t_sample_s)
+        assert equal(flown, lockstep)
+
+
+def test_tcsc_flies_exact_commands_without_gaps() -> None:
+    arrays = fly(start(100, NASTY), "tcsc", t_move_s=0.1)
+    assert arrays["command_start_s"].tolist() == [0.0, 0.1, 0.2, 0.3]
+    assert arrays["command_end_s"].tolist() == [0.1, 0.2, 0.3, 0.4]
+    assert arrays["time_s"].tolist() == [round(0.05 * i, 2) for i in range(9)]
+
+
+def test_adsc_error_grows_with_clock_speed() -> None:
+    lockstep = fly(start(1.0), "tcsc", SQUARE * 8)
+    errors_m = [
+        np.median(
+            [position_rmse_m(fly(start(k, SHIPPED, seed), "adsc", SQUARE * 8), lockstep) for seed in range(3)]
+        )
+        for k in (1, 10, 50, 100)
+    ]
+    assert errors_m == sorted(errors_m)
+    assert errors_m[0] < 0.02
+    assert errors_m[-1] > 10 * errors_m[0]
+
+
+def test_adsc_without_latency_is_lockstep() -> None:
+    """The two commands differ in nothing but what latency does to them."""
+    lockstep = fly(start(1.0), "tcsc", TWO_FORWARD_ONE_BACK)
+    for clock_speed in (0.5, 1.5, 100):
+        assert equal(fly(start(clock_speed), "adsc", TWO_FORWARD_ONE_BACK), lockstep)
+        assert equal(fly(start(clock_speed), "adsc", TWO_FORWARD_ONE_BACK, t_sample_s=0.33), lockstep)
+
+
+def test_the_wall_time_of_lockstep_is_the_simulated_time_over_clock_speed() -> None:
+    for command in COMMANDS:
+        client = start(50)
+        fly(client, command)
+        assert client.now_ns() == 4 * 10**9 // 50
+        assert client.speed()["real_time_factor"] == 50
+
+
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+def test_a_continue_for_and_a_join_are_never_faster_than_the_clock(command: str) -> None:
+    client = start(100, SHIPPED)
+    fly(client, command)
+    speed = client.speed()
+    assert 0 < speed["simulated_ns"] <= 100 * speed["wall_ns"]
+    assert client.now_ns() > 4 * 10**9 // 100
+    assert speed["lost_wall_ns"] == 0
+
+
+# --- repeatability ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+def test_the_same_seed_gives_the_same_bytes(command: str) -> None:
+    def flown(seed: int) -> tuple[bytes, int, Any]:
+        client = start(50, NASTY, seed)
+        arrays = fly(client, command, t_sample_s=0.5)
+        return b"".join(array.tobytes() for array in arrays.values()), client.now_ns(), client.speed()
+
+    first = flown(1)
+    flown(2)  # what happens in between leaves no trace
+    assert flown(1) == first
+    assert flown(2)[1] != first[1]
+
+
+def draws(latency: Latency, channel: str, count: int) -> list[int]:
+    return [latency.request_ns(channel) for _ in range(count)]
+
+
+@given(st.lists(st.sampled_from(CHANNELS), max_size=60), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_channels_are_independent(others: list[str], seed: int) -> None:
+    """What is drawn on other channels, for replies, timers and issues, leaves a channel's own draws as they are."""
+    alone, among = (Latency(NASTY, np.random.SeedSequence(seed)) for _ in range(2))
+    expected = draws(alone, "move", 20)
+    found = []
+    for index in range(20):
+        for other in others[3 * index : 3 * index + 3]:
+            among.reply_ns(other)
+            among.timer_ns()
+            among.issue_ns()
+            if other != "move":
+                among.request_ns(other)
+        found.append(among.request_ns("move"))
+    assert found == expected
+
+
+def test_latencies_follow_their_quantiles() -> None:
+    latency = Latency(SHIPPED, np.random.SeedSequence(3))
+    table = SHIPPED.request_us.get("move", SHIPPED.request_us["call"])
+    sample_us = np.array(draws(latency, "move", 20_000)) / 1e3
+    assert table[0] <= sample_us.min()
+    assert sample_us.max() <= table[-1]
+    middle = slice(QUANTILES.index(0.05), QUANTILES.index(0.95) + 1)
+    np.testing.assert_allclose(np.quantile(sample_us, QUANTILES)[middle], table[middle], rtol=0.05, atol=0.5)
+    assert draws(Latency(ZERO_LATENCY, np.random.SeedSequence(3)), "move", 3) == [0, 0, 0]
+
+
+def test_calls_have_channels() -> None:
+    assert [channel_of("simPause", [flag]) for flag in (True, False)] == ["pause", "continue"]
+    assert channel_of("moveByVelocityZ", []) == channel_of("moveByVelocity", []) == "move"
+    assert channel_of("ping", []) == "call"
+
+
+# --- no end-less waits ------------------------------------------------------------------------------------
+
+MOST_ADVANCES = 2_000
+
+
+def bound(client: Client) -> Client:
+    """Fail, instead of spinning for ever, where a simulated wall clock does not get anywhere."""
+    transport = client.transport
+    assert isinstance(transport, VirtualTransport)
+    simulation = transport._api.simulation
+    advance_to, left = simulation.advance_to, MOST_ADVANCES
+
+    def counted(wall_ns: int) -> None:
+        nonlocal left
+        left -= 1
+        assert left > 0, "the clock spins"
+        advance_to(wall_ns)
+
+    simulation.advance_to = counted  # type: ignore[method-assign]
+    return client
+
+
+table_us = st.lists(st.floats(0, 2e4), min_size=len(QUANTILES), max_size=len(QUANTILES)).map(sorted)
+latencies = st.builds(
+    lambda request, reply, issue, timer: LatencyConfig(
+        request_us={"call": request}, reply_us={"call": reply}, issue_us=issue, timer_us=timer
+    ),
+    *[table_us.map(tuple)] * 4,
+)
+speeds = st.sampled_from([0.1, 0.3333333, 1.5, 62.5, 100]) | st.floats(0.01, 200)
+
+
+@given(
+    speeds,
+    latencies,
+    st.sampled_from(sorted(COMMANDS)),
+    st.sampled_from([(0.1, 0.1), (0.2, 0.066), (0.01, 0.002)]),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_virtual_clock_never_spins_for_ever(
+    clock_speed: float, latency: LatencyConfig, command: str, times_s: tuple[float, float]
+) -> None:
+    arrays = fly(bound(start(clock_speed, latency)), command, [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], *times_s)
+    assert len(arrays["command_end_s"]) == 2
+    np.testing.assert_allclose(arrays["command_end_s"] - arrays["command_start_s"], times_s[0], atol=1e-9)
+
+
+@given(speeds, latencies, st.sampled_from(sorted(COMMANDS)))
+@settings(max_examples=40, deadline=None)
+def test_nor_does_it_with_airsims_wall_timers(
+    clock_speed: float, latency: LatencyConfig, command: str
+) -> None:
+    """T_th is a tick at the least there: a shorter continue-for may not bring any."""
+    client = bound(start(clock_speed, latency, profile=AIRSIM))
+    fly(client, command, [(1.0, 0.0, 0.0)], 0.5, 0.1, AIRSIM.tick_ns)
+
+
+def test_a_failed_flight_ends(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both commands come back, time goes on, the failure is told."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    for command in COMMANDS:
+        client = start(100, SHIPPED)
+        fly(client, command, [(1.0, 0.0, 0.0)])
+        world_of(NATIVE).data.qpos[0] = np.nan
+        arrays = fly(bound(client), command)
+        assert "mjWARN_BADQPOS" in client.speed()["failure"]
+        assert len(arrays["command_end_s"]) == 5
+
+
+def test_a_join_while_the_clock_stands_is_an_error_and_not_an_end_less_wait() -> None:
+    client = start(1.0)
+    future = client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 1.0)
+    assert not client.join(future, client.now_ns() + 10**6)
+    assert client.now_ns() == 10**6
+    with pytest.raises(RuntimeError, match="moveByVelocity would wait for ever: the simulation is paused"):
+        client.join(future)
+
+
+def test_errors_come_back_to_their_call() -> None:
+    client = start(1.0)
+    with pytest.raises(RpcError, match="clock_speed must be a finite number above 0"):
+        client.call("uavaccelSetClockSpeed", 0)
+    refused = client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 0.0333)
+    with pytest.raises(RpcError, match="physics step of 2 ms"):
+        client.join(refused)
+    with pytest.raises(RpcError, match="finite"):
+        client.join(client.move_async(VelocityGoal((float("nan"), 0.0, 0.0)), 1.0))
+    assert equal(fly(client, "tcsc"), fly(start(1.0), "tcsc"))
