@@ -1,0 +1,134 @@
+"""A server in a process of its own on the machine's clock: exact where it must be, honest where it cannot be.
+
+Nothing here asserts how long something takes; speeds are compared with the server's own count of wall time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uavaccel.commands import COMMANDS
+from uavaccel.commands.paths import SQUARE
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.profile import NATIVE
+from uavaccel.wire.client import Client
+from uavaccel.wire.session import Session, VirtualSession, WallSession
+
+NORTH = VelocityGoal((1.0, 0.0, 0.0))
+SEED = np.random.SeedSequence(0)
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    with WallSession("blocks", "native") as session:
+        yield session
+
+
+def fly(client: Client, command: str, t_move_s: float, rounds: int) -> dict[str, NDArray[np.float64]]:
+    COMMANDS[command].begin(client)
+    for velocity in SQUARE * rounds:
+        for _ in COMMANDS[command].fly(client, VelocityGoal(velocity), t_move_s, t_move_s):
+            pass
+    return client.recording().arrays()
+
+
+@pytest.mark.parametrize(("t_move_s", "rounds"), [(0.1, 4), (1.0, 4)])
+def test_tcsc_at_100x_equals_lockstep(session: Session, t_move_s: float, rounds: int) -> None:
+    with VirtualSession("blocks", "native") as lockstep:
+        expected = fly(lockstep.start_game(1.0, SEED), "tcsc", t_move_s, rounds)
+    flown = fly(session.start_game(100, SEED), "tcsc", t_move_s, rounds)
+    for name, array in expected.items():
+        assert np.array_equal(flown[name], array), name
+
+
+def test_adsc_at_100x_flies_its_commands_with_gaps(session: Session) -> None:
+    """Every command lasts T_move to the tick; the time between two is what latency costs."""
+    client = session.start_game(100, SEED)
+    flown = fly(client, "adsc", 0.2, 2)
+    lengths_s = flown["command_end_s"] - flown["command_start_s"]
+    np.testing.assert_allclose(lengths_s, 0.2, atol=1e-9)
+    gaps_s = flown["command_start_s"][1:] - flown["command_end_s"][:-1]
+    assert len(gaps_s) == 7
+    assert (gaps_s > 0).all()
+    np.testing.assert_allclose(np.diff(flown["time_s"]), 0.05, atol=1e-9)
+
+
+@pytest.mark.parametrize("clock_speed", [0.5, 1.5])
+def test_the_clock_keeps_a_speed_that_is_no_whole_number(session: Session, clock_speed: float) -> None:
+    """Simulated time is ClockSpeed times the wall time that the server did not report as lost, to a few ticks."""
+    client = session.start_game(clock_speed, SEED)
+    client.run()
+    before = client.speed()
+    client.transport.clock.sleep_until(client.now_ns() + 400_000_000)
+    after = client.speed()
+    simulated_ns, wall_ns, lost_ns = (
+        after[name] - before[name] for name in ("simulated_ns", "wall_ns", "lost_wall_ns")
+    )
+    assert wall_ns >= 400_000_000
+    assert abs(simulated_ns - clock_speed * (wall_ns - lost_ns)) <= 2 * NATIVE.tick_ns
+    assert after["clock_speed"] == clock_speed
+    assert after["real_time_factor"] <= clock_speed
+
+
+@pytest.mark.parametrize("duration_ns", [2_000_000, 34_000_000, 330_000_000])
+def test_a_continue_for_is_exact_and_never_early(session: Session, duration_ns: int) -> None:
+    client = session.start_game(10, SEED)
+    start = client.kinematics()
+    called_ns = client.now_ns()
+    state = client.continue_for(duration_ns)
+    assert client.now_ns() - called_ns >= duration_ns // 10
+    assert state.time_ns - start.time_ns == duration_ns
+    assert client.call("simIsPaused") is True
+    assert client.kinematics() == state, "the clock stands"
+
+
+def test_airsims_continue_for_time_counts_wall_seconds(session: Session) -> None:
+    client = session.start_game(50, SEED)
+    start_ns = client.kinematics().time_ns
+    client.call("simContinueForTime", 0.01)
+    assert client.kinematics().time_ns - start_ns == 500_000_000
+
+
+def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Session) -> None:
+    client = session.start_game(20, SEED)
+    client.run()
+    issued_ns = client.now_ns()
+    future = client.move_async(NORTH, 1.0)
+    assert not client.join(future, issued_ns + 1_000_000)
+    assert client.join(future)
+    assert client.now_ns() - issued_ns >= 50_000_000
+    assert future.result() is True
+    cancelled = client.move_async(NORTH, 1000.0)
+    client.call("cancelLastTask")
+    client.join(cancelled)
+    assert cancelled.result() is False
+
+
+def test_the_latest_command_wins_in_socket_order(session: Session) -> None:
+    client = session.start_game(100, SEED)
+    futures = [client.move_async(NORTH, t_move_s) for t_move_s in (100.0, 50.0, 0.1)]
+    client.run()
+    for future in futures:
+        client.join(future)
+    assert [future.result() for future in futures] == [False, False, True]
+    log = client.recording().commands
+    assert log.tolist() == [[0, 0], [0, 0], [0, 50]]
+
+
+def test_a_pause_releases_a_continue_for(session: Session) -> None:
+    client = session.start_game(1, SEED)
+    period = client.transport.send("uavaccelContinueFor", (10**12,), True)
+    client.pause()
+    assert client.transport.wait(period)
+    assert period.result()[0] == client.kinematics().time_ns
+
+
+def test_the_server_ends_with_its_session() -> None:
+    session = WallSession("blocks", "native")
+    session.start_game(1.0, SEED)
+    session.close()
+    assert session._process.returncode == 0
