@@ -1,6 +1,44 @@
 """Accelerated, time-controlled quadrotor simulation, and what the acceleration costs.
 
-Importing the package loads nothing heavy: each command line call pays only for the modules it uses.
+Importing the package loads nothing heavy: each command line call pays only for the modules it uses. With Gymnasium,
+whichever of the two is imported first, `gymnasium.make("uavaccel/ObstacleLane-v0")` works.
 """
 
+import sys
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import Any
+
 __version__ = "0.1.0"
+
+
+def _register_environments() -> None:
+    from gymnasium.envs.registration import register
+
+    register("uavaccel/ObstacleLane-v0", entry_point="uavaccel.envs.obstacle_lane:ObstacleLane")
+
+
+class _AfterGymnasium(MetaPathFinder):
+    """Registers the environments as soon as somebody else imports Gymnasium."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        if fullname != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = PathFinder.find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: ModuleType) -> None:
+                execute(module)
+                _register_environments()
+
+            spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
+        return spec
+
+
+if "gymnasium" in sys.modules:
+    _register_environments()
+else:
+    sys.meta_path.insert(0, _AfterGymnasium())

@@ -1,0 +1,1 @@
+"""Gymnasium environments; importing the package `uavaccel` registers them."""

@@ -1,0 +1,33 @@
+"""Where the time of a training goes: the phases of the paper's Figure 9."""
+
+from __future__ import annotations
+
+from uavaccel.clock import WallClock
+from uavaccel.units import NS_PER_S
+
+PHASES = ("simulation", "rendering", "image_processing", "inference", "learning")
+
+
+class Stopwatch:
+    """Charges the time of a clock to one phase after another; to none before the first `switch`."""
+
+    def __init__(self, clock: WallClock) -> None:
+        self._clock = clock
+        self._phase: str | None = None
+        self._since_ns = 0
+        self._spent_ns = dict.fromkeys(PHASES, 0)
+
+    def switch(self, phase: str | None) -> None:
+        """What passes from now on belongs to `phase`, or to nothing."""
+        now_ns = self._clock.now_ns()
+        if self._phase is not None:
+            self._spent_ns[self._phase] += now_ns - self._since_ns
+        self._phase, self._since_ns = phase, now_ns
+
+    def add(self, phase: str, duration_s: float) -> None:
+        """Time known from elsewhere."""
+        self._spent_ns[phase] += round(duration_s * NS_PER_S)
+
+    def spent_s(self) -> dict[str, float]:
+        """Seconds so far, by phase."""
+        return {phase: spent / NS_PER_S for phase, spent in self._spent_ns.items()}

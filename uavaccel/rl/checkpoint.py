@@ -1,0 +1,129 @@
+"""Checkpoints from which a training goes on to the weights that it would have had: learner, buffer, random states, games.
+
+A checkpoint holds tensors, arrays and JSON; reading one runs no code. It counts once its last file is there.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from uavaccel.errors import UserError
+from uavaccel.files import replacing
+
+_COUNTERS = (
+    "num_timesteps",
+    "_episode_num",
+    "_n_calls",
+    "_n_updates",
+    "exploration_rate",
+    "_current_progress_remaining",
+    "games_done",
+)
+_BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_COMPLETE = "state.json"
+
+
+def save_checkpoint(folder: Path, model: BaseAlgorithm, rows: int) -> None:
+    """Write the model's state, and that of its environments' games, below `folder`; older checkpoints go."""
+    checkpoint = folder / f"{model.games_done:07d}"  # type: ignore[attr-defined]
+    shutil.rmtree(checkpoint, ignore_errors=True)
+    checkpoint.mkdir(parents=True)
+    learner = {"policy": model.policy.state_dict(), "optimizer": model.policy.optimizer.state_dict()}
+    th.save({**learner, "torch": th.get_rng_state(), "cuda": _cuda_states()}, checkpoint / "learner.pt")
+    _save_buffer(checkpoint / "buffer.npz", model)
+    state = {
+        "rows": rows,
+        "counters": {name: getattr(model, name) for name in _COUNTERS if hasattr(model, name)},
+        "random": random.getstate(),
+        "numpy": _numpy_state(),
+        "actions": model.action_space.np_random.bit_generator.state,
+        "journals": model.get_env().env_method("journal"),  # type: ignore[union-attr]
+    }
+    with replacing(checkpoint / _COMPLETE) as file:
+        file.write(json.dumps(state).encode())
+    for older in folder.iterdir():
+        if older != checkpoint:
+            shutil.rmtree(older)
+
+
+def find_checkpoint(folder: Path) -> Path | None:
+    """The newest whole checkpoint below `folder`."""
+    whole = sorted(state.parent for state in folder.glob(f"*/{_COMPLETE}"))
+    return whole[-1] if whole else None
+
+
+def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[int, dict[str, Any]]:
+    """Put learner, buffer and games back; returns the rows written by then and the random states for `set_random`."""
+    learner = th.load(checkpoint / "learner.pt", weights_only=True, map_location=model.device)
+    model.policy.load_state_dict(learner["policy"])
+    model.policy.optimizer.load_state_dict(learner["optimizer"])
+    _load_buffer(checkpoint / "buffer.npz", model)
+    state = json.loads((checkpoint / _COMPLETE).read_text())
+    for name, value in state["counters"].items():
+        setattr(model, name, value)
+    model._last_obs = _replay(model, state["journals"])
+    model._last_episode_starts = np.array([not journal["steps"] for journal in state["journals"]])
+    state["torch"], state["cuda"] = learner["torch"], learner["cuda"]
+    return state["rows"], state
+
+
+def set_random(state: dict[str, Any], model: BaseAlgorithm) -> None:
+    """Every generator of this process as it was."""
+    version, words, gauss = state["random"]
+    random.setstate((version, tuple(words), gauss))
+    np.random.set_state((*state["numpy"][:1], np.array(state["numpy"][1], np.uint32), *state["numpy"][2:]))  # noqa: NPY002
+    model.action_space.np_random.bit_generator.state = state["actions"]
+    th.set_rng_state(state["torch"].cpu())
+    for device, words in enumerate(state["cuda"]):
+        th.cuda.set_rng_state(words.cpu(), device)
+
+
+def _numpy_state() -> list[Any]:
+    """NumPy's global generator, from which stable-baselines3 draws batches and exploration."""
+    name, words, *rest = np.random.get_state(legacy=True)  # noqa: NPY002
+    return [name, np.asarray(words).tolist(), *rest]
+
+
+def _cuda_states() -> list[th.Tensor]:
+    return th.cuda.get_rng_state_all() if th.cuda.is_available() else []
+
+
+def _save_buffer(path: Path, model: BaseAlgorithm) -> None:
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    arrays = {name: getattr(buffer, name)[:filled] for name in _BUFFER}
+    with path.open("wb") as file:
+        np.savez(file, place=np.array([buffer.pos, buffer.full]), **arrays)
+
+
+def _load_buffer(path: Path, model: BaseAlgorithm) -> None:
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return
+    with np.load(path, allow_pickle=False) as arrays:
+        buffer.pos, buffer.full = int(arrays["place"][0]), bool(arrays["place"][1])
+        for name in _BUFFER:
+            stored = arrays[name]
+            getattr(buffer, name)[: len(stored)] = stored
+
+
+def _replay(model: BaseAlgorithm, journals: list[dict[str, Any]]) -> np.ndarray:
+    """Fly the games that were under way to where they were; the observations (n, ...)."""
+    environment = model.get_env()
+    if environment is None or environment.num_envs != len(journals):
+        raise UserError(f"the checkpoint has {len(journals)} environments; go on with as many")
+    seen = [
+        environment.env_method("replay", journal, indices=[index])[0]
+        for index, journal in enumerate(journals)
+    ]
+    return np.stack(seen)

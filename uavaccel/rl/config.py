@@ -1,0 +1,55 @@
+"""Configuration of a training: the task, the algorithm and how long."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from uavaccel.config import Config
+from uavaccel.envs.task import LaneTask, NotNegative
+
+
+class TrainConfig(Config):
+    """Keys of experiments/train.yaml. Network, algorithm and their settings are this project's own choice."""
+
+    suite: Literal["train"] = "train"
+    seed: Annotated[int, Field(ge=0)] = 0
+    games: Annotated[int, Field(ge=1)] = 5000
+    environments: Annotated[int, Field(ge=1)] = 1
+    """Lanes flown side by side, each in a process of its own; 1 with wall, where neighbours would disturb."""
+    task: LaneTask = LaneTask()
+
+    algorithm: str = "double_dqn"
+    """double_dqn, or the name of a class of stable-baselines3: dqn, ppo, a2c."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Keywords of that class, over its defaults and, for double_dqn, over those of rl/algorithms.py."""
+    commands_per_gradient_step: Annotated[int, Field(ge=1)] = 4
+    """Of algorithms with a replay buffer."""
+    mirror: bool = True
+    """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
+    channels: tuple[int, ...] = (16, 32, 32)
+    hidden: tuple[int, ...] = (256,)
+
+    device: str = "cpu"
+    torch_threads: Annotated[int, Field(ge=1)] = 1
+    """Threads of torch on the CPU; equal weights need an equal number."""
+    checkpoint_games: Annotated[int, Field(ge=1)] = 250
+    inference_s: NotNegative = 0.0005
+    """What a decision costs the simulated wall clock of `virtual`."""
+    learning_s: NotNegative = 0.01
+    """What a gradient step costs the simulated wall clock of `virtual`."""
+
+    @model_validator(mode="after")
+    def _timing_allows(self) -> TrainConfig:
+        if self.task.timing == "wall" and self.environments > 1:
+            raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
+        return self
+
+    @model_validator(mode="after")
+    def _mirror_exists(self) -> TrainConfig:
+        headings = self.task.headings_deg
+        symmetric = {-heading for heading in headings} == set(headings)
+        if self.mirror and (self.task.observation == "state" or not symmetric):
+            raise ValueError("mirror must be false: it needs pictures and headings symmetric about 0")
+        return self

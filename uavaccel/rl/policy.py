@@ -1,0 +1,104 @@
+"""A trained policy as a file of weights and a manifest that says how to see and act with them. Reading one runs no code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+
+from uavaccel.config import validate
+from uavaccel.envs.senses import make_sense, observation_space
+from uavaccel.errors import UserError
+from uavaccel.files import replacing, to_json
+from uavaccel.rl.algorithms import algorithm_class, policy_keywords, policy_name
+from uavaccel.rl.config import TrainConfig
+
+WEIGHTS, MANIFEST = "policy.pt", "policy.json"
+_TARGET = "q_net_target."  # a copy for learning alone
+PREPROCESSING = (
+    "three frames a command (T_sample), rendered at 256 x 144, gray (BT.601), counted by the DVS model, ON - OFF "
+    "summed over 4 x 4 pixels, plus 128, clipped to 0..255: uint8 (3, 36, 64), oldest first"
+)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Greedy actions from observations, and the configuration that it was trained with."""
+
+    network: BasePolicy
+    config: TrainConfig
+    manifest: Mapping[str, Any]
+
+    def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+        """Actions (n,) for observations (n, ...)."""
+        return np.asarray(self.network.predict(observations, deterministic=True)[0])
+
+
+def weights_sha256(model: BaseAlgorithm) -> str:
+    """Hash of the names, shapes and bytes of all that was learned."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(model.policy.state_dict().items()):
+        digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def export_policy(folder: Path, model: BaseAlgorithm, config: TrainConfig, trained: Mapping[str, Any]) -> None:
+    """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
+    weights = {
+        name: tensor.detach().cpu().clone()
+        for name, tensor in model.policy.state_dict().items()
+        if not name.startswith(_TARGET)
+    }
+    with replacing(folder / WEIGHTS) as file:
+        th.save(weights, file)
+    manifest = {
+        "weights": WEIGHTS,
+        "weights_file_sha256": hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest(),
+        "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
+        "observation_shape": list(model.observation_space.shape or ()),
+        "actions_heading_deg": list(config.task.headings_deg),
+        "config": config.model_dump(mode="json", exclude={"task": {"latency"}}),
+        "trained": dict(trained),
+    }
+    with replacing(folder / MANIFEST) as file:
+        file.write((to_json(manifest, indent=2) + "\n").encode())
+
+
+def load_policy(path: Path) -> Policy:
+    """The policy in a run directory or any folder with its two files. Raises UserError if there is none."""
+    try:
+        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
+        weights = th.load(path / WEIGHTS, weights_only=True, map_location="cpu")
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: holds no policy: {error}") from error
+    config = validate(TrainConfig, manifest["config"], str(path / MANIFEST))
+    network = _network(config)
+    target = {
+        _TARGET + name.removeprefix("q_net."): tensor
+        for name, tensor in weights.items()
+        if name.startswith("q_net.")
+    }
+    network.load_state_dict({**weights, **target})
+    return Policy(network, config, manifest)
+
+
+def _network(config: TrainConfig) -> BasePolicy:
+    """The untrained policy, by stable-baselines3's class for this algorithm."""
+    aliases: Mapping[str, Any] = algorithm_class(config.algorithm).policy_aliases
+    frames = 3 * config.task.history
+    space = observation_space(make_sense(config.task), frames)
+    actions = spaces.Discrete(len(config.task.headings_deg))
+    network: BasePolicy = aliases[policy_name(config)](space, actions, lambda _: 0.0, **policy_keywords(config))
+    network.set_training_mode(False)
+    return network
