@@ -13,7 +13,7 @@ from math import ceil
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each is one of a kind, and hashing seven fields would be slow
 class Profile:
     """How a simulation steps, ends commands, continues and keeps up."""
 

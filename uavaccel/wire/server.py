@@ -20,9 +20,10 @@ from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 IDLE_NS = 5_000_000  # an idle server advances at least so often
 CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
+FINAL_NS = 60_000  # at the very last, look at the clock alone: looking at the sockets takes as long as two ticks
 SPIN_NS = 300_000  # before something ends, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
-READ_BYTES = 1 << 16
+READ_BYTES = 1 << 12
 MAX_UNSENT_BYTES = 1 << 26
 MAX_UNPACKED = 8  # answers that wait to be packed: one may be a recording of megabytes
 MAX_CONNECTIONS = 512  # fewer than the files that a process may open
@@ -90,11 +91,18 @@ class Server:
             while not self._stopping:
                 for key, events in wait_for_sockets(self._selector, self._wake_ns(simulation)):
                     self._serve_socket(key, events)
+                self._wait_for_end(simulation)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
                 each_turn()
         finally:
             self.close()
+
+    def _wait_for_end(self, simulation: Simulation) -> None:
+        """If something is about to end, fly up to it tick by tick, so that the last one is all that is left then."""
+        event = simulation.next_event_wall_ns()
+        while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
+            simulation.advance_to(now)
 
     def stop(self) -> None:
         """Let `serve` return after its present turn."""

@@ -16,6 +16,7 @@ from uavaccel.wire.latency import Latency, channel_of
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 300_000
+_READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 
@@ -116,7 +117,7 @@ class SocketTransport:
                 self._receive()
 
     def _receive(self) -> None:
-        data = self._socket.recv(1 << 16)
+        data = self._socket.recv(_READ_BYTES)
         if not data:
             raise ConnectionError("the server closed the connection")
         set_quick_ack(self._socket)
