@@ -7,11 +7,21 @@ from pathlib import Path
 from rich.console import Console
 
 from uavaccel.errors import UserError
+from uavaccel.sim.gl import describe_renderer
 from uavaccel.suites.calibrate import calibrate
 from uavaccel.suites.host_check import check_host
 from uavaccel.yaml_io import dump_yaml
 
 console = Console(highlight=False)
+
+
+def _can_draw() -> bool:
+    try:
+        describe_renderer()
+    except UserError as error:
+        console.print(f"without images, whose latencies become those of any call: {error}")
+        return False
+    return True
 
 
 def write_calibration(out: Path, commands: int, profile: str) -> None:
@@ -20,7 +30,7 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
         raise UserError(f"{out}: exists; take another --out")
     verdict = check_host()["verdict"]
     console.print(f"host check: {verdict}")
-    block = calibrate(profile, commands).block()
+    block = calibrate(profile, commands, images=_can_draw()).block()
     out.write_text(f"# Measured by `uavaccel calibrate`; host: {verdict}\n" + dump_yaml({"latency": block}))
     names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
     for kind in names:

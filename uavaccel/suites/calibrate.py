@@ -50,8 +50,13 @@ def microseconds(samples_ns: Sequence[int]) -> list[float]:
     return [round(float(value) / 1e3, 1) for value in np.quantile(samples_ns, QUANTILES)]
 
 
-def calibrate(profile: str, commands: int, on_batch: OnBatch = lambda done, total: None) -> Latencies:
-    """Fly about `commands` commands of each kind on this machine's clock and gather what the messages took."""
+def calibrate(
+    profile: str, commands: int, images: bool, on_batch: OnBatch = lambda done, total: None
+) -> Latencies:
+    """Fly about `commands` commands of each kind on this machine's clock and gather what the messages took.
+
+    With `images` also as many pictures of the lane, rendering included; raises rpc.RpcError where nothing can draw.
+    """
     latencies = Latencies()
     cells = [(name, k, t) for name in sorted(COMMANDS) for k in CLOCK_SPEEDS for t in T_MOVES_S]
     batches = [cell for cell in cells for _ in range(max(round(commands / BATCH / (len(cells) / 2)), 1))]
@@ -61,6 +66,8 @@ def calibrate(profile: str, commands: int, on_batch: OnBatch = lambda done, tota
             _fly_batch(client, name, t_move_s, latencies)
             _ping(client, latencies)
             on_batch(done, len(batches))
+    if images:
+        _look(profile, commands, latencies)
     return latencies
 
 
@@ -73,6 +80,18 @@ def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: La
         for _ in command.fly(traced, _STAY, t_move_s, t_move_s):
             pass
     _gather(tracing, client.trace(False), latencies)
+
+
+def _look(profile: str, pictures: int, latencies: Latencies) -> None:
+    with WallSession("lane", profile) as session:
+        client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
+        client.image("gray")  # makes the GL context
+        for _ in range(max(pictures // BATCH, 1)):
+            tracing = TracingTransport(client.transport)
+            client.trace(True)
+            for _ in range(BATCH):
+                Client(tracing).image("gray")
+            _gather(tracing, client.trace(False), latencies)
 
 
 def _ping(client: Client, latencies: Latencies) -> None:
