@@ -37,7 +37,7 @@ class Difficulty(Config):
 
     first_row_m: Annotated[float, Field(gt=1.0)] = 10.0
     """Distance of the first row from the start."""
-    row_spacing_m: Annotated[float, Field(gt=1.0)] = 8.0
+    row_spacing_m: Annotated[float, Field(gt=1.0)] = 10.0
     """Distance from row to row."""
     obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
     half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
