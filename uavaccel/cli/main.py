@@ -82,6 +82,20 @@ def report(
 
 
 @app.command()
+def view(
+    run_dir: Annotated[Path, typer.Argument(help="Run directory of an experiment with images.")],
+    case: Annotated[
+        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
+) -> None:
+    """Show a game: an MP4 of camera, DVS and map side by side, and a contact sheet."""
+    from uavaccel.cli.view import view_run
+
+    view_run(run_dir, case, out)
+
+
+@app.command()
 def calibrate(
     out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("latency.yaml"),
     commands: Annotated[int, typer.Option(help="Commands of each kind to fly, about.")] = 1500,

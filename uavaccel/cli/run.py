@@ -24,6 +24,8 @@ from uavaccel.suites.runner import AnyCase, run_cases
 TABLE_WIDTH = 170
 
 console = Console(highlight=False)
+if not console.is_terminal:
+    console.width = TABLE_WIDTH  # a file or a pipe has room
 
 
 @dataclass(frozen=True)
@@ -135,13 +137,13 @@ def fly(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], run: RunDirect
 
 
 def print_table(suite: SuiteEntry, summary: Mapping[str, Any]) -> None:
-    """Every cell where there is room, as in a file or pipe; else the suite's overview, if it has one."""
-    wide = not console.is_terminal or console.width >= TABLE_WIDTH
+    """Every cell where there is room; else the suite's overview, if it has one."""
+    wide = console.width >= TABLE_WIDTH
     header, rows = suite.table if wide or suite.overview is None else suite.overview
     lines = Table(*header, box=None, pad_edge=False)
     for row in rows(summary):
         lines.add_row(*row)
-    console.print(lines, width=TABLE_WIDTH if wide else None)
+    console.print(lines)
 
 
 def report_run(run_dir: Path) -> None:

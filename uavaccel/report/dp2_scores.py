@@ -53,11 +53,11 @@ class GameScore:
 
 
 def count_events(
-    images: NDArray[np.uint8], time_s: Sequence[float], preset: str, sensor_seed: int
+    images: NDArray[np.uint8], time_s: NDArray[np.float64], preset: str, sensor_seed: int
 ) -> tuple[Counts, Counts]:
     """ON and OFF counts (n, H, W) of gray images (n, H, W) taken at `time_s`; the first one makes no events."""
     sensor = make_sensor(PRESETS[preset], images.shape[1:], sensor_seed)
-    state = init_state(sensor, images[0], time_s[0], noise_seed=sensor_seed)
+    state = init_state(sensor, images[0], float(time_s[0]), noise_seed=sensor_seed)
     on, off = np.zeros(images.shape, np.uint16), np.zeros(images.shape, np.uint16)
     for i in range(1, len(images)):
         state, on[i], off[i] = step(sensor, state, images[i], float(time_s[i]))
