@@ -55,7 +55,8 @@ class WallSession:
 
     def __init__(self, scene: str, profile: str) -> None:
         self._cores = _cores()
-        core = max(self._cores) if len(self._cores) > 1 else None
+        # software rendering in the lane wants every core it can get
+        core = max(self._cores) if len(self._cores) > 1 and scene != "lane" else None
         options = json.dumps({"scene": scene, "profile": profile, "core": core})
         self._process = subprocess.Popen(
             [sys.executable, "-m", "uavaccel.wire.host", options],
