@@ -35,7 +35,7 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=v
 
 @app.command()
 def run(
-    experiment: Annotated[str, typer.Argument(help="dp1, or an experiment's YAML file.")],
+    experiment: Annotated[str, typer.Argument(help="dp1, dp2, or an experiment's YAML file.")],
     clock: Clock = None,
     command: Commands = None,
     t_move: Annotated[

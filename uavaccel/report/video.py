@@ -21,10 +21,10 @@ from uavaccel.sim.lane import LaneLayout
 Picture = NDArray[np.uint8]  # blue, green, red, as OpenCV has them
 
 FRAMES_PER_S = 12
-WIDTH, HEIGHT = 1280, 472
+WIDTH, HEIGHT = 1280, 480
 PANEL = (512, 288)  # width and height of camera and DVS: twice the camera's own
 CAMERA_AT, DVS_AT, NEAR_AT, LANE_AT = (12, 64), (536, 64), (1060, 64), (12, 380)
-NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 80)
+NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 86)
 
 PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
 NO_EVENT, ON, OFF = (246, 246, 246), (178, 114, 0), (0, 94, 213)  # style.BLUE and style.VERMILION
@@ -69,7 +69,7 @@ def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Pat
 
 
 def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Picture]:
-    """The film's frames (472, 1280, 3), one a sample."""
+    """The film's frames (480, 1280, 3), one a sample."""
     page = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
     lane_view = whole_lane(LANE_SIZE)
     lane = draw_lane(film.layout, lane_view)
