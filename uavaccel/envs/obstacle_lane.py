@@ -36,8 +36,8 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
     """An environment made of a `LaneTask`, whose keys are the keywords of `gymnasium.make`.
 
     `reset` draws a lane, or takes `options={"lane": index}` of the task's split. Infos have `is_success`, `distance_m`
-    (where it touched something, or flew to), `collision` (what it touched, or None), `lane`, `commands` and `phase_s`,
-    seconds of the game's own clock by phase. Raises UserError for keywords that do not fit.
+    (how far north it got), `position_m` (NED), `collision` (what it touched, or None), `lane`, `commands` and
+    `phase_s`, seconds of the game's own clock by phase. Raises UserError for keywords that do not fit.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
@@ -71,7 +71,8 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         drawn = int(self.np_random.integers(EVALUATION_SEEDS))
         self._lane = (options or {}).get("lane", drawn)
         self._start_game(np.random.SeedSequence(int(self.np_random.integers(2**63))))
-        self._commands, self._collision = 0, None
+        self._commands = 0
+        self._collision: str | None = None
         self._frames.extend([self._sense.blank] * (self._frames.maxlen or 0))
         return self._observation(), self._info()
 
@@ -144,7 +145,7 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         self._client = LaneClient(inner, self._sense.kind, self._stopwatches)
         first: LaneSample = self._client.gather(self._client.kinematics())
         self._switch(None)
-        self._distance_m = first.state.position_m[0]
+        self._position_m = first.state.position_m
         self._sense.begin(first.state, first.image)
         self._command.begin(self._client)
 
@@ -157,10 +158,10 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         goal = VelocityGoal(velocity, -task.altitude_m)
         missing = self._frames_per_command
         for sample in self._command.fly(self._client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
-            self._distance_m = sample.state.position_m[0]
+            self._position_m = sample.state.position_m
             if sample.collision:
                 self._collision = str(sample.collision["object"])
-                self._distance_m = sample.collision["position_m"][0]
+                self._position_m = tuple(sample.collision["position_m"])
                 break
             self._frames.append(self._see(sample))
             missing -= 1
@@ -174,6 +175,10 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         self._switch("simulation")
         return frame
 
+    @property
+    def _distance_m(self) -> float:
+        return float(self._position_m[0])
+
     def _switch(self, phase: str | None) -> None:
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
@@ -185,6 +190,7 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         info = {
             "is_success": self._collision is None and self._distance_m >= LENGTH_M,
             "distance_m": self._distance_m,
+            "position_m": [float(each) for each in self._position_m],
             "collision": self._collision,
             "lane": self._lane,
             "commands": self._commands,

@@ -1,4 +1,4 @@
-"""Configuration of the obstacle lane as a reinforcement-learning task: all that the paper leaves open is chosen here."""
+"""Configuration of the obstacle lane as a learning task: all that the paper leaves open is chosen here."""
 
 from __future__ import annotations
 

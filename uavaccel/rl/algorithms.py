@@ -112,5 +112,3 @@ def _keywords(config: TrainConfig, base: type[BaseAlgorithm]) -> dict[str, Any]:
             headings = list(config.task.headings_deg)
             keywords["mirror"] = tuple(headings.index(-heading) for heading in headings)
     return keywords
-
-

@@ -1,6 +1,7 @@
-"""Checkpoints from which a training goes on to the weights that it would have had: learner, buffer, random states, games.
+"""Checkpoints from which a training goes on to the weights that it would have had.
 
-A checkpoint holds tensors, arrays and JSON; reading one runs no code. It counts once its last file is there.
+Learner, buffer, every random state, and the games under way, as tensors, arrays and JSON: reading one runs no code. A
+checkpoint counts once its last file is there.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "
 _COMPLETE = "state.json"
 
 
-def save_checkpoint(folder: Path, model: BaseAlgorithm, rows: int) -> None:
-    """Write the model's state, and that of its environments' games, below `folder`; older checkpoints go."""
+def save_checkpoint(folder: Path, model: BaseAlgorithm, notes: dict[str, Any]) -> None:
+    """Write the model's state, that of its environments' games, and `notes`; older checkpoints in `folder` go."""
     checkpoint = folder / f"{model.games_done:07d}"  # type: ignore[attr-defined]
     shutil.rmtree(checkpoint, ignore_errors=True)
     checkpoint.mkdir(parents=True)
@@ -40,7 +41,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, rows: int) -> None:
     th.save({**learner, "torch": th.get_rng_state(), "cuda": _cuda_states()}, checkpoint / "learner.pt")
     _save_buffer(checkpoint / "buffer.npz", model)
     state = {
-        "rows": rows,
+        "notes": notes,
         "counters": {name: getattr(model, name) for name in _COUNTERS if hasattr(model, name)},
         "random": random.getstate(),
         "numpy": _numpy_state(),
@@ -60,8 +61,8 @@ def find_checkpoint(folder: Path) -> Path | None:
     return whole[-1] if whole else None
 
 
-def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[int, dict[str, Any]]:
-    """Put learner, buffer and games back; returns the rows written by then and the random states for `set_random`."""
+def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Put learner, buffer and games back; returns the notes, and the random states for `set_random`."""
     learner = th.load(checkpoint / "learner.pt", weights_only=True, map_location=model.device)
     model.policy.load_state_dict(learner["policy"])
     model.policy.optimizer.load_state_dict(learner["optimizer"])
@@ -72,7 +73,7 @@ def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[int, dict[s
     model._last_obs = _replay(model, state["journals"])
     model._last_episode_starts = np.array([not journal["steps"] for journal in state["journals"]])
     state["torch"], state["cuda"] = learner["torch"], learner["cuda"]
-    return state["rows"], state
+    return state["notes"], state
 
 
 def set_random(state: dict[str, Any], model: BaseAlgorithm) -> None:

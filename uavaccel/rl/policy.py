@@ -1,4 +1,4 @@
-"""A trained policy as a file of weights and a manifest that says how to see and act with them. Reading one runs no code."""
+"""A trained policy: a file of weights, and a manifest that says how to see and act. Reading one runs no code."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def weights_sha256(model: BaseAlgorithm) -> str:
     return digest.hexdigest()
 
 
-def export_policy(folder: Path, model: BaseAlgorithm, config: TrainConfig, trained: Mapping[str, Any]) -> None:
+def export_policy(
+    folder: Path, model: BaseAlgorithm, config: TrainConfig, trained: Mapping[str, Any]
+) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
     weights = {
         name: tensor.detach().cpu().clone()
@@ -99,6 +101,8 @@ def _network(config: TrainConfig) -> BasePolicy:
     frames = 3 * config.task.history
     space = observation_space(make_sense(config.task), frames)
     actions = spaces.Discrete(len(config.task.headings_deg))
-    network: BasePolicy = aliases[policy_name(config)](space, actions, lambda _: 0.0, **policy_keywords(config))
+    network: BasePolicy = aliases[policy_name(config)](
+        space, actions, lambda _: 0.0, **policy_keywords(config)
+    )
     network.set_training_mode(False)
     return network

@@ -74,10 +74,10 @@ class _Keeper(BaseCallback):
 
     def go_on(self, checkpoint: Path, model: BaseAlgorithm) -> None:
         """Take a checkpoint's state; rows written after it are dropped, their games are flown again."""
-        rows, self._random = load_checkpoint(checkpoint, model)
-        self._returns = self._random["returns"] if "returns" in self._random else self._returns
+        notes, self._random = load_checkpoint(checkpoint, model)
+        self._returns = notes["returns"]
         self._updates_charged = getattr(model, "_n_updates", 0)
-        self.keep_rows(rows)
+        self.keep_rows(notes["rows"])
 
     def keep_rows(self, count: int) -> None:
         """Drop all rows but the first `count`."""
@@ -97,7 +97,9 @@ class _Keeper(BaseCallback):
     def _on_rollout_start(self) -> None:
         self._charge_learning()
         if self.games - self._saved >= self._config.checkpoint_games:
-            save_checkpoint(self._run.path / CHECKPOINTS, self.model, self.games)
+            notes = {"rows": self.games, "returns": self._returns}
+            save_checkpoint(self._run.path / CHECKPOINTS, self.model, notes)
+            export_policy(self._run.path, self.model, self._config, {"games": self.games})
             self._saved = self.games
 
     def _charge_learning(self) -> None:
