@@ -37,6 +37,7 @@ class Future:
 class MultirotorClient:
     def __init__(self, ip: str = "", port: int = 41451, timeout_value: float = 60) -> None:
         self._socket = socket.create_connection((ip or "127.0.0.1", port), timeout=timeout_value)
+        self.address = self._socket.getsockname()
         self._unpacker = msgpack.Unpacker(raw=False)
         self._futures: dict[int, Future] = {}
         self._next_id = 0

@@ -20,7 +20,7 @@ from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 IDLE_NS = 5_000_000  # an idle server advances at least so often
 CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
-FINAL_NS = 60_000  # at the very last, look at the clock alone: looking at the sockets takes as long as two ticks
+FINAL_NS = 60_000  # at the very last, look at the clock alone: sockets take as long to look at as two ticks
 SPIN_NS = 300_000  # before something ends, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
 READ_BYTES = 1 << 12
@@ -66,10 +66,12 @@ class Server:
     ) -> None:
         self.api = api
         self.clock = MonotonicClock()
+        if not 0 <= port < 1 << 16:
+            raise UserError(f"port must be 0 to 65535, not {port}")
         try:
             self._listener = socket.create_server((host, port), backlog=MAX_CONNECTIONS)
-        except (OSError, OverflowError) as error:
-            reason = (getattr(error, "strerror", None) or str(error)).partition(" (while")[0]
+        except OSError as error:
+            reason = (error.strerror or str(error)).partition(" (while")[0]
             raise UserError(f"cannot listen on {host}:{port}: {reason}; choose another with --port") from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._listener.setblocking(False)

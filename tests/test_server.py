@@ -1,0 +1,310 @@
+"""Bad bytes and bad clients cost themselves their own connection; simulated time and everybody else go on."""
+
+import contextlib
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import pytest
+
+from tests.airsim_client import MultirotorClient, RPCError
+from tests.serving import running_server
+from uavaccel.errors import UserError
+from uavaccel.wire import rpc, server, transport
+from uavaccel.wire.api import Api
+from uavaccel.wire.server import Server
+from uavaccel.wire.transport import SocketTransport
+
+PING = rpc.pack_request(1, "ping", [])
+PONG = rpc.pack_response(1, None, True)
+YAW = {"is_rate": True, "yaw_or_rate": 0.0}
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Server]:
+    with running_server(clock_speed=20.0) as running:
+        yield running
+
+
+@pytest.fixture
+def witness(running: Server) -> Iterator[MultirotorClient]:
+    """Another client, that must not notice anything."""
+    with MultirotorClient(port=running.address[1]) as client:
+        client.reset()
+        client.simPause(False)
+        client.enableApiControl(True)
+        yield client
+        wait_for_time(client, 0.01)
+        assert client.ping()
+
+
+def time_s(client: MultirotorClient) -> float:
+    return float(client.getMultirotorState().timestamp) / 1e9
+
+
+def wait_for_time(client: MultirotorClient, simulated_s: float) -> None:
+    """Until simulated time has gone on, which it does by itself."""
+    start_s = time_s(client)
+    while time_s(client) < start_s + simulated_s:
+        pass
+
+
+@contextlib.contextmanager
+def stranger(running: Server) -> Iterator[socket.socket]:
+    """A bare connection."""
+    with socket.create_connection(running.address, timeout=60) as connection:
+        yield connection
+
+
+def receive(connection: socket.socket, size: int) -> bytes:
+    """So many bytes, or fewer where the server closes the connection."""
+    data = b""
+    with contextlib.suppress(ConnectionResetError):
+        while len(data) < size and (more := connection.recv(size - len(data))):
+            data += more
+    return data
+
+
+def send_for_ever(connection: socket.socket, data: bytes) -> None:
+    while True:
+        connection.sendall(data)
+
+
+@pytest.mark.parametrize("data", [
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"\xc1",
+    b"\x91" * 100_000,
+    b"\xdd\xff\xff\xff\xff",
+    b"\xdb\xff\xff\xff\xff" + bytes(2 * rpc.MAX_MESSAGE_BYTES),  # the length is believed until it is too much
+    b"\xdf\xff\xff\xff\xff",
+    b"\x90",
+    msgpack.packb([5, 1, "ping", []]),
+    msgpack.packb([0, "id", "ping", []]),
+    msgpack.packb([0, 1, 7, []]),
+    msgpack.packb([0, 1, "ping", {}]),
+    msgpack.packb([1, 1, None, None]),
+    rpc.pack_request(1, "ping", ["x" * (rpc.MAX_MESSAGE_BYTES + 1)]),
+], ids=lambda data: repr(data[:12]))  # fmt: skip
+def test_what_is_no_request_is_hung_up_on(running: Server, witness: MultirotorClient, data: bytes) -> None:
+    with stranger(running) as connection:
+        with contextlib.suppress(ConnectionError):  # it may be closed before all is sent
+            connection.sendall(data)
+        assert receive(connection, 1) == b""
+
+
+def test_half_a_message_waits_for_its_other_half(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        connection.sendall(PING[:3])
+        wait_for_time(witness, 0.5)
+        connection.sendall(PING[3:])
+        assert receive(connection, len(PONG)) == PONG
+
+
+@pytest.mark.parametrize("polite", [True, False])
+def test_half_a_message_and_a_client_gone(running: Server, witness: MultirotorClient, polite: bool) -> None:
+    with stranger(running) as connection:
+        connection.sendall(PING[:3])
+        if not polite:  # close with a reset instead of an end
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+@pytest.mark.parametrize(("method", "params", "text"), [
+    ("fly", [], "rpclib: server could not find function 'fly' with argument count 0."),
+    ("", [1, 2], "rpclib: server could not find function '' with argument count 2."),
+    ("simPause", [], "rpclib: Function 'simPause' was called with an invalid number of arguments. Expected: 1, got: 0"),
+    ("ping", [1], "rpclib: Function 'ping' was called with an invalid number of arguments. Expected: 0, got: 1"),
+    ("enableApiControl", [True, "Nobody"], "rpclib: function 'enableApiControl' (called with 2 arg(s)) threw an "
+     "exception. The exception contained this information: Vehicle API for 'Nobody' is not available. This could "
+     "either because this is simulation-only API or this vehicle does not exist; there is 'SimpleFlight'."),
+    ("simContinueForTime", [-1.0], "rpclib: function 'simContinueForTime' (called with 1 arg(s)) threw an exception. "
+     "The exception contained this information: seconds must not be negative, not -1."),
+])  # fmt: skip
+def test_error_texts(witness: MultirotorClient, method: str, params: list[Any], text: str) -> None:
+    with pytest.raises(RPCError) as caught:
+        witness.call(method, *params)
+    assert str(caught.value) == text
+
+
+@pytest.mark.parametrize(("method", "params", "named"), [
+    ("moveByVelocity", [NAN, 0, 0, 1, 0, YAW, ""], "vx"),
+    ("moveByVelocity", [0, INF, 0, 1, 0, YAW, ""], "vy"),
+    ("moveByVelocity", [0, 0, 1e300, 1, 0, YAW, ""], "vz"),
+    ("moveByVelocity", ["fast", 0, 0, 1, 0, YAW, ""], "vx"),
+    ("moveByVelocity", [None, 0, 0, 1, 0, YAW, ""], "vx"),
+    ("moveByVelocity", [True, 0, 0, 1, 0, YAW, ""], "vx"),
+    ("moveByVelocity", [0, 0, 0, NAN, 0, YAW, ""], "duration"),
+    ("moveByVelocity", [0, 0, 0, 0.0301, 0, YAW, ""], "duration"),
+    ("moveByVelocity", [0, 0, 0, 1, "forward", YAW, ""], "drivetrain"),
+    ("moveByVelocity", [0, 0, 0, 1, 0, 3, ""], "yaw_mode"),
+    ("moveByVelocity", [0, 0, 0, 1, 0, {"yaw_or_rate": NAN}, ""], "yaw_mode.yaw_or_rate"),
+    ("moveByVelocity", [0, 0, 0, 1, 0, YAW, ["SimpleFlight"]], "SimpleFlight"),
+    ("moveByVelocityZ", [0, 0, -INF, 1, 0, YAW, ""], "z"),
+    ("simPause", ["yes"], "is_paused"),
+    ("simContinueForTime", [INF], "seconds"),
+    ("uavaccelContinueFor", [0.5], "duration_ns"),
+    ("uavaccelSetClockSpeed", [0], "clock_speed"),
+    ("uavaccelSetClockSpeed", [1e9], "clock_speed"),
+    ("uavaccelStartGame", [1, -1e9], "height_m"),
+    ("simGetImages", [[{}] * 1000], "requests"),
+    ("simSetVehiclePose", [{"position": 1}, True], "pose"),
+])  # fmt: skip
+def test_bad_arguments_are_named(
+    witness: MultirotorClient, method: str, params: list[Any], named: str
+) -> None:
+    with pytest.raises(RPCError, match=named):
+        witness.call(method, *params)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0])
+def test_a_command_of_no_duration_is_over_at_once(witness: MultirotorClient, duration_s: float) -> None:
+    assert witness.moveByVelocityAsync(1, 0, 0, duration_s).get() is True
+
+
+def test_extreme_goals_are_flown_within_the_drones_limits(witness: MultirotorClient) -> None:
+    assert witness.moveByVelocityAsync(3e38, -3e38, -3e38, 2.0).get() is True
+    assert witness.call("uavaccelSpeed")["failure"] is None
+    forever = witness.moveByVelocityZAsync(0, 0, -3e38, 3e38)
+    witness.call("uavaccelRecording")
+    witness.call("cancelLastTask")
+    assert forever.get() is False
+
+
+def test_a_notification_gets_no_answer(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        connection.sendall(
+            msgpack.packb([rpc.NOTIFY, "ping", []]) + msgpack.packb([rpc.NOTIFY, "fly", []]) + PING
+        )
+        assert receive(connection, len(PONG)) == PONG
+
+
+def test_the_latest_command_wins_in_the_order_of_the_socket(witness: MultirotorClient) -> None:
+    futures = [witness.moveByVelocityAsync(1, 0, 0, 0.5) for _ in range(3)]
+    assert [future.get() for future in reversed(futures)] == [True, False, False]
+
+
+def test_a_pause_releases_another_clients_continue_for(running: Server, witness: MultirotorClient) -> None:
+    witness.simPause(True)
+    with MultirotorClient(port=running.address[1]) as other:
+        pending = other.call_async("simContinueForTime", 1e6)
+        wait_for_time(witness, 0.1)
+        assert not witness.simIsPause()
+        witness.simPause(True)
+        pending.join()
+    witness.simPause(False)
+
+
+def test_the_command_of_a_client_that_vanished_runs_on(running: Server, witness: MultirotorClient) -> None:
+    with MultirotorClient(port=running.address[1]) as other:
+        other.moveByVelocityAsync(1, 0, 0, 2.0)
+        other.ping()
+    wait_for_time(witness, 2.5)
+    assert witness.getMultirotorState().kinematics_estimated.position.x_val > 0.5
+
+
+def test_the_continue_for_of_a_client_that_vanished_ends(running: Server, witness: MultirotorClient) -> None:
+    witness.simPause(True)
+    start_s = time_s(witness)
+    with MultirotorClient(port=running.address[1]) as other:
+        other.call_async("uavaccelContinueFor", 1_000_000_000)
+        other.ping()
+    while not witness.simIsPause():
+        pass
+    assert time_s(witness) - start_s == pytest.approx(1.0)
+    witness.simPause(False)
+
+
+def test_a_client_that_never_reads_is_hung_up_on(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "MAX_UNSENT_BYTES", 1 << 16)
+    request = rpc.pack_request(1, "getMultirotorState", []) * 100
+    with stranger(running) as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        with pytest.raises(ConnectionError):
+            send_for_ever(connection, request)
+
+
+def test_a_packet_full_of_requests_for_large_replies_is_not_answered_at_once(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a kilobyte of requests would have gigabytes of recordings made before the first is sent."""
+    made = 0
+    reply = {"samples": bytes(1 << 20)}
+
+    def recording() -> dict[str, bytes]:
+        nonlocal made
+        made += 1
+        return reply
+
+    monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
+    monkeypatch.setattr(server, "MAX_UNSENT_BYTES", 1 << 20)
+    with stranger(running) as connection, pytest.raises(ConnectionError):
+        send_for_ever(connection, rpc.pack_request(1, "uavaccelRecording", []) * 100)
+    assert made < 100
+
+
+def test_two_hundred_at_once(running: Server, witness: MultirotorClient) -> None:
+    with contextlib.ExitStack() as stack:
+        crowd = [stack.enter_context(stranger(running)) for _ in range(200)]
+        for connection in crowd:
+            connection.sendall(PING)
+        assert [receive(connection, len(PONG)) for connection in crowd] == [PONG] * 200
+
+
+def test_one_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
+    with running_server() as running, contextlib.ExitStack() as stack:
+        two = [stack.enter_context(MultirotorClient(port=running.address[1])) for _ in range(2)]
+        assert all(client.ping() for client in two)
+        with stranger(running) as third:
+            assert receive(third, 1) == b""
+        assert all(client.ping() for client in two)
+
+
+def test_small_messages_leave_and_are_acknowledged_at_once(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a continue-for behind an un-joined command waits 40 ms for the acknowledgement of the command."""
+    acknowledged: list[tuple[str, int]] = []
+
+    def set_quick_ack(connection: socket.socket) -> None:
+        transport.set_quick_ack(connection)
+        acknowledged.append(connection.getpeername())
+
+    monkeypatch.setattr(server, "set_quick_ack", set_quick_ack)
+    assert all(witness.ping() for _ in range(5))
+    assert acknowledged == [witness.address] * 5
+    assert all(
+        each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running._connections
+    )
+
+
+def test_both_ends_set_both_options(running: Server) -> None:
+    with stranger(running) as connection:
+        transport.set_no_delay(connection)
+        assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        if hasattr(socket, "TCP_QUICKACK"):
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK)
+
+
+def test_a_port_in_use_is_one_line(running: Server) -> None:
+    with pytest.raises(
+        UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"
+    ):
+        Server(Api(running.api.simulation), port=running.address[1])
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_there_cannot_be_is_one_line(running: Server, port: int) -> None:
+    with pytest.raises(UserError, match=f"port must be 0 to 65535, not {port}"):
+        Server(Api(running.api.simulation), port=port)
+
+
+def test_no_server_is_one_line(running: Server) -> None:
+    unused = Server(Api(running.api.simulation), port=0)
+    unused.close()
+    with pytest.raises(UserError, match="start one with `uavaccel serve`"):
+        SocketTransport(*unused.address)
