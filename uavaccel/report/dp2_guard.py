@@ -71,9 +71,9 @@ def sentence(guard: Mapping[str, Any]) -> str:
     """The false alarms, and what of all images handed on is perturbed."""
     handed_on = guard["perturbed_share_handed_on"]
     return (
-        f"Of {guard['images']} clean images the guard refused {guard['clean_false_alarms']} and took each on "
-        f"asking again. With {guard['share']:.0%} of the images perturbed, {handed_on['off']:.1%} of those handed "
-        f"on are perturbed without the guard and {handed_on['on']:.1%} with it."
+        f"False alarms: {guard['clean_false_alarms']} of {guard['images']} clean images. "
+        f"With {guard['share']:.0%} of the images perturbed, {handed_on['off']:.1%} of those handed on are "
+        f"perturbed without the guard and {handed_on['on']:.1%} with it."
     )
 
 

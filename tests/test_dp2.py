@@ -1,0 +1,410 @@
+"""DP2 end to end on short paths: equal poses and images, guard, collisions, summary, repeatable bytes, films."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from uavaccel.cli.run import Request, report_run, run_experiment
+from uavaccel.cli.view import view_run
+from uavaccel.errors import UsageError, UserError
+from uavaccel.files import read_arrays, write_arrays
+from uavaccel.records import RunDirectory
+from uavaccel.report import dp2_guard
+from uavaccel.report.dp2_scores import SeenFlight, count_events, score_game, score_games
+from uavaccel.report.dp2_summary import summary_of
+from uavaccel.report.dp2_table import table
+from uavaccel.report.figure7_images import ImageCloud, draw_images
+from uavaccel.report.video import Film, dvs_picture, frames
+from uavaccel.sim import gl
+from uavaccel.sim.lane import LENGTH_M, draw_layout
+from uavaccel.suites import dp2
+from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.wire.session import open_session
+
+SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
+SAMPLES = 13  # the start, and three of each command
+FIGURE = "figures/figure7_images.png"
+
+
+def opengl_works() -> bool:
+    try:
+        return bool(gl.choose_backend())
+    except UserError:
+        return False
+
+
+needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
+
+
+def config_of(*overrides: str, **options: Any) -> dp2.Dp2Config:
+    mapping, source = read_mapping("dp2")
+    return resolve(dp2.Dp2Config, mapping, source, options, overrides)
+
+
+def request(out: Path, **options: Any) -> Request:
+    return Request("dp2", {"clock_speed": [1.0, 100.0], **options}, [SHORT_PATH], 1, out, False, False)
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("dp2") / "run"
+    run_experiment(request(out))
+    return out
+
+
+def summary_in(run_dir: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((run_dir / "summary.json").read_text())
+    return summary
+
+
+def cell_of(summary: Mapping[str, Any], command: str, clock_speed: float) -> dict[str, Any]:
+    (cell,) = (c for c in summary["cells"] if (c["command"], c["clock_speed"]) == (command, clock_speed))
+    return dict(cell)
+
+
+def contents(run_dir: Path) -> dict[str, bytes]:
+    """What has to be the same twice."""
+    arrays = sorted(path.relative_to(run_dir).as_posix() for path in (run_dir / "arrays").iterdir())
+    return {name: (run_dir / name).read_bytes() for name in ("rows.jsonl", "summary.json", FIGURE, *arrays)}
+
+
+# --- the grid -----------------------------------------------------------------------------------------------
+
+
+def test_the_papers_dp2_flies_each_clock_speed_once_to_the_lanes_end() -> None:
+    config = config_of()
+    names = [case.id for case in dp2.cases(config)]
+    games = [f"{command}-k{clock}" for command in ("tcsc", "adsc") for clock in (1, 5, 10, 50, 100)]
+    flown = [f"reference-{name}" if name.endswith("k1") else name for name in games]
+    assert names == ["lockstep-tcsc-k1", *flown]
+    reach_m = sum(north for north, _ in dp2.velocities(config)) * config.t_move_s
+    assert LENGTH_M < reach_m < LENGTH_M + 5
+    assert {case.simulated_s() for case in dp2.cases(config)} == {float(len(dp2.velocities(config)))}
+
+
+def test_a_measured_run_is_compared_with_modelled_ones_at_1x() -> None:
+    config = config_of(SHORT_PATH, clock_speed=[1.0, 50.0], timing="wall", command=["tcsc"])
+    assert [(case.id, case.timing) for case in dp2.cases(config)] == [
+        ("reference-tcsc-k1", "virtual"),
+        ("lockstep-tcsc-k1", "lockstep"),
+        ("tcsc-k1", "wall"),
+        ("tcsc-k50", "wall"),
+    ]
+
+
+def test_perturbed_games_are_compared_with_a_clean_one() -> None:
+    config = config_of(SHORT_PATH, "perturbation.share=0.1", clock_speed=[1.0], command=["tcsc"])
+    assert [case.id for case in dp2.cases(config)] == ["reference-tcsc-k1", "lockstep-tcsc-k1", "tcsc-k1"]
+
+
+# --- flights ------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_tcsc_sees_at_any_clock_speed_what_lockstep_sees(run_dir: Path) -> None:
+    lockstep, real_time, fast = (
+        read_arrays(run_dir / f"arrays/{case}.npz")
+        for case in ("lockstep-tcsc-k1", "reference-tcsc-k1", "tcsc-k100")
+    )
+    for arrays in (real_time, fast):
+        for name in ("time_s", "sample_index", "position_m", "orientation_wxyz", "image"):
+            assert np.array_equal(arrays[name], lockstep[name]), name
+    assert lockstep["image"].shape == (SAMPLES, 144, 256)
+    assert len(np.unique(lockstep["image"].reshape(SAMPLES, -1), axis=0)) == SAMPLES
+    assert lockstep["time_s"][:5].tolist() == [0.0, 0.33, 0.66, 1.0, 1.33]
+
+
+@needs_opengl
+def test_the_summary_of_a_run(run_dir: Path) -> None:
+    summary = summary_in(run_dir)
+    for clock_speed in (1.0, 100.0):
+        tcsc = cell_of(summary, "tcsc", clock_speed)
+        errors = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
+        assert [tcsc[f"{name}_max"] for name in errors] == [0.0, 0.0, 0.0]
+        assert (tcsc["poses_equal_lockstep"], tcsc["dvs_counts_equal_lockstep"]) == (True, True)
+        assert tcsc["paired_images"] == SAMPLES - 1
+    adsc = cell_of(summary, "adsc", 100.0)
+    assert adsc["position_error_m_max"] > 0.01
+    assert adsc["dvs_ed_percent_max"] > 0.0
+    assert adsc["poses_equal_lockstep"] is False
+    assert adsc["reference"] == {
+        "case": "reference-adsc-k1",
+        "clock_speed": 1.0,
+        "timing": "virtual",
+        "provenance": "modelled",
+        "is_this_cell": False,
+    }
+
+
+@needs_opengl
+def test_the_report_of_a_run(run_dir: Path) -> None:
+    figure = cv2.imread(str(run_dir / FIGURE))
+    assert figure is not None
+    assert np.mean(np.any(figure != 255, axis=-1)) > 0.01
+    markdown, html = ((run_dir / f"report.{suffix}").read_text() for suffix in ("md", "html"))
+    assert f"({FIGURE})" in markdown
+    assert "modelled (virtual clock): 4 games" in markdown
+    assert "salt and pepper" in markdown
+    assert html.count("data:image/png;base64,") == 1
+    before = contents(run_dir)
+    report_run(run_dir)
+    assert contents(run_dir) == before
+
+
+@needs_opengl
+def test_the_same_bytes_every_time_and_for_any_jobs(run_dir: Path, tmp_path: Path) -> None:
+    run_experiment(replace(request(tmp_path / "again"), jobs=2))
+    assert contents(tmp_path / "again") == contents(run_dir)
+
+
+@needs_opengl
+def test_the_guard_asks_again_for_perturbed_images() -> None:
+    overrides = [SHORT_PATH, "perturbation.share=0.5", "perturbation.kinds=[empty, brightness]"]
+    config = config_of(*overrides, clock_speed=[100.0], command=["tcsc"])
+    flown = {case.role: fly(config, case) for case in dp2.cases(config)}
+    row, arrays = flown["game"]
+    assert row["guard_retries"] == arrays["retries"].sum() > 3
+    clean = flown["lockstep"][1]
+    assert np.array_equal(arrays["position_m"], clean["position_m"])
+    same = [np.array_equal(*images) for images in zip(arrays["image"], clean["image"], strict=True)]
+    assert sum(same) > SAMPLES / 2
+    assert flown["reference"][0]["guard_retries"] == flown["lockstep"][0]["guard_retries"]
+
+
+def fly(config: dp2.Dp2Config, case: dp2.Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    with open_session(case.timing, config.profile, dp2.SCENE, config.latency) as session:
+        return dp2.run_case(config, case, session)
+
+
+@needs_opengl
+@pytest.mark.parametrize("command", ["tcsc", "adsc"])
+def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
+    lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}]}"
+    straight = f"path={[[1.0, 0.0]] * 12}"
+    config = config_of(lane, straight, clock_speed=[100.0], command=[command])
+    case = next(case for case in dp2.cases(config) if case.role == "game")
+    row, arrays = fly(config, case)
+    assert row["collision"]["object"].startswith("obstacle")
+    assert row["distance_m"] == pytest.approx(2.5 - 0.34, abs=0.02)
+    assert row["error"] is None
+    assert row["commands"] < 12
+    assert arrays["time_s"][-1] <= row["collision"]["time_s"] < arrays["time_s"][-1] + 0.5
+    assert len(arrays["image"]) == len(arrays["position_m"]) == row["samples"]
+    assert len(np.unique(arrays["position_m"][1:], axis=0)) == len(arrays["position_m"]) - 1
+
+
+# --- numbers known by hand ----------------------------------------------------------------------------------
+
+
+def synthetic(case: str, clock_speed: float, offset_m: float, bright_rows: int) -> tuple[dict, dict]:
+    """Three samples, the last of which is `offset_m` aside and `bright_rows` of 4 twice as bright as before."""
+    images = np.full((3, 4, 5), 100, np.uint8)
+    images[2, :bright_rows] = 200
+    position_m = np.zeros((3, 3))
+    position_m[1:, 1] = offset_m / 2, offset_m
+    half = np.radians(offset_m) / 2  # so many degrees of yaw
+    arrays = {
+        "sample_index": np.arange(3),
+        "time_s": np.array([0.0, 0.33, 0.66]),
+        "position_m": position_m,
+        "orientation_wxyz": np.array([[1, 0, 0, 0], [1, 0, 0, 0], [np.cos(half), 0, 0, np.sin(half)]]),
+        "image": images,
+    }
+    row = {
+        "case": case,
+        "role": case.partition("-")[0] if "-" in case else "game",
+        "command": "tcsc",
+        "clock_speed": clock_speed,
+        "t_move_s": 0.66,
+        "timing": "wall",
+        "samples": 3,
+        "guard_retries": 2,
+        "collision": None,
+        "distance_m": 0.0,
+        "wall_s": 0.033,
+        "duration_s": 0.66,
+        "real_time_factor": clock_speed,
+        "lost_wall_s": 0.0,
+        "error": None,
+    }
+    return row, arrays
+
+
+def test_summary_numbers_known_by_hand() -> None:
+    flown = [synthetic("reference-1", 1.0, 0.0, 1), synthetic("lockstep-1", 1.0, 0.0, 1)]
+    flown += [synthetic("fast", 100.0, 3.0, 3)]
+    arrays = {row["case"]: samples for row, samples in flown}
+    scores = score_games([row for row, _ in flown], lambda row: arrays[row["case"]], "clean", 0)
+    config = {"profile": "native", "seed": 0, "dvs_preset": "clean", "sensor_seed": 0}
+    summary = summary_of(config | {"perturbation": {"share": 0.0}}, list(scores), None)
+    real_time, fast = summary["cells"]
+    assert real_time["reference"]["is_this_cell"]
+    assert (real_time["position_error_m_max"], real_time["dvs_ed_percent_max"]) == (0.0, 0.0)
+    assert (real_time["poses_equal_lockstep"], real_time["dvs_counts_equal_lockstep"]) == (True, True)
+    assert fast["position_error_m_median"] == pytest.approx((1.5 + 3.0) / 2)
+    assert fast["position_error_m_max"] == pytest.approx(3.0)
+    assert fast["attitude_error_deg_max"] == pytest.approx(3.0)
+    assert (fast["dvs_ed_percent_median"], fast["dvs_ed_percent_max"]) == (25.0, 50.0)  # 2 of 4 rows, ON
+    assert (fast["poses_equal_lockstep"], fast["dvs_counts_equal_lockstep"]) == (False, False)
+    assert fast["simulated_s_per_wall_s"] == pytest.approx(20.0)
+    line = table(summary)[1]
+    assert line[:6] == ("TCSC", "100x", "2", "2.250, 3.000", "3.00", "25.00, 50.00")
+    assert line[-1] == "measured"
+
+
+def test_images_are_paired_by_their_place_in_the_path() -> None:
+    count = np.zeros((3, 2, 2), np.uint16)
+    places = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]])
+    level = np.tile([1.0, 0, 0, 0], (3, 1))
+    reference = SeenFlight({}, np.array([0, 1, 2]), places, level, count, count)
+    late = SeenFlight({}, np.array([0, 2, 3]), places[[0, 2, 1]], level, count, count)
+    assert score_game(late, reference, None).position_error_m.tolist() == [0.0]
+
+
+def test_without_a_run_at_1x_the_errors_are_unknown() -> None:
+    row, arrays = synthetic("fast", 100.0, 3.0, 3)
+    (score,) = score_games([row], lambda _: arrays, "clean", 0)
+    assert (score.reference, score.position_error_m.size, score.equal_poses) == (None, 0, None)
+
+
+def test_the_first_image_makes_no_events() -> None:
+    images = np.stack([np.full((4, 4), level, np.uint8) for level in (10, 200, 200)])
+    on, off = count_events(images, np.array([0.0, 0.33, 0.66]), "clean", 0)
+    assert [int(counts.sum()) > 0 for counts in (*on, *off)] == [False, True, False, False, False, False]
+
+
+def test_guard_study_counts_what_passes() -> None:
+    images = np.full((100, 8, 8, 3), (120, 60, 30), np.uint8)
+    guard = dp2_guard.study(images, GuardSettings(), seed=0)
+    assert guard["clean_false_alarms"] == 0
+    by_kind = {kind: counts["on"]["share_passed"] for kind, counts in guard["by_kind"].items()}
+    assert by_kind["empty"] < 0.05
+    assert by_kind["brightness"] < 0.05
+    assert all(counts["off"]["share_passed"] == 1.0 for counts in guard["by_kind"].values())
+    assert len(dp2_guard.table(guard)) == 5
+    assert "False alarms: 0 of 100" in dp2_guard.sentence(guard)
+
+
+@pytest.mark.parametrize("clouds", [[], [ImageCloud("tcsc", 5.0, np.zeros(3), np.zeros(3))]])
+def test_figure_7_of_little_or_nothing(clouds: list[ImageCloud], tmp_path: Path) -> None:
+    figure = cv2.imread(str(draw_images(clouds, tmp_path / "figure7.png", "synthetic")))
+    assert figure is not None
+    assert np.mean(np.any(figure != 255, axis=-1)) > 0.005
+
+
+# --- films --------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_view_writes_a_film_that_plays_and_a_contact_sheet(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view_run(run_dir, None, tmp_path)
+    assert capsys.readouterr().out.split() == [str(tmp_path / f"tcsc-k100.{kind}") for kind in ("mp4", "png")]
+    film = cv2.VideoCapture(str(tmp_path / "tcsc-k100.mp4"))
+    played = []
+    while (frame := film.read())[0]:
+        played.append(frame[1])
+    assert len(played) == SAMPLES
+    assert played[0].shape == (480, 1280, 3)
+    assert np.mean(np.abs(played[-1].astype(int) - played[1])) > 1.0
+    sheet = cv2.imread(str(tmp_path / "tcsc-k100.png"))
+    assert sheet is not None
+    assert min(sheet.shape[:2]) > 800
+
+
+@needs_opengl
+def test_view_says_what_is_wrong(run_dir: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"--case tcsc-k10: .*did you mean tcsc-k100"):
+        view_run(run_dir, "tcsc-k10", tmp_path)
+    with pytest.raises(UserError, match="not a run directory"):
+        view_run(tmp_path, None, None)
+
+
+def test_view_of_a_run_without_images(tmp_path: Path) -> None:
+    RunDirectory.create(tmp_path / "run", config_of(SHORT_PATH), {})
+    with pytest.raises(UserError, match="holds no finished game"):
+        view_run(tmp_path / "run", None, None)
+    text = (tmp_path / "run/config.yaml").read_text()
+    (tmp_path / "run/config.yaml").write_text(text.replace("suite: dp2", "suite: dp1"))
+    with pytest.raises(UserError, match="a run of dp1 keeps no images"):
+        view_run(tmp_path / "run", None, None)
+
+
+def test_a_frame_shows_camera_events_and_map() -> None:
+    images = np.random.default_rng(0).integers(0, 256, (2, 144, 256, 3), np.uint8)
+    on, off = np.zeros((2, 2, 144, 256), np.uint16)
+    on[1, :, :128], off[1, :, 128:] = 3, 3
+    places = np.array([[0.0, 0, -10], [40.0, 0, -10]])
+    film = Film("title", np.array([0.0, 0.33]), images, on, off, places, draw_layout(3))
+    _, frame = frames(film)
+    assert np.array_equal(frame[64:352:2, 12:524:2], images[1, :, :, ::-1])
+    assert np.array_equal(frame[64:352, 536:1048], dvs_picture(on[1], off[1], (512, 288)))
+    left, right = frame[200, 600], frame[200, 1000]
+    assert left[0] > left[2] + 100  # ON is blue
+    assert right[2] > right[0] + 100  # OFF is red
+
+
+# --- files and mistakes -------------------------------------------------------------------------------------
+
+
+def test_images_are_deflated_and_come_back_whole(tmp_path: Path) -> None:
+    images = np.repeat(np.arange(200, dtype=np.uint8), 500).reshape(10, 100, 100)
+    for name in ("one", "two"):
+        write_arrays(tmp_path / name, {"image": images, "time_s": np.arange(3.0)})
+    assert np.array_equal(read_arrays(tmp_path / "one")["image"], images)
+    assert (tmp_path / "one").stat().st_size < images.nbytes / 4
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+MISTAKES = {
+    "lane=-1": r"dp2\.yaml: lane = -1",
+    "lane={seed: 3, dificulty: {}}": "unknown key 'lane.dificulty'",
+    "lane={obstacles: [{x_m: 0.1, y_m: 0.0, radius_m: 0.3}]}": "of the start",
+    "lane=nowhere.yaml": r"nowhere\.yaml",
+    "path=[]": "path = .*needs at least one velocity",
+    "height_m=10": "height_m = 10",
+    "t_move_s=0.333": "t_move_s: 0.333 s is not a positive multiple",
+    "t_sample_s=0.3333": "t_sample_s",
+    "perturbation.share=2": r"perturbation\.share = 2",
+    "perturbation.kinds=[snow]": "perturbation.kinds",
+    "guard.max_retries=-1": r"guard\.max_retries = -1",
+    "guards.max_retries=1": "unknown key 'guards'; did you mean 'guard'",
+    "dvs_preset=loud": "dvs_preset = 'loud'",
+}
+
+
+@pytest.mark.parametrize("override", MISTAKES)
+def test_mistakes_are_one_line(override: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=MISTAKES[override]) as mistake:
+        run_experiment(replace(request(tmp_path / "run"), overrides=[override]))
+    assert "\n" not in str(mistake.value)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"games": 2}, "--games: dp2 has no such option"),
+        ({"rounds": [1]}, "--rounds: dp2 has no such option"),
+        ({"t_move_s": [1.0, 2.0]}, "--t-move: dp2 takes one value, not 2"),
+    ],
+)
+def test_options_of_other_suites_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=message):
+        run_experiment(request(tmp_path / "run", **options))
+
+
+def test_an_unknown_suite_is_named(tmp_path: Path) -> None:
+    (tmp_path / "dp9.yaml").write_text("suite: dp9\n")
+    with pytest.raises(UserError, match=r"dp9\.yaml: suite = 'dp9' is unknown; there are dp1, dp2"):
+        run_experiment(replace(request(tmp_path / "run"), experiment=str(tmp_path / "dp9.yaml")))
