@@ -9,16 +9,16 @@ from uavaccel.report.style import clock_label, command_name
 
 HEADER = (
     "command",
-    "ClockSpeed",
-    "T_move, s",
+    "clock",
+    "T_move s",
     "rounds",
     "games",
     "STLC median [q25, q75]",
-    "RMSE v. reference, m",
-    "RMSE v. lockstep, m",
-    "duration error, s",
-    "effective speed-up",
-    "real-time factor",
+    "RMSE m",
+    "v. lockstep",
+    "duration s",
+    "speed-up",
+    "achieved",
     "source",
 )
 
