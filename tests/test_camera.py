@@ -230,6 +230,7 @@ def test_contexts_open_and_close_many_times(lane: tuple[mujoco.MjModel, mujoco.M
             assert other.colour(data).any()
             other.close()
             other.close()
+            assert gl.describe_renderer() == kept.renderer
             assert np.array_equal(kept.colour(data), wanted)
     with pytest.raises(ValueError, match="closed"):
         kept.colour(data)

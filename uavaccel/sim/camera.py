@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import threading
 import weakref
 from typing import Any, Self
 
@@ -36,8 +35,6 @@ _RENDER_FLAGS = {
 }
 _ID_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 _EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
-
-_in_thread = threading.local()  # .camera: whose GL context is current
 
 
 class Camera:
@@ -74,14 +71,13 @@ class Camera:
         self._open()
 
     def _open(self) -> None:
-        self._gl: Any = gl.make_context(self.width, self.height)
-        _in_thread.camera = self
+        self._gl: Any
+        self._gl, self.renderer = gl.make_context(self.width, self.height)
         _set_quality(self.model, self.width, self.height)
         self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        self.renderer = gl.current_renderer(gl.choose_backend())
         _close_at_exit(self)
 
     @property
@@ -138,7 +134,7 @@ class Camera:
         return sorted({object_name(self.model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
     def _draw(self, data: mujoco.MjData, as_ids: bool = False) -> None:
-        self._make_current()
+        self._bind()
         mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
         mujoco.mj_camlight(self.model, data)
         if as_ids != self._as_ids:
@@ -159,22 +155,19 @@ class Camera:
             eye.frustum_width = near * self._half_width
             eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
 
-    def _make_current(self) -> None:
-        if getattr(_in_thread, "camera", None) is self:
-            return
+    def _bind(self) -> None:
         if self._gl is None:
             raise ValueError("this camera is closed")
-        self._gl.make_current()
-        _in_thread.camera = self
+        gl.bind(self._gl)
 
     def close(self) -> None:
         """Free what OpenGL holds; further calls do nothing."""
         if getattr(self, "_gl", None) is None:
             return
-        self._make_current()
+        self._bind()
         self._context.free()  # before its GL context, or it would free what is another's
-        self._gl.free()
-        self._context = self._gl = _in_thread.camera = None
+        gl.release(self._gl)
+        self._context = self._gl = None
 
     def __enter__(self) -> Self:
         return self

@@ -9,6 +9,7 @@ import importlib
 import os
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -21,6 +22,8 @@ HEADLESS = ("egl", "osmesa")
 PROBE_TIMEOUT_S = 60.0  # drivers that hang were reported (google-deepmind/mujoco#3444)
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6"
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
+
+_in_thread = threading.local()  # .context: the one that is current
 
 # MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
 _PROBE = """
@@ -42,8 +45,8 @@ class GlRenderer:
     software: bool
 
 
-def make_context(width: int, height: int) -> Any:
-    """A GL context of MuJoCo's, made current in this thread.
+def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
+    """A GL context of MuJoCo's, made current in this thread, and who draws in it.
 
     Raises UserError where nothing can draw: one line that names the packages to install.
     """
@@ -51,21 +54,23 @@ def make_context(width: int, height: int) -> Any:
     try:
         module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
         context = importlib.import_module(module).GLContext(width, height)
-        context.make_current()
+        bind(context)
+        return context, _current_renderer(backend)
     except Exception as error:  # of several libraries, each with its own kind
         raise UserError(
             f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
             f"unset MUJOCO_GL, or install {PACKAGES} (Debian)"
         ) from error
-    return context
 
 
-def current_renderer(backend: str) -> GlRenderer:
-    """The renderer of the context that is current."""
+def _current_renderer(backend: str) -> GlRenderer:
     from OpenGL import GL  # takes the platform of the first context, so not before there is one
 
-    name = GL.glGetString(GL.GL_RENDERER).decode()
-    return GlRenderer(backend, name, any(software in name.lower() for software in SOFTWARE_RENDERERS))
+    name = GL.glGetString(GL.GL_RENDERER)
+    if name is None:  # GLFW without a display makes a context that is none
+        raise RuntimeError("the context draws nothing")
+    text = name.decode()
+    return GlRenderer(backend, text, any(software in text.lower() for software in SOFTWARE_RENDERERS))
 
 
 def sample_textures_fast(context: Any) -> None:
@@ -84,11 +89,22 @@ def sample_textures_fast(context: Any) -> None:
 
 def describe_renderer() -> GlRenderer:
     """The renderer that cameras of this process get. Raises UserError where there is none."""
-    context = make_context(8, 8)
-    try:
-        return current_renderer(choose_backend())
-    finally:
-        context.free()
+    context, renderer = make_context(8, 8)
+    release(context)
+    return renderer
+
+
+def bind(context: Any) -> None:
+    """Make a context current in this thread, unless it is: the driver takes 10 µs to find out."""
+    if getattr(_in_thread, "context", None) is not context:
+        context.make_current()
+        _in_thread.context = context
+
+
+def release(context: Any) -> None:
+    """Free a context; whatever it held must be freed before."""
+    context.free()
+    _in_thread.context = None
 
 
 def choose_backend() -> str:

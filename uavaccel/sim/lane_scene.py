@@ -1,8 +1,8 @@
 """A lane layout in the MuJoCo scene assets/mjcf/lane.xml, and the name of what the drone has hit.
 
 Obstacles are geoms of the world, moved in place: neither a new model nor a new GL context for a new lane. As geoms
-of the world, not bodies of their own, they cost a physics step 2 µs instead of 12 and more. MuJoCo looks for contacts with
-them in a tree of bounding boxes that it builds once for ever, so that tree is refitted here.
+of the world, not bodies of their own, they cost a physics step 2 µs instead of 12 and more. MuJoCo looks for
+contacts with them in a tree of bounding boxes that it builds once for ever, so that tree is refitted here.
 """
 
 from __future__ import annotations
