@@ -1,0 +1,154 @@
+"""Every call of the table answers with something that can be sent, or refuses in rpclib's words."""
+
+import json
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.world import World
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.recorder import COLUMNS, FILE_NAME
+from uavaccel.wire.settings import Settings
+
+MS = 1_000_000
+YAW = {"is_rate": True, "yaw_or_rate": 0.0}
+WORLD = World("blocks", PROFILES["native"])
+
+values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(1 << 63), (1 << 64) - 1)
+    | st.floats()
+    | st.sampled_from(["", "SimpleFlight", "x_val", "seed", 0, 1, 0.1, 1.0, -1.0, 1e300])
+    | st.text(max_size=3)
+    | st.binary(max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["position", "orientation", "x_val", "w_val", "is_rate", "seed", "obstacles"]),
+            inner,
+        )
+    ),
+    max_leaves=5,
+)
+
+
+def new_api(**options: Any) -> Api:
+    WORLD.reset()
+    return Api(Simulation(WORLD), render=False, **options)
+
+
+def result_of(api: Api, method: str, params: Sequence[Any], wall_ns: int = 0) -> Any:
+    api.simulation.advance_to(wall_ns)
+    return api.call(method, params, wall_ns)
+
+
+METHODS = new_api().methods
+
+
+@st.composite
+def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
+    """A method and as many arguments as it takes, of any kind."""
+    name = draw(st.sampled_from(sorted(METHODS)))
+    method = METHODS[name]
+    return name, draw(st.lists(values, min_size=method.required, max_size=method.most))
+
+
+@settings(max_examples=400, deadline=None)
+@given(calls())
+def test_any_arguments(call: tuple[str, list[Any]]) -> None:
+    api = new_api()
+    for wall_ns in (0, MS):
+        try:
+            result = result_of(api, *call, wall_ns)
+        except rpc.RpcError:
+            continue
+        if isinstance(result, Pending):
+            api.simulation.pause(wall_ns)
+            api.simulation.cancel(wall_ns)
+            result = result.encode(result.value)
+        msgpack.packb(result)
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_arity_is_checked_before_anything_else(method: str) -> None:
+    with pytest.raises(rpc.RpcError, match="invalid number of arguments"):
+        result_of(new_api(), method, [object()] * 99)
+
+
+def test_an_error_in_a_handler_costs_the_caller_its_call() -> None:
+    api = new_api()
+    api.methods["ping"].handler = lambda: dict[str, int]()["pong"]
+    with pytest.raises(rpc.RpcError, match=r"threw an exception.* KeyError: 'pong'\."):
+        api.call("ping", [], 0)
+
+
+def test_settings_name_the_vehicle() -> None:
+    api = new_api(settings=Settings.model_validate({"Vehicles": {"Drone1": {}}, "ClockSpeed": 5}))
+    assert result_of(api, "listVehicles", []) == ["Drone1"]
+    assert result_of(api, "simGetGroundTruthKinematics", ["Drone1"])
+    with pytest.raises(rpc.RpcError, match="there is 'Drone1'"):
+        result_of(api, "simGetGroundTruthKinematics", ["SimpleFlight"])
+    told = json.loads(result_of(api, "getSettingsString", []))
+    assert told["SimMode"] == "Multirotor"
+    assert told["ClockSpeed"] == 1.0  # what holds, not what the file says
+    assert told["Vehicles"] == {"Drone1": {}}
+
+
+def rows_of(folder: Path) -> list[list[list[str]]]:
+    """Lines and columns of every recording below `folder`, in the order in which they were made."""
+    files = sorted(folder.glob(f"*/{FILE_NAME}"), key=lambda file: (len(file.parent.name), file))
+    return [[line.split("\t") for line in file.read_text().splitlines()] for file in files]
+
+
+def test_a_recording_is_airsims_file(tmp_path: Path) -> None:
+    api = new_api(recordings=tmp_path)
+    for method, wall_ns in (("startRecording", 100 * MS), ("stopRecording", 300 * MS)):
+        result_of(api, method, [], wall_ns)
+    [[header, *rows]] = rows_of(tmp_path)
+    assert tuple(header) == COLUMNS
+    assert [row[1] for row in rows] == ["100", "150", "200", "250", "300"]
+    assert {(row[0], row[2], row[4], row[5], row[9]) for row in rows} == {
+        ("SimpleFlight", "0", "-10", "1", "")
+    }
+
+
+def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None:
+    api = new_api(recordings=tmp_path)
+    result_of(api, "enableApiControl", [True])
+    result_of(api, "startRecording", [])
+    result_of(api, "moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, YAW], 120 * MS)
+    result_of(api, "reset", [], 400 * MS)
+    assert result_of(api, "isRecording", [])
+    result_of(api, "stopRecording", [], 500 * MS)
+    assert not result_of(api, "isRecording", [])
+    [[_, *rows]] = rows_of(tmp_path)
+    times = [int(row[1]) for row in rows]
+    assert times == sorted(times)
+    assert (times[0], times[-1]) == (0, 500)
+    assert max(later - earlier for earlier, later in pairwise(times)) <= 50
+
+
+def test_each_recording_has_a_file_of_its_own(tmp_path: Path) -> None:
+    api = new_api(recordings=tmp_path / "made" / "when needed")
+    for _ in range(2):
+        result_of(api, "startRecording", [])
+    result_of(api, "stopRecording", [])
+    assert len(rows_of(tmp_path / "made" / "when needed")) == 2
+
+
+def test_a_recording_that_cannot_be_written_is_the_callers_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    api = new_api(recordings=tmp_path / "file")
+    with pytest.raises(rpc.RpcError, match=r"startRecording.*Error"):
+        result_of(api, "startRecording", [])
+    assert result_of(api, "ping", [])
