@@ -14,7 +14,7 @@ from uavaccel.report.dp1_figures import source_line
 from uavaccel.report.dp2_scores import GameScore, Row, score_games
 from uavaccel.report.dp2_summary import summary_of
 from uavaccel.report.dp2_table import HEADER, table
-from uavaccel.report.figure7_images import ImageCloud, draw_images
+from uavaccel.report.figure7_images import LEAST_M, LEAST_PERCENT, ImageCloud, draw_images
 from uavaccel.vision.guard import GuardSettings
 
 Summary = dict[str, Any]
@@ -67,7 +67,8 @@ def _figure(scores: Sequence[GameScore], path: Path) -> Picture:
     return Picture(
         path,
         "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path "
-        "of the same command's run at 1x. Rings: images whose pose and DVS pixels equal those at 1x. "
+        "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes "
+        f"are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. "
         f"Source: {source}.",
     )
 
@@ -75,7 +76,7 @@ def _figure(scores: Sequence[GameScore], path: Path) -> Picture:
 def _blocks(run: RunDirectory, rows: Sequence[Row], summary: Summary, figure: Picture) -> list[Block]:
     return [
         Paragraph(f"Games: {source_line(rows)}."),
-        *map(Paragraph, _warnings(rows, summary)),
+        *map(Paragraph, _warnings(rows, summary, run.config())),
         Heading("Each ClockSpeed against the run at 1x"),
         Table(HEADER, table(summary)),
         Paragraph(_READING),
@@ -103,10 +104,11 @@ def _guard_blocks(guard: Mapping[str, Any] | None) -> list[Block]:
     ]
 
 
-def _warnings(rows: Sequence[Row], summary: Summary) -> list[str]:
+def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) -> list[str]:
     failed = [row["case"] for row in rows if row["error"] is not None]
     hit = [row for row in rows if row["collision"]]
     lost_s = sum(row["lost_wall_s"] for row in rows)
+    drawing_known = "image" in config["latency"]["reply_us"]
     warnings = [
         f"{row['case']} hit {row['collision']['object']} after {row['distance_m']:.1f} m and stood still from there: "
         f"its images count up to that moment."
@@ -121,6 +123,10 @@ def _warnings(rows: Sequence[Row], summary: Summary) -> list[str]:
             f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way; "
             "those of the runs at 1x that they are compared with were not."
         )
+    if not drawing_known and any(row["timing"] == "virtual" for row in rows):
+        warnings.append(
+            "The modelled wall times leave out drawing the images: the latency model has no channel for them."
+        )
     return warnings
 
 
@@ -129,6 +135,5 @@ _READING = (
     "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "
     "elsewhere. One DVS, with one map of thresholds, looks at the images of all games. An error of 0 is exactly 0. "
     "Equal to lockstep means that every pose, or every pixel's event count, has the same bits as in the game flown "
-    "without latency. Measured: the machine's clock. Modelled: a simulated clock, whose latencies may leave out the "
-    "time that drawing an image takes."
+    "without latency. Measured: the machine's clock. Modelled: a simulated clock."
 )

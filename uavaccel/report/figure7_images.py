@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 
 from uavaccel.report import style
 
+LEAST_PERCENT, LEAST_M = 0.1, 0.001  # below, the axes are linear
+
 _MARKERS = "osD^v<>"
 
 
@@ -25,7 +27,7 @@ class ImageCloud:
 
 
 def draw_images(clouds: Sequence[ImageCloud], path: Path, source: str) -> Path:
-    """Draw the clouds; both axes are common to all panels, from 0; returns `path`."""
+    """Draw the clouds; both axes are common to all panels; returns `path`."""
     commands = sorted({cloud.command for cloud in clouds}, reverse=True)
     clocks = sorted({cloud.clock_speed for cloud in clouds})
     with style.look():
@@ -37,9 +39,8 @@ def draw_images(clouds: Sequence[ImageCloud], path: Path, source: str) -> Path:
             return style.save(figure, path)
         for axes, command in zip(panels, commands, strict=True):
             _draw_panel(axes, [cloud for cloud in clouds if cloud.command == command], clocks)
-            axes.set_title(style.command_name(command))
         panels[0].set_ylabel("position error, m")
-        _set_limits(panels[0], clouds)
+        _set_scales(panels[0])
         return style.save(figure, path)
 
 
@@ -59,7 +60,8 @@ def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float
         axes.scatter([], [], s=22, c=colour, marker=marker, label=label)
     axes.set_xlabel("DVS-ED, % of the pixels")
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles[::-1], labels[::-1], loc="upper right")
+    above = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
+    axes.legend(handles[::-1], labels[::-1], title=style.command_name(clouds[0].command), ncols=2, **above)
 
 
 def _count(at_zero: np.ndarray) -> str:
@@ -72,8 +74,9 @@ def _count(at_zero: np.ndarray) -> str:
     )
 
 
-def _set_limits(axes: Axes, clouds: Sequence[ImageCloud]) -> None:
-    """From a little below 0, where rings at 0 have room; where every error is 0, to 1 % and 0.1 m."""
-    widest = max(float(np.max(cloud.dvs_ed_percent, initial=0)) for cloud in clouds) or 1.0
-    highest = max(float(np.max(cloud.position_error_m, initial=0)) for cloud in clouds) or 0.1
-    axes.set(xlim=(-0.08 * widest, 1.05 * widest), ylim=(-0.08 * highest, 1.05 * highest))
+def _set_scales(axes: Axes) -> None:
+    """Logarithmic, as the clouds lie decades apart, but linear below what matters, so that 0 has its place."""
+    for axis, unit, ticks in ((axes.xaxis, LEAST_PERCENT, "{x:g}"), (axes.yaxis, LEAST_M, "{x:g}")):
+        getattr(axes, f"set_{axis.axis_name}scale")("symlog", linthresh=unit, linscale=0.6)
+        axis.set_major_formatter(ticks)
+    axes.set(xlim=(-0.4 * LEAST_PERCENT, 100), ylim=(-0.4 * LEAST_M, 10))
