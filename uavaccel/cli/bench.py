@@ -12,13 +12,16 @@ from rich.table import Table
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.manifest import describe_run
-from uavaccel.suites import bench
+from uavaccel.suites import bench, bench_images
 from uavaccel.suites.host_check import check_host
 
 BENCHES: dict[str, Callable[[], Iterator[bench.Figure]]] = {
     "hot-loop": bench.bench_hot_loop,
     "tcsc": bench.bench_tcsc,
     "virtual": bench.bench_virtual,
+    "camera": bench_images.bench_camera,
+    "image": bench_images.bench_image,
+    "dvs": bench_images.bench_dvs,
 }
 
 console = Console(highlight=False)
@@ -33,7 +36,7 @@ def run_benches(names: list[str], soak_s: float, out: Path | None) -> None:
         raise UserError(f"{out}: exists; take another --out")
     verdict = check_host()
     console.print(f"host check: {verdict['verdict']}")
-    figures = [figure for name in names or BENCHES for figure in _shown(BENCHES[name]())]
+    figures = [figure for name in names or BENCHES for figure in _shown(_possible(BENCHES[name]))]
     if soak_s:
         figures += _shown(bench.bench_soak(soak_s))
     if out is not None:
@@ -41,6 +44,14 @@ def run_benches(names: list[str], soak_s: float, out: Path | None) -> None:
         out.write_text(
             json.dumps({"figures": [f._asdict() for f in figures], "manifest": manifest}, indent=2) + "\n"
         )
+
+
+def _possible(work: Callable[[], Iterator[bench.Figure]]) -> Iterator[bench.Figure]:
+    """The figures, or one line that says why this machine has none."""
+    try:
+        yield from work()
+    except UserError as error:
+        console.print(f"left out: {error}")
 
 
 def _shown(figures: Iterator[bench.Figure]) -> Iterator[bench.Figure]:
