@@ -53,10 +53,10 @@ class Dp1Config(Experiment):
     def _above_zero(cls, values: tuple[float, ...]) -> tuple[float, ...]:
         return positive(values)
 
-    @field_validator("games", "reference_games", "speed_m_s")
+    @field_validator("games", "reference_games", "speed_m_s", "t_sample_s")
     @classmethod
-    def _at_least_one(cls, value: float) -> float:
-        return positive((value,))[0]
+    def _one_above_zero(cls, value: float | None) -> float | None:
+        return None if value is None else positive((value,))[0]
 
     @field_validator("path")
     @classmethod
@@ -77,7 +77,6 @@ class Dp1Config(Experiment):
 def check_samples(profile: str, t_move_s: float, t_sample_s: float) -> None:
     """Raise UserError where a sample's slice is no whole number of ticks and the profile refuses that."""
     if PROFILES[profile].exact_times:
-        positive((t_sample_s,))
         for due_ns in samples_due(t_move_s, t_sample_s):
             PROFILES[profile].command_ticks(due_ns / NS_PER_S, "t_sample_s")
 

@@ -42,6 +42,11 @@ class Experiment(Config):
     def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
         return positive(speeds)
 
+    @field_validator("command")
+    @classmethod
+    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
+        return distinct(commands)
+
     @field_validator("seed")
     @classmethod
     def _seed(cls, seed: int) -> int:
@@ -51,12 +56,24 @@ class Experiment(Config):
 
 
 def positive(values: tuple[float, ...]) -> tuple[float, ...]:
-    """The values. Raises ValueError unless there is one, and each is above 0."""
-    if not values:
-        raise ValueError("needs at least one value")
+    """The values. Raises ValueError unless there is one, each is above 0, and they differ."""
     for value in values:
         if value <= 0:
             raise ValueError(f"must be above 0, not {value:g}")
+    return distinct(values)
+
+
+Values = TypeVar("Values", bound=tuple[Any, ...])
+
+
+def distinct(values: Values) -> Values:
+    """The values. Raises ValueError unless there is one, and they differ in the six digits that name a game."""
+    if not values:
+        raise ValueError("needs at least one value")
+    names = [value if isinstance(value, str) else f"{value:g}" for value in values]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"has {name} twice")
     return values
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -100,7 +101,14 @@ def _fly_in_parallel(
 ) -> Iterator[Flown]:
     with parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="4*n_jobs", batch_size=4)
-        yield from parallel(delayed(_fly_in_worker)(suite, config, case, timing) for case in cases)
+        games = parallel(delayed(_fly_in_worker)(suite, config, case, timing) for case in cases)
+        try:
+            for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
+                yield game
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of games that an interruption cancels
+                games.close()
 
 
 _SESSIONS: dict[tuple[str, str, str], Session] = {}

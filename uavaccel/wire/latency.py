@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from uavaccel.config import Config
 
@@ -59,11 +59,23 @@ class LatencyConfig(Config):
             raise ValueError(f'needs quantiles under "{DEFAULT}"')
         return tables
 
+    @field_validator("quantiles")
+    @classmethod
+    def _rise_within_0_and_1(cls, quantiles: tuple[float, ...]) -> tuple[float, ...]:
+        if len(quantiles) < 2 or (quantiles[0], quantiles[-1]) != (0.0, 1.0):
+            raise ValueError("must begin with 0 and end with 1")
+        if any(later <= earlier for earlier, later in pairwise(quantiles)):
+            raise ValueError("must rise")
+        return quantiles
+
     @field_validator("request_us", "reply_us", "issue_us", "timer_us")
     @classmethod
-    def _not_negative(cls, value: Any) -> Any:
+    def _fit_the_quantiles(cls, value: Any, info: ValidationInfo) -> Any:
+        count = len(info.data.get("quantiles", ()))
         for table in value.values() if isinstance(value, dict) else [value]:
-            if any(later < earlier for earlier, later in pairwise(table)) or table[0] < 0:
+            if count and len(table) != count:
+                raise ValueError(f"needs {count} values, one for each of the quantiles, not {len(table)}")
+            if any(later < earlier for earlier, later in pairwise(table)) or min(table, default=0.0) < 0:
                 raise ValueError("quantiles must be 0 or more and must not fall")
         return value
 

@@ -1,0 +1,391 @@
+"""DP1 end to end: the paper's grid, repeatable bytes, resumes, subsets, paths, and one line for each mistake."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaccel.cli import main as cli
+from uavaccel.cli.progress import Progress
+from uavaccel.cli.run import Request, run_experiment
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.report import dp1_report
+from uavaccel.suites import dp1
+from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.wire.session import VirtualSession, open_session
+
+SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}
+
+
+def paper_config(**options: Any) -> dp1.Dp1Config:
+    mapping, source = read_mapping("dp1")
+    return resolve(dp1.Dp1Config, mapping, source, options)
+
+
+def request(out: Path, timing: str = "virtual", **changes: Any) -> Request:
+    options = {**SMALL, "timing": timing}
+    return replace(Request("dp1", options, ["reference_games=2"], 1, out, False, False), **changes)
+
+
+def contents(run: Path) -> dict[str, bytes]:
+    """What has to be the same twice: rows, arrays, summary, configuration, traces."""
+    names = ["rows.jsonl", "summary.json", "config.yaml", "traces/adsc.json", "traces/tcsc.json"]
+    arrays = sorted(path.relative_to(run).as_posix() for path in (run / "arrays").iterdir())
+    return {name: (run / name).read_bytes() for name in [*names, *arrays]}
+
+
+def fly_case(config: dp1.Dp1Config, case: dp1.Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    with open_session(case.timing, config.profile, dp1.SCENE, config.latency) as session:
+        return dp1.run_case(config, case, session)
+
+
+def case_of(config: dp1.Dp1Config, case_id: str) -> dp1.Case:
+    return next(case for case in dp1.cases(config) if case.id == case_id)
+
+
+def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+# --- the grid -----------------------------------------------------------------------------------------------
+
+
+def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
+    cases = list(dp1.cases(paper_config()))
+    grid = [case for case in cases if case.role in ("game", "reference")]
+    assert len(grid) == 4_800
+    assert sum(case.simulated_s() for case in grid) == pytest.approx(79_200)
+    assert len({case.id for case in cases}) == len(cases)
+    references = [case for case in grid if case.role == "reference"]
+    assert {(case.command, case.clock_speed) for case in references} == {("adsc", 1.0)}
+    assert len(references) == 20 * 4 * 6
+    assert {case.role for case in cases} == {"game", "reference", "lockstep", "figure2"}
+
+
+def test_a_single_clock_brings_references_of_its_own() -> None:
+    cases = list(dp1.cases(paper_config(clock_speed=[50.0], games=3, timing="wall")))
+    assert {case.timing for case in cases if case.role == "game"} == {"wall"}
+    assert {case.timing for case in cases if case.role == "reference"} == {"virtual"}
+    assert {case.clock_speed for case in cases if case.role == "reference"} == {1.0}
+
+
+def test_seeds_belong_to_games_alone() -> None:
+    cases = list(dp1.cases(paper_config()))
+    keys = {case.seed(0).spawn_key for case in cases if case.role != "lockstep"}
+    assert len(keys) == sum(case.role != "lockstep" for case in cases)
+    of_two_runs = {tuple(cases[0].seed(run_seed).generate_state(4)) for run_seed in (0, 1)}
+    assert len(of_two_runs) == 2
+
+
+@pytest.mark.parametrize(
+    "case_id", ["adsc-k50-t0.2-r2-g03", "tcsc-k100-t0.1-r1-g19", "reference-adsc-k1-t0.1-r1-g01"]
+)
+def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
+    full = paper_config()
+    case = case_of(full, case_id)
+    subset = paper_config(
+        clock_speed=[case.clock_speed], t_move_s=[case.t_move_s], rounds=[case.rounds], command=[case.command]
+    )
+    expected_row, expected = fly_case(full, case)
+    with open_session("virtual", "native", dp1.SCENE, subset.latency) as session:
+        for earlier in list(dp1.cases(subset))[-3:]:
+            dp1.run_case(subset, earlier, session)  # whatever the session has flown before
+        row, arrays = dp1.run_case(subset, case_of(subset, case_id), session)
+    assert row == expected_row
+    assert same_arrays(arrays, expected)
+
+
+# --- the same bytes -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes most of a small run's time, and has tests of its own."""
+    monkeypatch.setattr(dp1_report, "_draw", lambda *_: [])
+
+
+def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C when so many games have been flown."""
+    flown, done = Progress.flown, 0
+
+    def counting(self: Progress, case: Any, row: dict[str, Any]) -> None:
+        nonlocal done
+        flown(self, case, row)
+        done += 1
+        if done == games:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "flown", counting)
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_same_bytes_whatever_jobs_and_interruptions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once in one go; once in two processes, stopped, with a row cut short, and gone on with."""
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    run_experiment(request(whole))
+    with monkeypatch.context() as patch:
+        interrupt_after(7, patch)
+        with pytest.raises(UserError, match=r"^interrupted; go on with --out .*broken --resume"):
+            run_experiment(request(broken, jobs=2))
+    rows = (broken / "rows.jsonl").read_bytes()
+    assert rows.count(b"\n") == 7
+    (broken / "rows.jsonl").write_bytes(rows + b'{"case": "adsc-k10')
+    (broken / "arrays" / "tcsc-k100-t0.2-r1-g01.npz").write_bytes(b"cut short")
+    run_experiment(request(broken, jobs=2, resume=True))
+    assert contents(broken) == contents(whole)
+    assert [row["case"] for row in RunDirectory(whole).rows()] == [
+        case.id for case in dp1.cases(paper_config(**SMALL, reference_games=2, timing="virtual"))
+    ]
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process dies in the worst place: after a game's arrays are written and before its row is."""
+    small: dict[str, Any] = {"options": {**SMALL, "timing": "lockstep", "t_move_s": [0.1]}}
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    run_experiment(request(whole, **small))
+    with monkeypatch.context() as patch:
+        append_row = RunDirectory.append_row
+
+        def dying(self: RunDirectory, row: dict[str, Any]) -> None:
+            if len(self.rows()) == 5:
+                raise OSError("power cut")
+            append_row(self, row)
+
+        patch.setattr(RunDirectory, "append_row", dying)
+        with pytest.raises(OSError, match="power cut"):
+            run_experiment(request(broken, **small))
+    run_experiment(request(broken, resume=True, **small))
+    assert contents(broken) == contents(whole)
+    games = [row for row in RunDirectory(whole).rows() if row["role"] == "game"]
+    assert {(row["real_time_factor"], row["wall_s"]) for row in games} == {(10.0, 0.04), (100.0, 0.004)}
+
+
+# --- what a game is -------------------------------------------------------------------------------------------
+
+
+def game(config: dp1.Dp1Config, command: str, **changes: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    cases = [case for case in dp1.cases(config) if case.role == "game" and case.command == command]
+    return fly_case(config, replace(cases[0], **changes))
+
+
+def test_a_row_tells_what_was_flown() -> None:
+    config = paper_config(clock_speed=[100.0], t_move_s=[0.2], rounds=[2], games=1)
+    row, arrays = game(config, "tcsc")
+    assert row["case"] == "tcsc-k100-t0.2-r2-g00"
+    assert (row["commands"], row["sim_time_s"], row["duration_s"], row["error"]) == (8, 1.6, 1.6, None)
+    assert row["real_time_factor"] == 100.0
+    assert row["wall_s"] > 0.016
+    assert (row["lost_wall_s"], row["samples_dropped"]) == (0.0, 0)
+    assert len(arrays["time_s"]) == 33
+    row, _ = game(config, "adsc")
+    assert 1.6 < row["duration_s"] < row["sim_time_s"] < 100 * row["wall_s"]
+
+
+def velocities_of(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Mean velocity in each command's last sample."""
+    ends = np.searchsorted(arrays["time_s"], arrays["command_end_s"] - 1e-6)
+    return arrays["linear_velocity_m_s"][ends]
+
+
+def test_paths_named_and_of_ones_own() -> None:
+    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [1.0], "rounds": [1], "games": 1}
+    _, figure2 = game(paper_config(**base, path="two_forward_one_back"), "tcsc")
+    assert len(figure2["command_end_s"]) == 3
+    assert velocities_of(figure2)[:, 0] == pytest.approx([0.674, 0.89, -0.5], abs=0.25)
+    _, own = game(paper_config(**base, path=[[0.0, 0.0, -1.0], [0.0, 2.0, 0.0]]), "tcsc")
+    assert len(own["command_end_s"]) == 2
+    assert velocities_of(own)[0, 2] < -0.5
+    assert velocities_of(own)[1, 1] > 1.2
+    _, fast = game(paper_config(**base, speed_m_s=2.0), "tcsc")
+    assert velocities_of(fast)[0, 0] == pytest.approx(1.35, abs=0.03)
+
+
+def test_a_held_height_is_held() -> None:
+    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [1.0], "rounds": [4], "games": 1}
+    _, plain = game(paper_config(**base), "tcsc")
+    _, held = game(paper_config(**base, height_m=-10.0), "tcsc")
+    assert plain["position_m"][-1, 2] < -11.0
+    np.testing.assert_allclose(held["position_m"][:, 2], -10.0, atol=0.2)
+
+
+def test_sampling_through_the_client_costs_time_and_no_accuracy() -> None:
+    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [0.2], "rounds": [1], "games": 1}
+    row, arrays = game(paper_config(**base), "tcsc")
+    sampled_row, sampled = game(paper_config(**base, t_sample_s=0.05), "tcsc")
+    assert same_arrays(arrays, sampled)
+    assert sampled_row["wall_s"] > row["wall_s"]
+
+
+def test_airsims_profile_flies_both_commands() -> None:
+    config = paper_config(clock_speed=[1.0, 100.0], t_move_s=[0.1], rounds=[1], games=1, profile="airsim")
+    for case in dp1.cases(config):
+        if case.role != "figure2":
+            row, arrays = fly_case(config, case)
+            assert row["error"] is None
+            lengths_s = arrays["command_end_s"] - arrays["command_start_s"]
+            assert (lengths_s <= 0.105 + 1e-9).all()
+            if case.command == "adsc":
+                assert lengths_s == pytest.approx(0.105)
+
+
+def test_a_flight_that_diverges_is_a_row_with_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    config = paper_config(clock_speed=[100.0], t_move_s=[0.1], rounds=[1], games=1)
+    with VirtualSession(dp1.SCENE, "native", config.latency) as session:
+        for command in ("adsc", "tcsc"):
+            session._world.state["wind"] = 1e200
+            case = case_of(config, f"{command}-k100-t0.1-r1-g00")
+            row, _ = dp1.run_case(config, case, session)
+            assert "mjWARN_BAD" in row["error"]
+            session._world.state["wind"] = 0.0
+            row, arrays = dp1.run_case(config, case, session)
+            assert row["error"] is None
+            assert np.isfinite(arrays["position_m"]).all()
+
+
+# --- mistakes -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def uavaccel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str]]:
+    """Run the command line in an empty folder: its exit status and standard error."""
+
+    def run(*arguments: str) -> tuple[int, str]:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["uavaccel", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return int(end.value.code or 0), capsys.readouterr().err
+
+    return run
+
+
+def written(folder: Path) -> Iterable[str]:
+    return [path.name for path in folder.iterdir() if path.suffix not in (".yaml", ".TXT")]
+
+
+MISTAKES = {
+    "--set gmaes=3": "unknown key 'gmaes'; did you mean 'games'?",
+    "--t-move 0.333": "t_move_s: 0.333 s is not a positive multiple of the physics step of 2 ms; 0.332 and",
+    "--t-move 0": "must be above 0",
+    "--clock 0": "must be above 0",
+    "--clock -1": "must be above 0",
+    "--clock nan": "finite",
+    "--clock inf": "finite",
+    "--clock 50 --clock 50": "twice",
+    "--rounds 2 --rounds 2": "twice",
+    "--command tcsc --command tcsc": "twice",
+    "--command fly": "'adsc' or 'tcsc'",
+    "--timing fast": "'wall', 'virtual' or 'lockstep'",
+    "--profile px4": "'native' or 'airsim'",
+    "--rounds 0": "must be above 0",
+    "--games 0": "must be above 0",
+    "--seed -1": "must be 0 or more",
+    "--set path=triangle": "path",
+    "--set path=[]": "path",
+    "--set path=[[1,0]]": "path",
+    "--set path=[[1,0,.nan]]": "path",
+    "--set t_sample_s=0.0333": "t_sample_s",
+    "--set t_sample_s=-1": "t_sample_s",
+    "--set latency=nowhere.yaml": "nowhere.yaml",
+    "--set latency.issue_us=[1]": "latency.issue_us = [1]: needs 12 values",
+    "--set latency.issue_us=[]": "latency.issue_us = []: needs 12 values",
+    "--set latency.quantiles=[0,0.5]": "latency.quantiles",
+    "--set latency.timer_us=[1,0,0,0,0,0,0,0,0,0,0,0]": "must not fall",
+    "--set latency.reply_us={}": "latency.reply_us",
+    "--profile airsim --set t_sample_s=-1": "t_sample_s",
+}
+
+
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_a_mistake_is_one_line(
+    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str
+) -> None:
+    status, message = uavaccel("run", "dp1", *arguments.split(), "--out", "there")
+    assert status == 1
+    assert message.startswith(
+        "uavaccel: error: dp1.yaml: " if "nowhere" not in arguments else "uavaccel: error: "
+    )
+    assert MISTAKES[arguments] in message
+    assert message.count("\n") == 1
+    assert not written(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("- suite\n- dp1\n", "mapping"),
+        ("just words\n", "mapping"),
+        ("", "mapping"),
+        ("suite: [\n", "line"),
+        ("suite: dp9\n", "'dp9' is unknown"),
+        ("games: 3\n", "suite"),
+        ("suite: dp1\nclock_speed: 50\n", "clock_speed = 50: should be a list"),
+        ("suite: dp1\nclock_speed: ['50']\n", "clock_speed.0 = '50'"),
+        ("suite: dp1\n", "key 'clock_speed' is missing"),
+    ],
+)
+def test_a_yaml_that_will_not_do_is_one_line(
+    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, text: str, complaint: str
+) -> None:
+    (tmp_path / "own.yaml").write_text(text)
+    status, message = uavaccel("run", "own.yaml")
+    assert status == 1
+    assert message.startswith("uavaccel: error: own.yaml")
+    assert complaint in message
+    assert message.count("\n") == 1
+    assert not written(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "complaint"),
+    [
+        ("run nowhere.yaml", 1, "nowhere.yaml"),
+        ("run dp9", 1, "dp9"),
+        ("run dp1 --clock 50 --jobs 2", 2, "--jobs must be 1 with timing wall"),
+        ("run dp1 --jobs 0", 2, "--jobs"),
+        ("run dp1 --set games", 2, "must be dotted.key=value"),
+        ("run dp1 --clock fast", 2, "--clock"),
+        ("run dp1 --frobnicate", 2, "--frobnicate"),
+        ("run dp1 --out .", 1, "exists"),
+        ("report .", 1, "not a run directory"),
+    ],
+)
+def test_wrong_usage(
+    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str, status: int, complaint: str
+) -> None:
+    found, message = uavaccel(*arguments.split())
+    assert found == status
+    assert complaint in message
+    assert message.count("\n") == 1
+    assert not written(tmp_path)
+
+
+def test_a_dry_run_tells_the_plan_and_writes_nothing(
+    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert uavaccel("run", "dp1", "--dry-run") == (0, "")
+    assert not written(tmp_path)
+
+
+def test_a_run_is_not_gone_on_with_under_another_configuration(tmp_path: Path) -> None:
+    config = paper_config(**SMALL)
+    RunDirectory.create(tmp_path / "run", config, {})
+    with pytest.raises(UserError, match="exists"):
+        RunDirectory.create(tmp_path / "run", config, {})
+    with pytest.raises(UserError, match="seed"):
+        RunDirectory.create(tmp_path / "run", paper_config(**SMALL, seed=1), {}, resume=True)
