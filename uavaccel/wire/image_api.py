@@ -185,15 +185,13 @@ class ImageApi:
 
 def lane_layout(lane: Any) -> LaneLayout:
     """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
-    if isinstance(lane, int) and not isinstance(lane, bool):
-        return draw_layout(lane)
-    if isinstance(lane, Mapping) and "seed" in lane:
-        return draw_layout(
-            int(lane["seed"]), validate(Difficulty, lane.get("difficulty") or {}, "difficulty")
-        )
-    if isinstance(lane, Mapping):
+    if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")
-    raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
+    seed = lane["seed"] if isinstance(lane, Mapping) else lane
+    if isinstance(seed, bool) or not isinstance(seed, int):
+        raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
+    difficulty = lane.get("difficulty") if isinstance(lane, Mapping) else None
+    return draw_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
 
 
 def camera_position(kinematics: Kinematics) -> Vector:

@@ -1,0 +1,127 @@
+"""`uavaccel serve` as a user meets it: a process, its lines, its end."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.airsim_client import MultirotorClient
+from uavaccel.cli.serve import Request, address_of, clock_speed_of, recordings_of, serve, simulation_of
+from uavaccel.errors import UserError
+from uavaccel.wire.recorder import FILE_NAME
+from uavaccel.wire.settings import Settings
+
+COMMAND = [sys.executable, "-m", "uavaccel", "serve"]
+ROOT = Path(__file__).parents[1]
+
+
+@contextmanager
+def serving(*options: str) -> Iterator["subprocess.Popen[str]"]:
+    with subprocess.Popen(
+        [*COMMAND, "--port", "0", *options],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def line_of(process: "subprocess.Popen[str]") -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def port_of(process: "subprocess.Popen[str]") -> int:
+    return int(line_of(process).partition(":")[2].partition(":")[0].rpartition(":")[2])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_in_one_line(kind: signal.Signals, tmp_path: Path) -> None:
+    with (
+        serving("--clock", "20", "--recordings", str(tmp_path)) as process,
+        MultirotorClient(port=port_of(process)) as client,
+    ):
+        client.confirmConnection()
+        assert not client.simIsPause()
+        assert "hovers 10 m up; the clock runs and API control is off" in line_of(process)
+        client.enableApiControl(True)
+        client.startRecording()
+        client.moveByVelocityAsync(1, 0, 0, 1).join()
+        os.kill(process.pid, kind)
+        rest, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert rest.startswith("stopped; requested 20x, achieved ")
+    assert rest.count("\n") == 1
+    [recording] = tmp_path.glob(f"*/{FILE_NAME}")
+    assert len(recording.read_text().splitlines()) > 20  # closed with what had not been written yet
+
+
+def test_settings_are_read_and_what_is_passed_over_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    path.write_text('{"ClockSpeed": 3, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
+    with serving("--settings", str(path)) as process:
+        assert line_of(process).endswith(": scene blocks, profile native, ClockSpeed 3\n")
+        assert line_of(process).startswith("Drone1 hovers")
+        assert line_of(process) == f"{path}: without meaning here: ViewMode\n"
+
+
+def test_a_machine_that_does_not_keep_up_says_so() -> None:
+    with serving("--clock", "10000") as process:
+        lines = [line_of(process) for _ in range(3)]
+        assert lines[2].startswith("warning: the machine does not keep up; requested 10000x, achieved ")
+        assert "of wall time lost" in lines[2]
+
+
+def test_a_mistake_is_one_line() -> None:
+    done = subprocess.run(
+        [*COMMAND, "--port", "65536"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr == "uavaccel: error: port must be 0 to 65535, not 65536\n"
+
+
+@pytest.mark.parametrize(("request_", "text"), [
+    (Request(clock_speed=0.0), "clock_speed must be a finite number above 0"),
+    (Request(clock_speed=1e9), "ClockSpeed must be at most 10000"),
+    (Request(profile="unreal"), "--profile unreal: there are native, airsim"),
+    (Request(scene="city"), "no 'mjcf/city.xml' among the assets"),
+    (Request(settings=Path("none.json")), "none.json: cannot be read"),
+])  # fmt: skip
+def test_mistakes_are_refused(request_: Request, text: str) -> None:
+    with pytest.raises(UserError, match=f"^{text}"):
+        serve(request_)
+
+
+def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
+    everywhere = Settings.model_validate({"LocalHostIp": "0.0.0.0"})
+    with pytest.raises(UserError, match=r"add --host 0\.0\.0\.0"):
+        address_of(Request(), everywhere)
+    assert address_of(Request(), Settings()) == "127.0.0.1"
+    assert address_of(Request(host="0.0.0.0"), Settings()) == "0.0.0.0"
+    assert address_of(Request(host="127.0.0.2"), everywhere) == "127.0.0.2"
+
+
+def test_options_go_before_settings(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"ClockSpeed": 5, "Recording": {"Folder": "there"}})
+    assert clock_speed_of(Request(), settings) == 5.0
+    assert clock_speed_of(Request(clock_speed=2.0), settings) == 2.0
+    assert recordings_of(Request(), settings) == Path("there")
+    assert recordings_of(Request(recordings=tmp_path), settings) == tmp_path
+    assert recordings_of(Request(), Settings()) is None
+
+
+def test_wind_and_recorder_reach_the_simulation() -> None:
+    settings = Settings.model_validate({"Wind": {"X": 2}, "Recording": {"RecordInterval": 0.2}})
+    simulation = simulation_of(Request(), settings, 1.0)
+    assert simulation.world.state["wind"].tolist() == [2.0, 0.0, 0.0]
+    assert simulation.profile.recorder_ticks == 100

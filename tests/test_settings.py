@@ -1,0 +1,97 @@
+"""AirSim's settings.json: honoured, passed over by name, or refused in one line."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uavaccel.errors import UserError
+from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.wire.settings import Settings, read_settings
+
+USUAL = {
+    "SeeDocsAt": "https://github.com/Microsoft/AirSim/blob/main/docs/settings.md",
+    "SettingsVersion": 1.2,
+    "SimMode": "Multirotor",
+    "ClockSpeed": 10,
+    "ApiServerPort": 41452,
+    "LocalHostIp": "127.0.0.1",
+    "ViewMode": "NoDisplay",
+    "Wind": {"X": 1, "Y": -2.5},
+    "Vehicles": {"Drone1": {"VehicleType": "SimpleFlight", "X": 4, "Cameras": {"0": {}}}},
+    "Recording": {"RecordInterval": 0.1, "Folder": "records", "Enabled": True, "Cameras": []},
+}
+
+
+def read(folder: Path, content: Any) -> Settings:
+    path = folder / "settings.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+    return read_settings(path)
+
+
+def test_what_is_honoured(tmp_path: Path) -> None:
+    settings = read(tmp_path, USUAL)
+    assert (settings.clock_speed, settings.api_server_port, settings.host) == (10.0, 41452, "127.0.0.1")
+    assert settings.vehicle == "Drone1"
+    assert (settings.wind.x, settings.wind.y, settings.wind.z) == (1.0, -2.5, 0.0)
+    assert (settings.recording.folder, settings.recording.enabled) == ("records", True)
+    assert settings.recorder_of(NATIVE).recorder_ticks == 50
+
+
+def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
+    assert sorted(read(tmp_path, USUAL).passed_over()) == [
+        "Recording.Cameras",
+        "Vehicles.Drone1.Cameras",
+        "Vehicles.Drone1.X",
+        "ViewMode",
+    ]
+
+
+def test_what_clients_are_told_is_the_file_and_the_speed_that_holds(tmp_path: Path) -> None:
+    assert json.loads(read(tmp_path, USUAL).as_json(2.5)) == USUAL | {"ClockSpeed": 2.5}
+
+
+def test_defaults_are_airsims(tmp_path: Path) -> None:
+    settings = read(tmp_path, "\ufeff{}")  # Windows editors begin a file with a mark
+    assert settings == Settings()
+    assert (settings.clock_speed, settings.api_server_port, settings.host) == (1.0, 41451, "127.0.0.1")
+    assert settings.vehicle == "SimpleFlight"
+    for profile in (NATIVE, AIRSIM):
+        assert settings.recorder_of(profile).recorder_ticks == profile.recorder_ticks
+
+
+@pytest.mark.parametrize(("content", "text"), [
+    ({"SimMode": "Car"}, "SimMode = 'Car': should be 'Multirotor' or ''"),
+    ({"ClockType": "ScalableClock"}, "ClockType = 'ScalableClock'"),
+    ({"ClockSpeed": 0}, "ClockSpeed = 0: should be greater than 0"),
+    ({"ClockSpeed": "10"}, "ClockSpeed = '10'"),
+    ({"ApiServerPort": 65536}, "ApiServerPort = 65536"),
+    ({"EnableRpc": False}, "EnableRpc = False"),
+    ({"PhysicsEngineName": "ExternalPhysicsEngine"}, "PhysicsEngineName"),
+    ({"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}}, "Vehicles.A.VehicleType = 'PX4Multirotor'"),
+    ({"Vehicles": {"A": {}, "B": {}}}, "Vehicles = "),
+    ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
+    ({"Wind": {"X": "strong"}}, "Wind.X = 'strong'"),
+    ([1], "settings should be a mapping in braces, not list"),
+    ('{"ClockSpeed": 5,}', "not JSON: "),
+    ('{"ClockSpeed": NaN}', "ClockSpeed"),
+])  # fmt: skip
+def test_what_contradicts_is_refused(tmp_path: Path, content: Any, text: str) -> None:
+    with pytest.raises(UserError) as caught:
+        read(tmp_path, content)
+    line = str(caught.value)
+    assert line.startswith(f"{tmp_path / 'settings.json'}: {text}")
+    assert "\n" not in line
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="cannot be read: No such file"):
+        read_settings(tmp_path / "none.json")
+
+
+def test_an_interval_that_the_step_does_not_divide() -> None:
+    settings = Settings.model_validate({"Recording": {"RecordInterval": 0.033}})
+    with pytest.raises(UserError, match=r"Recording\.RecordInterval: 0\.033 s .* 0\.032 and 0\.034 s are"):
+        settings.recorder_of(NATIVE)
+    assert settings.recorder_of(AIRSIM).recorder_ticks == 12  # AirSim waits for more than the interval
