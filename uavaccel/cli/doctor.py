@@ -132,8 +132,9 @@ def probe(program: str) -> dict[str, Any]:
     if done.returncode < 0:
         raise ProbeError(f"it crashed ({signal.Signals(-done.returncode).name})")
     if done.returncode:
-        kind, _, text = done.stderr.strip().splitlines()[-1].partition(": ")
+        last = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
+        kind, _, text = last.partition(": ")
         advised = kind == USER_ERROR
-        raise ProbeError(text if advised else f"{kind}: {text}", advised)
+        raise ProbeError(text if advised else last, advised)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found

@@ -16,7 +16,6 @@ from uavaccel.errors import UsageError, UserError
 app = typer.Typer(
     name="uavaccel",
     help="Fast, time-controlled quadrotor simulation, and what the acceleration costs.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -153,7 +152,7 @@ def doctor() -> None:
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:
-        status = app(standalone_mode=False)
+        status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
     except UsageError as error:
         status = _complain(str(error), 2)
     except UserError as error:

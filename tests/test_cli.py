@@ -1,0 +1,55 @@
+"""The command line's shell: quick, complete, and one line for a mistake."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def uavaccel(*arguments: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "uavaccel", *arguments],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_help_loads_nothing_heavy() -> None:
+    program = "import sys, uavaccel.cli.main; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
+    assert not heavy & set(done.stdout.split())
+
+
+@pytest.mark.parametrize("arguments", [["--help"], []])
+def test_help_names_the_commands(arguments: list[str]) -> None:
+    done = uavaccel(*arguments)
+    assert done.returncode == 0
+    assert {"run", "report", "serve", "calibrate", "bench", "doctor"} <= set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")]
+)
+def test_the_shell_can_complete(words: str, completion: str) -> None:
+    done = uavaccel(
+        _UAVACCEL_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
+    )
+    assert completion in done.stdout.split()
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["serve", "--speed", "3"], ["serve", "--clock", "fast"]])
+def test_wrong_usage_is_one_line(arguments: list[str]) -> None:
+    done = uavaccel(*arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith("uavaccel: error: ")
+    assert done.stderr.count("\n") == 1
