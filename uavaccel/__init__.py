@@ -5,12 +5,28 @@ whichever of the two is imported first, `gymnasium.make("uavaccel/ObstacleLane-v
 """
 
 import sys
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "AirSimAdapter": "uavaccel.commands.airsim_adapter",
+    "VelocityGoal": "uavaccel.kinematics",
+    "adsc": "uavaccel.commands",
+    "open_session": "uavaccel.wire.session",
+    "tcsc": "uavaccel.commands",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The names that a program begins with; each is imported when it is first asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'uavaccel' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def _register_environments() -> None:
@@ -22,7 +38,9 @@ def _register_environments() -> None:
 class _AfterGymnasium(MetaPathFinder):
     """Registers the environments as soon as somebody else imports Gymnasium."""
 
-    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
+    def find_spec(
+        self, fullname: str, path: Any = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)

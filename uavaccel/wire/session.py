@@ -12,6 +12,8 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from uavaccel.clock import VirtualClock
+from uavaccel.errors import UserError
+from uavaccel.resources import asset
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -29,7 +31,7 @@ class Session(Protocol):
     def start_game(
         self,
         clock_speed: float,
-        seed: np.random.SeedSequence,
+        seed: np.random.SeedSequence | None = None,
         lane: Any = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
@@ -77,7 +79,7 @@ class WallSession:
     def start_game(
         self,
         clock_speed: float,
-        seed: np.random.SeedSequence,
+        seed: np.random.SeedSequence | None = None,
         lane: Any = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
@@ -126,11 +128,11 @@ class VirtualSession:
     def start_game(
         self,
         clock_speed: float,
-        seed: np.random.SeedSequence,
+        seed: np.random.SeedSequence | None = None,
         lane: Any = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
-        clock, latency = VirtualClock(), Latency(self._latency, seed)
+        clock, latency = VirtualClock(), Latency(self._latency, seed or np.random.SeedSequence(0))
         simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
         transport: Any = VirtualTransport(Api(simulation), clock, latency)
         return _start(Client(transport, clock_speed, alone=True), clock_speed, lane, height_m)
@@ -145,8 +147,17 @@ class VirtualSession:
         self.close()
 
 
-def open_session(timing: str, profile: str, scene: str, latency: LatencyConfig = ZERO_LATENCY) -> Session:
-    """A session for one of TIMINGS; `latency` matters to `virtual` alone."""
+def open_session(
+    timing: str = "wall",
+    profile: str = "native",
+    scene: str = "blocks",
+    latency: LatencyConfig = ZERO_LATENCY,
+) -> Session:
+    """A session for one of TIMINGS; `latency` matters to `virtual` alone. Raises UserError for an unknown name."""
+    for name, value, known in (("timing", timing, TIMINGS), ("profile", profile, PROFILES)):
+        if value not in known:
+            raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(known)}")
+    asset(f"mjcf/{scene}.xml")  # here, where its error is seen, and not in the server's process
     if timing == "wall":
         return WallSession(scene, profile)
     return VirtualSession(scene, profile, latency if timing == "virtual" else ZERO_LATENCY)
