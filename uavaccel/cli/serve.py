@@ -45,9 +45,9 @@ def serve(request: Request) -> None:
     server = Server(api, host, settings.api_server_port if request.port is None else request.port)
     if settings.recording.enabled:
         start_recording(api)
-    greet(server, request, settings)
     report = Report(server)
     with stopped_by_signals(server):
+        greet(server, request, settings)
         try:
             server.serve(report.each_turn)
         finally:
