@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from rich.console import Console
 from rich.table import Table
@@ -82,7 +82,7 @@ def _fit_options(suite: SuiteEntry, options: dict[str, Any], name: str) -> None:
         option = f"--{key.replace('clock_speed', 'clock').removesuffix('_s').replace('_', '-')}"
         if key not in suite.config.model_fields:
             raise UsageError(f"{option}: {name} has no such option")
-        several = "tuple" in str(suite.config.model_fields[key].annotation)
+        several = get_origin(suite.config.model_fields[key].annotation) is tuple
         if isinstance(value, list) and not several:
             if len(value) > 1:
                 raise UsageError(f"{option}: {name} takes one value, not {len(value)}")

@@ -164,16 +164,13 @@ def velocities(config: Dp2Config) -> tuple[Velocity, ...]:
     """One velocity a command: north, east, m/s. Raises UserError where no path is free."""
     if config.path != "planned":
         return config.path
-    return _planned(config.model_dump_json(include={"lane", "height_m", "t_move_s"}), config)
+    key = config.model_dump_json(include={"lane", "height_m", "t_move_s"})
+    if key not in _planned:
+        _planned[key] = tuple(plan_path(config.layout(), -config.height_m, command_s=config.t_move_s))
+    return _planned[key]
 
 
-_PLANS: dict[str, tuple[Velocity, ...]] = {}
-
-
-def _planned(key: str, config: Dp2Config) -> tuple[Velocity, ...]:
-    if key not in _PLANS:
-        _PLANS[key] = tuple(plan_path(config.layout(), -config.height_m, command_s=config.t_move_s))
-    return _PLANS[key]
+_planned: dict[str, tuple[Velocity, ...]] = {}
 
 
 class Flight(NamedTuple):
