@@ -120,6 +120,28 @@ def test_adsc_without_latency_is_lockstep() -> None:
         assert equal(fly(start(clock_speed), "adsc", TWO_FORWARD_ONE_BACK, t_sample_s=0.33), lockstep)
 
 
+def test_one_socket_keeps_its_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A message that took long is not overtaken by the next, which was sent before it had arrived."""
+    slow_moves = LatencyConfig(
+        request_us={"call": LOOPBACK_US, "move": NASTY_US}, reply_us={"call": LOOPBACK_US}
+    )
+    handled: list[tuple[str, int]] = []
+    call = Api.call
+
+    def noting(self: Api, method: str, params: Sequence[Any], wall_ns: int) -> Any:
+        handled.append((method, wall_ns))
+        return call(self, method, params, wall_ns)
+
+    monkeypatch.setattr(Api, "call", noting)
+    client = start(100, slow_moves)
+    fly(client, "tcsc", SQUARE * 4)
+    walls_ns = [wall_ns for _, wall_ns in handled]
+    assert walls_ns == sorted(walls_ns)
+    moves = [index for index, (method, _) in enumerate(handled) if method == "moveByVelocity"]
+    assert len(moves) == 16
+    assert all(handled[index + 1][0] == "uavaccelContinueFor" for index in moves)
+
+
 def test_the_wall_time_of_lockstep_is_the_simulated_time_over_clock_speed() -> None:
     for command in COMMANDS:
         client = start(50)
@@ -178,12 +200,13 @@ def test_channels_are_independent(others: list[str], seed: int) -> None:
 
 def test_latencies_follow_their_quantiles() -> None:
     latency = Latency(LOOPBACK, np.random.SeedSequence(3))
-    table = LOOPBACK_US
     sample_us = np.array(draws(latency, "move", 20_000)) / 1e3
-    assert table[0] <= sample_us.min()
-    assert sample_us.max() <= table[-1]
+    assert LOOPBACK_US[0] <= sample_us.min()
+    assert sample_us.max() <= LOOPBACK_US[-1]
     middle = slice(QUANTILES.index(0.05), QUANTILES.index(0.95) + 1)
-    np.testing.assert_allclose(np.quantile(sample_us, QUANTILES)[middle], table[middle], rtol=0.05, atol=0.5)
+    np.testing.assert_allclose(
+        np.quantile(sample_us, QUANTILES)[middle], LOOPBACK_US[middle], rtol=0.05, atol=0.5
+    )
     assert draws(Latency(ZERO_LATENCY, np.random.SeedSequence(3)), "move", 3) == [0, 0, 0]
 
 
