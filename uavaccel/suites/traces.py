@@ -34,9 +34,9 @@ class TracingTransport:
         self.events: list[ClientEvent] = []
         self._inner = inner
 
-    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
         called_ns = self.clock.now_ns()
-        ticket = self._inner.send(method, params, joined)
+        ticket = self._inner.send(method, params, joined, held)
         self.events.append(ClientEvent("call", method, ticket.channel, called_ns))
         if not joined:
             self.events.append(ClientEvent("issued", method, ticket.channel, self.clock.now_ns()))

@@ -52,7 +52,8 @@ class Client:
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
-        ticket = self.transport.send(method, params, joined=False)
+        standing = self._stopped_at is not None  # then nothing is gained by sending it at once
+        ticket = self.transport.send(method, params, joined=False, held=standing)
         ticket.expected_ns = self._wall_after(t_move_s * NS_PER_S)
         return ticket
 

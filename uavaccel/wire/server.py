@@ -18,10 +18,10 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
-IDLE_NS = 5_000_000  # an idle server advances at least so often
+IDLE_NS = 5_000_000
 CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
 FINAL_NS = 60_000  # at the very last, look at the clock alone: sockets take as long to look at as two ticks
-SPIN_NS = 300_000  # before something ends, poll instead of sleeping: a process wakes late
+SPIN_NS = 1_000_000  # before something ends, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
 READ_BYTES = 1 << 12
 MAX_UNSENT_BYTES = 1 << 26

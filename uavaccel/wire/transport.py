@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import selectors
 import socket
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.latency import Latency, channel_of
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
-POLL_NS = 300_000
+POLL_NS = 1_000_000
 _READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
@@ -46,8 +47,11 @@ class Transport(Protocol):
 
     clock: WallClock
 
-    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
-        """Issue a call; `joined` says that the caller waits for it at once."""
+    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
+        """Issue a call; `joined` says that the caller waits for it at once.
+
+        A `held` one may travel with the next: for a caller who knows that nothing happens before.
+        """
         ...
 
     def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
@@ -88,18 +92,27 @@ class SocketTransport:
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
         self._open: dict[int, Ticket] = {}
+        self._held = b""
         self._next_id = 0
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
         ticket = Ticket(method, channel_of(method, params))
         self._next_id = (self._next_id + 1) & 0xFFFFFFFF
         self._open[self._next_id] = ticket
-        self._socket.sendall(rpc.pack_request(self._next_id, method, params))
+        self._held += rpc.pack_request(self._next_id, method, params)
+        if not held:
+            self._let_go()
         return ticket
 
+    def _let_go(self) -> None:
+        if self._held:
+            held, self._held = self._held, b""
+            self._socket.sendall(held)
+
     def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+        self._let_go()
         if ticket.expected_ns is not None:
             self._poll_around(ticket, ticket.expected_ns, deadline_ns)
         while not ticket.done:
@@ -128,6 +141,8 @@ class SocketTransport:
                 ticket.done, ticket.error, ticket.value = True, error, value
 
     def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._let_go()
         self._selector.close()
         self._socket.close()
 
@@ -141,7 +156,7 @@ class VirtualTransport:
         self._latency = latency
         self._handled_ns = clock.now_ns()
 
-    def send(self, method: str, params: Sequence[Any], joined: bool) -> Ticket:
+    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
         ticket = Ticket(method, channel_of(method, params))
         arrival = self.clock.now_ns() + self._latency.request_ns(ticket.channel)
         self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order

@@ -82,7 +82,7 @@ def rc_data_map() -> dict[str, Any]:
 
 def number(value: Any, name: str) -> float:
     """A finite number of single precision's range; raises ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise ValueError(f"{name} must be a number, not {type(value).__name__}")
     if not abs(value) <= LARGEST:
         raise ValueError(f"{name} must be finite, not {value}")
@@ -120,7 +120,7 @@ def flag(value: Any, name: str) -> bool:
 
 def yaw_mode(value: Any) -> tuple[bool, float]:
     """YawMode {is_rate, yaw_or_rate in degrees or deg/s} as (is_rate, rad or rad/s); raises ValueError."""
-    if not isinstance(value, Mapping):
+    if type(value) is not dict and not isinstance(value, Mapping):
         raise ValueError(f"yaw_mode must be a map, not {type(value).__name__}")
     is_rate = flag(value.get("is_rate", True), "yaw_mode.is_rate")
     return is_rate, math.radians(number(value.get("yaw_or_rate", 0.0), "yaw_mode.yaw_or_rate"))
