@@ -13,9 +13,7 @@ from uavaccel.vision.guard_study import guard_study
 from uavaccel.vision.perturb import Kind
 
 SHARE = 0.05
-STREAMS = (
-    20  # the same images, each time perturbed by another seed: one stream alone has too few of each kind
-)
+STREAMS = 20  # of the same images, each perturbed by a seed of its own: one stream has too few of each kind
 
 HEADER = ("kind of perturbation", "perturbed images sent", "pass without guard", "pass the guard")
 
@@ -25,7 +23,7 @@ def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> dict
 
     An image that the guard asks for again may be perturbed again, so with the guard more are sent.
     """
-    streams = [guard_study(images, SHARE, seed + stream, settings) for stream in range(STREAMS)]
+    streams = [guard_study(list(images), SHARE, seed + stream, settings) for stream in range(STREAMS)]
     clean = streams[0]["clean"]
     return {
         "modelled": True,

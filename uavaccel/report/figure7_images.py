@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float
         axes.scatter([], [], s=22, c=colour, marker=marker, label=label)
     axes.set_xlabel("DVS-ED, % of the pixels")
     handles, labels = axes.get_legend_handles_labels()
-    above = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
+    above: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
     axes.legend(handles[::-1], labels[::-1], title=style.command_name(clouds[0].command), ncols=2, **above)
 
 
