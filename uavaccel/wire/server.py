@@ -18,7 +18,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
-IDLE_NS = 5_000_000
+IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good
 CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
 FINAL_NS = 60_000  # at the very last, look at the clock alone: sockets take as long to look at as two ticks
 SPIN_NS = 1_000_000  # before something ends, poll instead of sleeping: a process wakes late
