@@ -21,6 +21,7 @@ from uavaccel.wire.server import Server
 from uavaccel.wire.settings import Settings, read_settings
 
 PERIOD_NS = 2 * NS_PER_S  # between two looks at the achieved speed
+WORTH_TELLING = 0.005  # share of the wall time that was lost
 
 
 @dataclass(frozen=True)
@@ -159,9 +160,9 @@ class Report:
 
     def _look(self) -> None:
         self._upkeep(self._server.api.recorder.keep)
-        lost_ns = add(self._total, self._speed).lost_wall_ns
-        if lost_ns > 2 * self._warned_of_lost_ns:  # a few lines, however long it goes on
-            self._warned_of_lost_ns = lost_ns
+        speed = add(self._total, self._speed)
+        if speed.lost_wall_ns > max(2 * self._warned_of_lost_ns, speed.wall_ns * WORTH_TELLING):
+            self._warned_of_lost_ns = speed.lost_wall_ns  # a few lines, however long it goes on
             say(f"warning: the machine does not keep up; {self._text()}")
         failure = self._simulation.failure
         if failure and failure != self._failure:
