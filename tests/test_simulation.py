@@ -10,6 +10,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim import autopilot
 from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.wire.api import Api
 
 TICK_NS = NATIVE.tick_ns
 
@@ -134,6 +135,17 @@ def test_without_api_control_a_command_takes_its_time_and_does_nothing() -> None
     assert np.array_equal(position(ignored), expected)
     assert ignored.arm(False) is False
     assert ignored.world.state["armed"] == 1
+
+
+def test_giving_up_api_control_ends_the_command_and_the_vehicle_stops() -> None:
+    simulation = simulate()
+    api = Api(simulation)
+    reply = simulation.fly_velocity(NORTH, 5.0, 0)
+    wall_ns = go_to(simulation, 500)
+    api.call("enableApiControl", [False], wall_ns)
+    assert answer(reply) is False
+    go_to(simulation, 5000)
+    assert abs(simulation.world.state["velocity"][0]) < 0.01
 
 
 def test_disarmed_rotors_stop() -> None:

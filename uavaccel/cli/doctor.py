@@ -32,7 +32,7 @@ from uavaccel.sim import hotloop
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 World("blocks", NATIVE).advance(1)
-print(json.dumps({"cached": bool(hotloop.fly.cache_hits), "seconds": (clock.now_ns() - start_ns) / 1e9}))
+print(json.dumps({"cached": bool(hotloop.ENTRY_POINTS.fly.cache_hits), "seconds": (clock.now_ns() - start_ns) / 1e9}))
 """
 RENDERER = """
 import dataclasses, json

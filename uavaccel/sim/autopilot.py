@@ -21,19 +21,19 @@ RATE, ANGLE = 0, 1  # modes of yaw
 UNSET = -1
 
 
-@njit(cache=True, nogil=True)
+@njit
 def clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def shortest_turn(goal_rad: float, angle_rad: float) -> float:
     """The difference of two angles, within half a turn."""
     turn = goal_rad - angle_rad
     return turn - 2 * math.pi * math.floor((turn + math.pi) / (2 * math.pi))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def hold_position(state: Record) -> None:
     """Position mode at the present position, yaw rate zero (OffboardApi::update after the goal timeout)."""
     state.goal[0], state.goal[1], state.goal[2] = state.position[0], state.position[1], state.position[2]
@@ -41,14 +41,14 @@ def hold_position(state: Record) -> None:
     state.xy_mode, state.z_mode, state.yaw_mode = POSITION, POSITION, RATE
 
 
-@njit(cache=True, nogil=True)
+@njit
 def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
     """Velocity that the position controller of one axis asks for, in m/s along that world axis."""
     error = state.goal[axis] - state.position[axis]
     return clip(parameters.position_gain[axis] * error, 1.0) * parameters.velocity_limit_m_s
 
 
-@njit(cache=True, nogil=True)
+@njit
 def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float, float]:
     """Velocity goals along the body's axes, in m/s.
 
@@ -64,7 +64,7 @@ def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float,
     return gx, gy, gz
 
 
-@njit(cache=True, nogil=True)
+@njit
 def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
     """Throttle from the vertical velocity error: proportional and leaky integral, each clipped to 1."""
     if state.z_integral_mode != state.z_mode:  # a new controller: its first update sees no time pass
@@ -77,13 +77,13 @@ def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
     return max((1.0 - output) / 2, parameters.min_throttle)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def rate_goal(parameters: Record, axis: int, error_rad: float) -> float:
     """Angle controller: rad/s to turn with so as to close an angle error."""
     return clip(parameters.angle_gain[axis] * error_rad, 1.0) * parameters.rate_limit_rad_s
 
 
-@njit(cache=True, nogil=True)
+@njit
 def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: float, yaw: float) -> None:
     """Quad-X mixer: shift a command below zero up, scale one above 1 down (Mixer.hpp)."""
     if throttle < parameters.min_mixed_throttle:
@@ -101,7 +101,7 @@ def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: 
     state.rotor_input[3] = min(max((m3 + shift) / scale, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def control(parameters: Record, state: Record) -> None:
     """One update of the firmware at the state's tick: sets the rotors' commands."""
     if state.tick == state.hover_tick:

@@ -14,8 +14,9 @@ and the poses equal AirSim's to rounding, while contacts, images and poses stay 
 from __future__ import annotations
 
 import ctypes
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,6 +25,7 @@ from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from uavaccel.sim import autopilot, quadrotor
 from uavaccel.sim.autopilot import control
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
 
@@ -68,7 +70,7 @@ call_mj_step: Any = _call_mj_step
 pointer: Any = _pointer
 
 
-@njit(cache=True, nogil=True)
+@njit
 def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     """MuJoCo's pose into the state, NED and FRD (units.py's half turn about x, unrolled)."""
     state.position[0], state.position[1], state.position[2] = qpos[0], -qpos[1], -qpos[2]
@@ -76,7 +78,7 @@ def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: NDArray[np.float64]) -> None:
     """Compute the next kick from the state's pose and MuJoCo's velocity, and the velocity at the tick."""
     velocity = (qvel[0], -qvel[1], -qvel[2])
@@ -98,7 +100,7 @@ def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: ND
     force[5] = -(inertia[2] * state.angular_acceleration[2] + (inertia[1] - inertia[0]) * p * q)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> None:
     """Append the state to the bounded buffer if its tick is on the recorder's grid."""
     if state.tick != recorder.next_tick:
@@ -118,44 +120,89 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
         row[4 + component] = state.quaternion[component]
 
 
-@cfunc(types.int64(types.CPointer(types.int64), types.int64), cache=True)
-def fly(handles: Any, ticks: int) -> int:
-    """Fly up to `ticks` ticks and return how many; fewer if something is touched for the first time.
+@njit
+def views(handles: Any) -> Any:
+    """What the entry points work on. `handles` are int64 addresses, the last one a count of rows.
 
-    `handles`: int64 addresses of mj_step, model, data, qpos, qvel, qfrc_applied, the contact sensor, the parameters,
-    the flight, the recorder and its rows, then how many rows there are. Plain addresses, since numba's dispatch of a
-    dozen arrays costs more than three ticks of flight. The contact sensor speaks of the pose at which a step began:
-    the tick before.
+    In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor; parameters, flight, recorder, samples.
+    Records come as arrays of one: numba returns no records.
+    Plain addresses, since numba's own dispatch of a dozen arrays costs more than three ticks of flight.
     """
-    mj_step, model, data = handles[0], handles[1], handles[2]
-    qpos = carray(pointer(handles[3]), 7, np.float64)
-    qvel = carray(pointer(handles[4]), 6, np.float64)
-    force = carray(pointer(handles[5]), 6, np.float64)
-    contact = carray(pointer(handles[6]), 1, np.float64)
-    parameters = carray(pointer(handles[7]), 1, PARAMETERS_DTYPE)[0]
-    state = carray(pointer(handles[8]), 1, FLIGHT_DTYPE)[0]
-    recorder = carray(pointer(handles[9]), 1, RECORDER_DTYPE)[0]
-    samples = carray(pointer(handles[10]), (handles[11], SAMPLE_COLUMNS), np.float64)
-    for flown in range(ticks):
-        call_mj_step(mj_step, model, data)
-        touched = contact[0] > 0.0 and state.collision_tick == NEVER
-        if touched:
-            state.collision_tick = state.tick
-        kick(parameters, state, qvel, force)
-        turn_rotors(parameters, state)
-        read_pose(state, qpos)
-        state.tick += 1
-        control(parameters, state)
-        record(recorder, samples, state)
-        if touched:
-            return flown + 1
-    return ticks
+    return (
+        carray(pointer(handles[3]), 7, np.float64),
+        carray(pointer(handles[4]), 6, np.float64),
+        carray(pointer(handles[5]), 6, np.float64),
+        carray(pointer(handles[6]), 1, np.float64),
+        carray(pointer(handles[7]), 1, PARAMETERS_DTYPE),
+        carray(pointer(handles[8]), 1, FLIGHT_DTYPE),
+        carray(pointer(handles[9]), 1, RECORDER_DTYPE),
+        carray(pointer(handles[10]), (handles[11], SAMPLE_COLUMNS), np.float64),
+    )
 
 
-@njit(cache=True, nogil=True)
-def stand_still(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> int:
-    """Let `ticks` ticks pass for a frozen vehicle; the recorder goes on."""
-    for _ in range(ticks):
-        state.tick += 1
+class EntryPoints(NamedTuple):
+    """Machine code, called through `.ctypes(handles, ticks)`, without the GIL."""
+
+    fly: Any
+    """Fly up to `ticks` ticks; returns how many: fewer where something is touched for the first time."""
+    stand_still: Any
+    """Let `ticks` ticks pass without moving; the recorder takes this tick, if it is due, and goes on."""
+    look: Any
+    """Read MuJoCo's pose and compute the next kick, after either was changed from outside."""
+
+
+def _compile(sources: int) -> EntryPoints:
+    """The entry points, from numba's cache if they are there.
+
+    numba looks for changes in this file alone; that they close over `sources` makes it see those in the others.
+    """
+    entry_point = cfunc(types.int64(types.CPointer(types.int64), types.int64), cache=True)
+
+    @entry_point
+    def fly(handles: Any, ticks: int) -> int:
+        qpos, qvel, force, contact, of_parameters, of_flight, of_recorder, samples = views(handles)
+        parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
+        for flown in range(ticks if sources else 0):
+            call_mj_step(handles[0], handles[1], handles[2])
+            # the contact sensor speaks of the pose at which the step began: the tick before
+            touched = contact[0] > 0.0 and state.collision_tick == NEVER
+            if touched:
+                state.collision_tick = state.tick
+            kick(parameters, state, qvel, force)
+            turn_rotors(parameters, state)
+            read_pose(state, qpos)
+            state.tick += 1
+            control(parameters, state)
+            record(recorder, samples, state)
+            if touched:
+                return flown + 1
+        return ticks
+
+    @entry_point
+    def stand_still(handles: Any, ticks: int) -> int:
+        _, _, _, _, _, of_flight, of_recorder, samples = views(handles)
+        state, recorder = of_flight[0], of_recorder[0]
         record(recorder, samples, state)
-    return ticks
+        for _ in range(ticks if sources else 0):
+            state.tick += 1
+            record(recorder, samples, state)
+        return ticks
+
+    @entry_point
+    def look(handles: Any, ticks: int) -> int:
+        qpos, qvel, force, _, of_parameters, of_flight, _, _ = views(handles)
+        if sources:
+            read_pose(of_flight[0], qpos)
+            kick(of_parameters[0], of_flight[0], qvel, force)
+        return ticks
+
+    return EntryPoints(fly, stand_still, look)
+
+
+def _sources() -> int:
+    """A number that changes with the code that the hot loop takes from other files; never 0."""
+    files = [Path(module.__file__ or "") for module in (autopilot, quadrotor)]
+    return zlib.crc32(b"".join(file.read_bytes() for file in files)) | 1
+
+
+ENTRY_POINTS = _compile(_sources())

@@ -112,7 +112,7 @@ def parameters(
     return record
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def air_density(altitude_m: float) -> float:
     """Kilograms per cubic metre in the standard atmosphere's troposphere (EarthUtils.hpp)."""
     height_km = 6378.137 * (altitude_m / 1000.0) / (6378.137 + altitude_m / 1000.0)
@@ -120,13 +120,13 @@ def air_density(altitude_m: float) -> float:
     return 101325.0 * (temperature / 288.15) ** 5.255877 / 287.053 / temperature
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def density_ratio(parameters: Record, z_m: float) -> float:
     """Density at NED height `z_m` over that at sea level, which thrust and torque are proportional to."""
     return air_density(parameters.ground_altitude_m - z_m) / air_density(0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def body_to_world(q: NDArray[np.float64], vector: tuple[float, float, float]) -> tuple[float, float, float]:
     """Rotate by the wxyz quaternion `q`."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -135,7 +135,7 @@ def body_to_world(q: NDArray[np.float64], vector: tuple[float, float, float]) ->
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def world_to_body(q: NDArray[np.float64], vector: tuple[float, float, float]) -> tuple[float, float, float]:
     """Rotate by the inverse of the wxyz quaternion `q`."""
     w, x, y, z = q[0], -q[1], -q[2], -q[3]
@@ -144,7 +144,7 @@ def world_to_body(q: NDArray[np.float64], vector: tuple[float, float, float]) ->
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) -> float:
     """Newtons along one body axis on whichever of the two opposite faces meets the air.
 
@@ -155,7 +155,7 @@ def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) 
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def accelerate(
     parameters: Record, state: Record, velocity: tuple[float, float, float], rate: tuple[float, float, float]
 ) -> None:
@@ -200,7 +200,7 @@ def accelerate(
     state.angular_acceleration[2] = (torque_z - (iy - ix) * p * q) / iz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def turn_rotors(parameters: Record, state: Record) -> None:
     """One tick of the rotors' lag: the output follows the lagged command one tick later (RotorActuator.hpp)."""
     keep = parameters.rotor_keep

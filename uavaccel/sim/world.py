@@ -63,7 +63,7 @@ class World:
         self.reset()
 
     def _addresses(self) -> NDArray[np.int64]:
-        """What the hot loop works on, in the order of hotloop.fly."""
+        """What the hot loop works on, in the order of hotloop.views."""
         data = self.data
         arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata)
         records = (self._parameters, self._flight, self._recorder, self._samples)
@@ -133,8 +133,7 @@ class World:
         self.state["collision_tick"] = NEVER
         self.collision_object = ""
         self._failed = False
-        hotloop.read_pose(self.state, self.data.qpos)
-        hotloop.kick(self.parameters, self.state, self.data.qvel, self.data.qfrc_applied)
+        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
     def _settle(self) -> None:
         """Give rotors, integrator and height goal the values that a long position hold arrives at."""
@@ -144,13 +143,13 @@ class World:
         hover = weight / (4 * thrust)
         for name in ("rotor_input", "rotor_lagged", "rotor_output"):
             state[name] = hover
-        autopilot.hold_position(state)
+        autopilot.hold_position.py_func(self._flight.view(np.recarray)[0])
         gathered = gains["tick_s"] * gains["z_integral_gain"] / (1.0 - gains["z_integral_keep"])
         error_m_s = (1.0 - 2.0 * hover) / (gains["velocity_gain"][2] + gathered)
         state["z_integral"] = gathered * error_m_s
         state["z_integral_mode"] = autopilot.POSITION
         state["goal"][2] += error_m_s / (gains["position_gain"][2] * gains["velocity_limit_m_s"])
-        hotloop.kick(gains, state, self.data.qvel, self.data.qfrc_applied)
+        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
     def advance(self, ticks: int) -> int:
         """Fly up to `ticks` ticks; returns how many: fewer where something is touched for the first time.
@@ -158,8 +157,8 @@ class World:
         Raises FlightError when MuJoCo warns; the vehicle then stands still until it is placed anew.
         """
         if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
-            return int(hotloop.stand_still(self.state, self._recorder[0], self._samples, ticks))
-        flown: int = hotloop.fly.ctypes(self._handles_pointer, ticks)
+            return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
+        flown: int = hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks)
         if not self.collision_object and self.collision_tick is not None:
             self.collision_object = collision_object(self.model, self.data)
         if self._warnings.any():
@@ -196,7 +195,7 @@ class World:
         recorder["count"] = recorder["dropped"] = 0
         recorder["period"] = self.profile.recorder_ticks
         recorder["next_tick"] = self.tick
-        hotloop.record(recorder[0], self._samples, self.state)
+        hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, 0)
 
     def stop_recording(self) -> None:
         self._recorder["next_tick"] = NEVER

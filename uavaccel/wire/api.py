@@ -147,7 +147,10 @@ class Api:
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
-        self.simulation.api_control = types.flag(enabled, "is_enabled")
+        enabled = types.flag(enabled, "is_enabled")
+        if not enabled:  # a command that runs on would have no end
+            self.simulation.cancel(self._wall_ns)
+        self.simulation.api_control = enabled
 
     def _is_api_control_enabled(self, vehicle: Any = "") -> bool:
         self._check_vehicle(vehicle)
