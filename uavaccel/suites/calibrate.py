@@ -15,7 +15,7 @@ import numpy as np
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.suites.traces import TracingTransport
 from uavaccel.wire.client import Client
-from uavaccel.wire.latency import QUANTILES
+from uavaccel.wire.latency import QUANTILES, after_wait
 from uavaccel.wire.session import WallSession
 
 CLOCK_SPEEDS = (50.0, 100.0)
@@ -34,6 +34,12 @@ class Latencies:
         self.request: Samples = defaultdict(list)
         self.reply: Samples = defaultdict(list)
         self.issue: list[int] = []
+
+    def add(self, samples: Samples, channel: str, wait_ns: int | None, latency_ns: int) -> None:
+        """Count a latency for its channel, and for its channel after such a wait."""
+        samples[channel].append(latency_ns)
+        if wait_ns is not None:
+            samples[after_wait(channel, wait_ns)].append(latency_ns)
 
     def block(self) -> dict[str, Any]:
         """The YAML block `latency`."""
@@ -107,20 +113,24 @@ def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], l
     """Match the two ends' events; the first call of a batch has no moment at which the client became ready."""
     handled, ended, paused = _server_times(server)
     deferred = {"move": ended, "continue_for": paused}
+    arrived: dict[str, int] = {}
     ready: int | None = None
-    arrived = 0
+    wait_ns: int | None = None
     for event in tracing.events:
         if event.kind == "call":
-            arrived = handled[event.method].pop(0)
+            arrived[event.channel] = handled[event.method].pop(0)
             if ready is not None:
-                latencies.request[event.channel].append(arrived - ready)
+                latencies.add(latencies.request, event.channel, wait_ns, arrived[event.channel] - ready)
         elif event.kind == "issued":
             if ready is not None:
                 latencies.issue.append(event.wall_ns - ready)
             ready = event.wall_ns
         else:
-            answered = deferred[event.channel].pop(0) if event.channel in deferred else arrived
-            latencies.reply[event.channel].append(event.wall_ns - answered)
+            answered = arrived[event.channel]
+            if event.channel in deferred:
+                answered = deferred[event.channel].pop(0)
+                wait_ns = answered - arrived[event.channel]
+            latencies.add(latencies.reply, event.channel, wait_ns, event.wall_ns - answered)
             ready = event.wall_ns
 
 

@@ -1,11 +1,13 @@
 """The latency model of a simulated wall clock: how long messages take, drawn from measured quantiles.
 
 A call costs a request (from the client being ready to issue it to the server handling it) and a reply (from handled,
-or due, to the client being ready again). A channel is a kind of call that has quantiles of its own.
+or due, to the client being ready again). A channel is a kind of call that has quantiles of its own. How fast the ends
+answer depends on how long they slept before, so a channel may have quantiles for each of several waits.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -27,6 +29,7 @@ CHANNELS = {
     "simGetImages": "image",
     "simGetImage": "image",
 }
+WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 _BLOCK = 1024
 
 
@@ -37,8 +40,16 @@ def channel_of(method: str, params: Sequence[Any]) -> str:
     return CHANNELS.get(method, DEFAULT)
 
 
+def after_wait(channel: str, wait_ns: int) -> str:
+    """The channel's name once the last command, or continue-for, has been waited for so long: "pause@10ms"."""
+    nearest = min(WAITS_MS, key=lambda wait_ms: abs(math.log(max(wait_ns, 1) / 1e6 / wait_ms)))
+    return f"{channel}@{nearest}ms"
+
+
 class LatencyConfig(Config):
     """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state, image; "call" is the rest.
+
+    "pause@10ms" holds after a wait of about 10 ms, "pause" after any other.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
     server ends (it matters to the `airsim` profile's continue-for alone).
@@ -90,6 +101,11 @@ class Latency:
         self._config = config
         self._seed = seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
+        self._wait_ns: int | None = None
+
+    def waited(self, wait_ns: int) -> None:
+        """A command or a continue-for took so long, and both ends may have slept."""
+        self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
         return self._draw("request", channel, self._config.request_us)
@@ -104,7 +120,9 @@ class Latency:
         return self._draw("timer", "", {"": self._config.timer_us})
 
     def _draw(self, kind: str, channel: str, tables: dict[str, tuple[float, ...]]) -> int:
-        name = channel if channel in tables else DEFAULT
+        name = channel if self._wait_ns is None else after_wait(channel, self._wait_ns)
+        if name not in tables:
+            name = channel if channel in tables else DEFAULT
         stream = self._streams.get((kind, name))
         if stream is None:
             stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name])

@@ -32,6 +32,7 @@ class Ticket:
         self.error: str | None = None
         self.value: Any = None
         self.pending: Pending | None = None
+        self.handled_ns = 0
         self.reply_wall_ns: int | None = None
         self.expected_ns: int | None = None  # when the client thinks the answer is due
 
@@ -165,6 +166,7 @@ class VirtualTransport:
             value = self._api.call(method, params, self._handled_ns)
         except rpc.RpcError as error:
             ticket.error, value = str(error), None
+        ticket.handled_ns = self._handled_ns
         if isinstance(value, Pending):
             ticket.pending = value
         else:
@@ -199,6 +201,7 @@ class VirtualTransport:
                 raise RuntimeError(f"{ticket.method} would wait for ever: the simulation is paused")
             self._run_to(due)
         if ticket.reply_wall_ns is None:
+            self._latency.waited(pending.due_wall_ns - ticket.handled_ns)
             ticket.value = pending.encode(pending.value)
             ticket.reply_wall_ns = pending.due_wall_ns + self._latency.reply_ns(ticket.channel)
         return True
