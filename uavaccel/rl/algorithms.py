@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import stable_baselines3
@@ -18,7 +19,7 @@ from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.network import LaneFeatures
 
 DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
-    "learning_rate": 2.5e-4,
+    "learning_rate": 3e-4,
     "buffer_size": 150_000,
     "learning_starts": 2_000,
     "batch_size": 64,
@@ -26,7 +27,7 @@ DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
     "n_steps": 3,
     "target_update_interval": 2_000,
     "exploration_fraction": 0.3,
-    "exploration_final_eps": 0.02,
+    "exploration_final_eps": 0.01,
     "max_grad_norm": 10.0,
 }
 
@@ -68,6 +69,8 @@ def make_model(config: TrainConfig, environment: VecEnv) -> BaseAlgorithm:
     base = algorithm_class(config.algorithm)
     scheduled: Any = type(f"{base.__name__}ByGames", (ByGames, base), {})
     keywords = {"seed": config.seed, "device": config.device, **_keywords(config, base), **config.options}
+    if (rate := keywords.get("learning_rate")) is not None:
+        keywords["learning_rate"] = partial(_falling, float(rate), config.final_learning_rate_share)
     try:
         model: BaseAlgorithm = scheduled(
             policy_name(config), environment, policy_kwargs=policy_keywords(config), **keywords
@@ -77,6 +80,10 @@ def make_model(config: TrainConfig, environment: VecEnv) -> BaseAlgorithm:
     model.games_done, model.games_total = 0, config.games  # type: ignore[attr-defined]
     model.stopwatch = Stopwatch(MonotonicClock())  # type: ignore[attr-defined]
     return model
+
+
+def _falling(start: float, final_share: float, progress_remaining: float) -> float:
+    return start * (final_share + (1.0 - final_share) * progress_remaining)
 
 
 def policy_name(config: TrainConfig) -> str:

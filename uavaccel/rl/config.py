@@ -24,6 +24,8 @@ class TrainConfig(Config):
     """double_dqn, or the name of a class of stable-baselines3: dqn, ppo, a2c."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Keywords of that class, over its defaults and, for double_dqn, over those of rl/algorithms.py."""
+    final_learning_rate_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02
+    """What is left of the learning rate at the last game; it falls linearly over the games, to settle the policy."""
     commands_per_gradient_step: Annotated[int, Field(ge=1)] = 4
     """Of algorithms with a replay buffer."""
     mirror: bool = True
