@@ -361,3 +361,13 @@ def test_the_bench_measures_ours_and_the_bare_loop() -> None:
     assert figures["bare_frames_per_s"] > 0
     assert (figures["width"], figures["height"]) == (256, 144)
     assert figures["gl_software"] == gl.describe_renderer().software
+
+
+def test_a_gl_that_is_not_there_is_one_line_wherever_mujoco_is_imported() -> None:
+    command = [sys.executable, "-m", "uavaccel", "run", "dp1", "--dry-run"]
+    done = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("uavaccel: error: MUJOCO_GL=glsl does not work here")
+    assert len(done.stderr.splitlines()) == 1

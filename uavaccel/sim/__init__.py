@@ -1,0 +1,15 @@
+"""The quadrotor's world on MuJoCo, which looks at MUJOCO_GL as soon as it is imported: here, with one clear line."""
+
+import os
+
+from uavaccel.errors import UserError
+
+try:
+    import mujoco  # noqa: F401
+except (AttributeError, ImportError, RuntimeError) as error:
+    if not os.environ.get("MUJOCO_GL"):
+        raise
+    raise UserError(
+        f"MUJOCO_GL={os.environ['MUJOCO_GL']} does not work here ({error}); unset it, set it to egl or osmesa, "
+        "or install libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 (Debian)"
+    ) from error

@@ -23,6 +23,7 @@ from uavaccel.sim.world import LEVEL, START_M, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
 COMMAND_LOG_LENGTH = 1 << 16
+TRACE_LENGTH = 1 << 16
 
 
 class Pending:
@@ -72,9 +73,9 @@ class Speed:
 
 @dataclass
 class Trace:
-    """What the simulation did and when: (event, wall ns, simulated ns); kept only while switched on."""
+    """What the simulation did and when: (event, wall ns, simulated ns), the latest; kept only while switched on."""
 
-    events: list[tuple[str, int, int]] = field(default_factory=list)
+    events: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
     enabled: bool = False
 
 

@@ -287,8 +287,9 @@ class Api:
         """Switch the trace on or off; replies, and forgets, the events so far: [event, wall ns, simulated ns]."""
         trace = self.simulation.trace
         trace.enabled = types.flag(enabled, "enabled")
-        events, trace.events = trace.events, []
-        return [list(event) for event in events]
+        events = [list(event) for event in trace.events]
+        trace.events.clear()
+        return events
 
 
 def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any) -> tuple[float, bool]:
