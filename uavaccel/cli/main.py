@@ -107,6 +107,54 @@ def calibrate(
 
 
 @app.command()
+def train(
+    experiment: Annotated[str, typer.Argument(help="An experiment's YAML file.")] = "train",
+    clock: Annotated[float | None, typer.Option(help="ClockSpeed.")] = None,
+    command: Annotated[str | None, typer.Option(help="adsc or tcsc.")] = None,
+    timing: Timing = None,
+    profile: Profile = None,
+    games: Annotated[int | None, typer.Option(help="Games to learn from.")] = None,
+    seed: Seed = None,
+    out: Out = None,
+    resume: Resume = False,
+    overrides: Overrides = None,
+) -> None:
+    """Train a policy in the obstacle lane."""
+    from uavaccel.cli.train import Request, train_policy
+
+    task = {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
+    train_policy(Request(experiment, games, seed, task, overrides or [], out, resume))
+
+
+@app.command()
+def evaluate(
+    agent: Annotated[
+        str, typer.Argument(help="A training's run directory, a policy's folder, straight or offset:METRES.")
+    ] = "default",
+    games: Annotated[int | None, typer.Option(help="Evaluation lanes; 300 without it.")] = None,
+    clock: Annotated[float | None, typer.Option(help="ClockSpeed.")] = None,
+    command: Annotated[str | None, typer.Option(help="adsc or tcsc.")] = None,
+    timing: Timing = None,
+    profile: Profile = None,
+    seed: Seed = None,
+    jobs: Annotated[int, typer.Option(help="Processes; above 1 not with wall.")] = 1,
+    against: Annotated[
+        Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
+    ] = None,
+    films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
+    out: Out = None,
+    resume: Resume = False,
+    overrides: Overrides = None,
+) -> None:
+    """Fly an agent on lanes that no training has seen: success ratio, Figure 8, films."""
+    from uavaccel.cli.evaluate import Request, evaluate_agent
+
+    task = {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
+    request = Request(agent, games, seed, task, jobs, overrides or [], out, resume, against, films)
+    evaluate_agent(request)
+
+
+@app.command()
 def bench(
     names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
     soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,

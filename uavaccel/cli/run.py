@@ -49,7 +49,7 @@ def run_experiment(request: Request) -> None:
             "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
         )
     cases = list(suite.cases(config))
-    out = request.out or Path("runs") / f"{Path(request.experiment).stem}-{_time_stamp()}"
+    out = request.out or Path("runs") / f"{Path(request.experiment).stem}-{time_stamp()}"
     print_plan(suite, config, cases, request.jobs, out)
     if request.dry_run:
         return
@@ -89,7 +89,7 @@ def _fit_options(suite: SuiteEntry, options: dict[str, Any], name: str) -> None:
             options[key] = value[0]
 
 
-def _time_stamp() -> str:
+def time_stamp() -> str:
     return calendar_time()[:19].replace(":", "")
 
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
+from uavaccel.resources import asset
 from uavaccel.rl.policy import Policy, load_policy
 
+DEFAULT = "default"
 STRAIGHT = "straight"
 OFFSET = "offset:"  # followed by metres east of the middle
 REACHED_M = 0.3  # from its offset a drone that flies along it turns back
@@ -56,14 +58,14 @@ def agent_task(name: str, task: LaneTask) -> LaneTask:
     """The task with the senses that the agent was trained with; a baseline needs no pictures."""
     if name == STRAIGHT or name.startswith(OFFSET):
         return task.model_copy(update={"observation": "state", "history": 1})
-    trained = load_policy(Path(name)).config.task
+    trained = load_policy(policy_folder(name)).config.task
     senses = ("observation", "history", "blank_images", "dvs_preset", "dvs_seed")
     flight = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
     return task.model_copy(update={key: getattr(trained, key) for key in senses + flight})
 
 
 def make_agent(name: str, task: LaneTask) -> Agent:
-    """The agent `straight`, `offset:METRES`, or the policy in a folder. Raises UserError if it is none of these."""
+    """The agent `straight`, `offset:METRES`, `default`, or a folder's policy. Raises UserError if there is none."""
     if name == STRAIGHT:
         return OffsetAgent(0.0, task)
     if name.startswith(OFFSET):
@@ -71,4 +73,9 @@ def make_agent(name: str, task: LaneTask) -> Agent:
             return OffsetAgent(float(name.removeprefix(OFFSET)), task)
         except ValueError:
             raise UserError(f"{name}: must be offset:METRES, as in offset:-1.5") from None
-    return PolicyAgent(load_policy(Path(name)))
+    return PolicyAgent(load_policy(policy_folder(name)))
+
+
+def policy_folder(name: str) -> Path:
+    """The folder of a policy: of the one that ships for "default", else the name is a path."""
+    return asset("policies/default") if name == DEFAULT else Path(name)

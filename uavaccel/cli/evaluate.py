@@ -1,0 +1,118 @@
+"""`uavaccel evaluate`: an agent on evaluation lanes; success with its interval, Figure 8, films, paired comparison."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from uavaccel.cli.run import time_stamp
+from uavaccel.clock import calendar_time
+from uavaccel.config import apply_overrides, validate
+from uavaccel.errors import UsageError, UserError
+from uavaccel.manifest import describe_run
+from uavaccel.metrics.intervals import mcnemar_exact
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.report.evaluation_film import film_lane
+from uavaccel.report.figure8_survival import draw_survival
+from uavaccel.report.video import write_contact_sheet, write_video
+from uavaccel.rl.evaluate import EvaluateConfig, evaluate
+
+console = Console(highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for; None where nothing was said. `task` are keys of the task."""
+
+    agent: str
+    games: int | None
+    seed: int | None
+    task: dict[str, Any]
+    jobs: int
+    overrides: Sequence[str]
+    out: Path | None
+    resume: bool
+    against: Path | None
+    films: bool
+
+
+def evaluate_agent(request: Request) -> None:
+    """Evaluate, print the success ratio, write figure and films. Raises UserError with one clear line."""
+    config = configure(request)
+    if request.jobs < 1 or (request.jobs > 1 and config.task.timing == "wall"):
+        raise UsageError(
+            "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
+        )
+    out = request.out or Path("runs") / f"evaluate-{time_stamp()}"
+    manifest = describe_run(sys.argv, config.seed, calendar_time())
+    run = RunDirectory.create(out, config, manifest, request.resume)
+    try:
+        summary = evaluate(config, run, request.jobs, lambda row: _show(row, config.games, run))
+    except KeyboardInterrupt:
+        raise UserError(
+            f"interrupted; go on with --out {out} --resume, the other options as they were"
+        ) from None
+    console.print(
+        f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
+        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {timing_provenance(config.task.timing)}, "
+        f"{config.task.command} at {config.task.clock_speed:g}x, seed {config.seed}"
+    )
+    rows = run.rows()
+    if request.against is not None:
+        console.print(compare(rows, RunDirectory(request.against)))
+    distances = {config.agent: [row["distance_m"] for row in rows]}
+    source = f"{timing_provenance(config.task.timing)} · {len(rows)} games · seed {config.seed}"
+    console.print(str(draw_survival(distances, run.file("figures/figure8_survival.png"), source)))
+    if request.films:
+        _film(config, run, rows)
+
+
+def configure(request: Request) -> EvaluateConfig:
+    """Options, then --set, over the defaults: 300 evaluation lanes at 1x in `virtual`. Raises UserError."""
+    task = {"split": "evaluation", "timing": "virtual"}
+    task |= {key: value for key, value in request.task.items() if value is not None}
+    mapping: dict[str, Any] = {"agent": request.agent, "task": task}
+    mapping |= {
+        key: value for key, value in (("games", request.games), ("seed", request.seed)) if value is not None
+    }
+    return validate(EvaluateConfig, apply_overrides(mapping, request.overrides), "evaluate")
+
+
+def compare(rows: Sequence[dict[str, Any]], other: RunDirectory) -> str:
+    """McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
+    theirs = {row["lane"]: row["is_success"] for row in other.rows() if row.get("suite") == "evaluate"}
+    paired = [(row["is_success"], theirs[row["lane"]]) for row in rows if row["lane"] in theirs]
+    if not paired:
+        raise UserError(f"{other.path}: is no evaluation of the same lanes")
+    first, second = np.array(paired).T
+    test = mcnemar_exact(first, second)
+    return (
+        f"against {other.path} on the same {len(paired)} lanes: {int(first.sum())} v {int(second.sum())} successes, "
+        f"exact McNemar p = {test.p_value:.3g}"
+    )
+
+
+def _show(row: dict[str, Any], games: int, run: RunDirectory) -> None:
+    done = len(run.done_cases())
+    if done % max(games // 10, 1) == 0:
+        console.print(f"{done}/{games} lanes")
+
+
+def _film(config: EvaluateConfig, run: RunDirectory, rows: Sequence[dict[str, Any]]) -> None:
+    """The best game, a success in the fewest commands, and the worst, as films and contact sheets."""
+
+    def rank(row: dict[str, Any]) -> tuple[bool, float]:
+        return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
+
+    order = sorted(rows, key=rank)
+    for name, row in {"best": order[0], "worst": order[-1]}.items():
+        film = film_lane(config, int(row["lane"]))
+        console.print(str(write_video(film, run.file(f"films/{name}.mp4"))))
+        console.print(str(write_contact_sheet(film, run.file(f"films/{name}.png"))))
