@@ -7,6 +7,7 @@ prints one line of JSON, {"port": ...}, when it listens.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import os
@@ -27,7 +28,8 @@ def main() -> None:
     simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
     simulation.pause(MonotonicClock().now_ns())
     server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
-    print(json.dumps({"port": server.address[1]}), flush=True)
+    with contextlib.suppress(BrokenPipeError):  # whoever started it has gone: then standard input has ended too
+        print(json.dumps({"port": server.address[1]}), flush=True)
     server.serve()
 
 
