@@ -176,8 +176,10 @@ class Camera:
         self.close()
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):
+        try:  # noqa: SIM105 - at the interpreter's end contextlib may be gone already
             self.close()
+        except Exception:
+            pass
 
 
 def _fixed_view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
