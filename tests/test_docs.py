@@ -1,0 +1,92 @@
+"""Every program in docs/learning.md runs, every command line parses, and every file that it links is there."""
+
+import re
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+import typer
+
+from uavaccel.cli import evaluate, train
+from uavaccel.cli.main import app
+from uavaccel.envs.task import LaneTask
+from uavaccel.errors import UserError
+from uavaccel.rl.config import TrainConfig
+from uavaccel.sim import gl
+from uavaccel.sim.lane import Difficulty
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "learning.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
+PYTHON = [code for language, code in BLOCKS if language == "python"]
+SHELL = [line for language, code in BLOCKS if language == "sh" for line in code.splitlines()]
+
+
+def opengl_works() -> bool:
+    try:
+        return bool(gl.choose_backend())
+    except UserError:
+        return False
+
+
+needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
+
+
+def test_there_are_blocks_of_two_kinds() -> None:
+    assert {language for language, _ in BLOCKS} == {"python", "sh"}
+    assert TEXT.count("```") == 2 * len(BLOCKS)
+
+
+def test_programs_have_thirty_lines_at_most() -> None:
+    assert max(len(code.splitlines()) for code in PYTHON) <= 30
+
+
+@needs_opengl
+@pytest.mark.parametrize("code", PYTHON)
+def test_programs_run(code: str) -> None:
+    subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize("line", [line for line in SHELL if line.startswith("uavaccel ")])
+def test_commands_parse(line: str) -> None:
+    """Options exist, and the keys that they set are valid; nothing is trained or flown."""
+    _, name, *options = line.split()
+    group = typer.main.get_command(app)
+    command = group.commands[name]  # type: ignore[attr-defined]
+    given = command.make_context(name, options).params
+    task = {key: given[key] for key in ("command", "timing", "profile")} | {"clock_speed": given["clock"]}
+    shared = (given["games"], given["seed"], task)
+    overrides, out, resume = given["overrides"] or [], given["out"], given["resume"]
+    if name == "train":
+        train.configure(train.Request(given["experiment"], *shared, overrides, out, resume))
+    else:
+        request = evaluate.Request(
+            given["agent"], *shared, given["jobs"], overrides, out, resume, given["against"], given["films"]
+        )
+        evaluate.configure(request)
+
+
+def test_other_programs_come_with_the_package() -> None:
+    others = {line.split()[0] for line in SHELL} - {"uavaccel"}
+    assert others <= {script.name for script in entry_points(group="console_scripts")}
+
+
+@pytest.mark.parametrize("link", re.findall(r"\]\(([^)]+)\)", TEXT))
+def test_links_lead_somewhere(link: str) -> None:
+    assert (PAGE.parent / link).exists()
+
+
+def keys() -> list[str]:
+    """The names in the last cells of the tables of keys."""
+    tables = re.findall(r"^\|.*\| key \|\n((?:\|.*\n)+)", TEXT, re.MULTILINE)
+    cells = [row.rsplit("|", 2)[1] for table in tables for row in table.splitlines()]
+    return [name.split(".")[-1] for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
+
+
+def test_keys_are_those_of_the_configuration() -> None:
+    known = {*LaneTask.model_fields, *Difficulty.model_fields, *TrainConfig.model_fields}
+    assert len(keys()) > 20
+    assert set(keys()) <= known
