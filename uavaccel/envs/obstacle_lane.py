@@ -77,7 +77,9 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """Fly one command in the direction of an action."""
+        """Fly one command in the direction of an action. Raises UserError before the first `reset`."""
+        if self._client is None:
+            raise UserError("reset the environment before its first step")
         before_m = self._distance_m
         self._journal["steps"].append((int(action), self._journal["charged_s"]))
         self._journal["charged_s"] = {}
@@ -151,8 +153,7 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
 
     def _fly(self, action: int) -> None:
         """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
-        if self._client is None:
-            raise UserError("reset the environment before its first step")
+        assert self._client is not None
         task, heading = self.task, math.radians(self.task.headings_deg[action])
         velocity = (task.speed_m_s * math.cos(heading), task.speed_m_s * math.sin(heading), 0.0)
         goal = VelocityGoal(velocity, -task.altitude_m)

@@ -29,7 +29,7 @@ class LaneTask(Config):
     """Commands whose frames are in one observation, the newest last."""
     blank_images: bool = False
     """Frames without content, for the baseline that shows what can be learned without seeing."""
-    dvs_preset: str = "clean"
+    dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     dvs_seed: Annotated[int, Field(ge=0)] = 0
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
 
