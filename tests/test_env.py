@@ -1,0 +1,355 @@
+"""The environment: Gymnasium's contract, lanes, ends of a game, observations, and one flight in every timing."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from stable_baselines3.common.env_checker import check_env as check_env_for_learning
+
+import uavaccel.envs  # noqa: F401 - registers
+from tests.learning import needs_opengl
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.senses import DEPTH_FAR_M
+from uavaccel.errors import UserError
+from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
+from uavaccel.vision.observation import NEUTRAL
+
+NAME = "uavaccel/ObstacleLane-v0"
+IMAGE = (3, 36, 64)
+AHEAD, HARD_WEST = 2, 0
+NO_LANE = {"obstacles_per_row": 0}
+
+
+@contextmanager
+def lane(**task: Any) -> Iterator[ObstacleLane]:
+    environment = ObstacleLane(**task)
+    yield environment
+    environment.close()
+
+
+def fly(environment: ObstacleLane, actions: list[int], seed: int = 5) -> list[NDArray[Any]]:
+    """The observations of a game's start and of its commands."""
+    return [environment.reset(seed=seed)[0], *(environment.step(action)[0] for action in actions)]
+
+
+def crash(environment: ObstacleLane, index: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    """Straight ahead until the game is over; its last step."""
+    environment.reset(seed=0, options={"lane": index})
+    while True:
+        last = environment.step(AHEAD)
+        if last[2] or last[3]:
+            return last
+
+
+# --- Gymnasium --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [NAME, f"uavaccel:{NAME}"])
+def test_gymnasium_makes_it_by_name(name: str) -> None:
+    environment = gymnasium.make(name, observation="state", max_commands=1)
+    environment.reset(seed=0)
+    assert environment.step(AHEAD)[3]
+    environment.close()
+
+
+@pytest.mark.parametrize("first", ["import gymnasium, uavaccel", "import uavaccel, gymnasium"])
+def test_it_is_registered_whichever_is_imported_first(first: str) -> None:
+    program = f"{first}; print(gymnasium.spec({NAME!r}).id)"
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert said.stdout.strip() == NAME
+
+
+@needs_opengl
+@pytest.mark.parametrize("observation", ["dvs", "colour", "depth"])
+def test_the_checkers_of_gymnasium_and_stable_baselines_find_nothing(observation: str) -> None:
+    environment = gymnasium.make(NAME, observation=observation, max_commands=5)
+    check_env(environment.unwrapped)
+    check_env_for_learning(environment)
+    environment.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space m:UserWarning")  # a position has no bounds
+@pytest.mark.filterwarnings("ignore:.*unconventional shape:UserWarning")
+def test_the_checkers_accept_the_state() -> None:
+    environment = gymnasium.make(NAME, observation="state", max_commands=5)
+    check_env(environment.unwrapped, skip_render_check=True)
+    check_env_for_learning(environment)
+    environment.close()
+
+
+@needs_opengl
+def test_vectors_of_it_fly_different_lanes() -> None:
+    vector = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode="sync", max_commands=5)
+    observations, infos = vector.reset(seed=3)
+    assert observations.shape == (2, *IMAGE)
+    assert infos["lane"][0] != infos["lane"][1]
+    observations, _, _, _, infos = vector.step(np.array([AHEAD, HARD_WEST]))
+    assert infos["position_m"][0][1] == pytest.approx(0, abs=1e-3)
+    assert infos["position_m"][1][1] < -0.1
+    vector.close()
+
+
+class Recorder:
+    """Stands for the encoder of a film, which the package does not need: it keeps the pictures."""
+
+    films: list[list[NDArray[np.uint8]]] = []  # noqa: RUF012 - one for all
+
+    def __init__(self, pictures: list[NDArray[np.uint8]], fps: int) -> None:
+        self.films.append(list(pictures))
+
+    def write_videofile(self, path: str, logger: Any = None) -> None:
+        Path(path).touch()
+
+
+@needs_opengl
+def test_gymnasium_records_its_films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setattr(
+        sys.modules["moviepy.video.io.ImageSequenceClip"], "ImageSequenceClip", Recorder, False
+    )
+    monkeypatch.setattr(Recorder, "films", [])
+    folder = tmp_path / "films"
+    environment = RecordVideo(gymnasium.make(NAME, render_mode="rgb_array", max_commands=3), str(folder))
+    environment.reset(seed=0)
+    while not environment.step(AHEAD)[3]:
+        pass
+    environment.close()
+    (film,) = Recorder.films
+    assert [picture.shape for picture in film] == [(144, 256, 3)] * 4
+    assert (film[0] != film[-1]).any()
+    assert len(list(folder.glob("*.mp4"))) == 1
+
+
+def test_its_spec_is_json() -> None:
+    environment = gymnasium.make(
+        NAME, observation="state", difficulty=NO_LANE, headings_deg=[-30.0, 0.0, 30.0]
+    )
+    assert environment.spec is not None
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(environment.spec.to_json()))
+    assert again.unwrapped.task == environment.unwrapped.task  # type: ignore[attr-defined]
+    environment.close()
+    again.close()
+
+
+# --- lanes ------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, EVALUATION_SEEDS - 1), st.integers(0, EVALUATION_SEEDS - 1))
+def test_no_lane_is_both_a_training_and_an_evaluation_lane(training: int, evaluation: int) -> None:
+    assert lane_seed("training", training) >= EVALUATION_SEEDS > lane_seed("evaluation", evaluation)
+
+
+def test_the_splits_fly_different_lanes_of_one_index() -> None:
+    ends = []
+    for split in ("training", "evaluation"):
+        with lane(split=split, observation="state") as environment:
+            ends.append(crash(environment, 2)[4]["distance_m"])
+        free_m = free_distance_m(draw_layout(lane_seed(split, 2)), 0.0)
+        assert ends[-1] == pytest.approx(free_m, abs=0.02)
+    assert ends[0] != pytest.approx(ends[1], abs=0.1)
+
+
+def test_the_seed_draws_the_lanes() -> None:
+    drawn = []
+    for seed in (1, 1, 2):
+        with lane(observation="state") as environment:
+            infos = [environment.reset(seed=seed)[1], *(environment.reset()[1] for _ in range(4))]
+        drawn.append([info["lane"] for info in infos])
+    assert drawn[0] == drawn[1]
+    assert len({*drawn[0], *drawn[2]}) == 10
+
+
+# --- a game's ends ----------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_a_collision_ends_the_game_and_blanks_the_frames_that_are_missing() -> None:
+    with lane(split="evaluation") as environment:
+        observation, reward, terminated, truncated, info = crash(environment, 2)
+    free_m = free_distance_m(draw_layout(lane_seed("evaluation", 2)), 0.0)
+    assert (terminated, truncated, info["is_success"]) == (True, False, False)
+    assert info["collision"].startswith("obstacle_")
+    assert info["distance_m"] == info["position_m"][0] == pytest.approx(free_m, abs=0.01)
+    assert -1.0 < reward < -0.9
+    assert np.ptp(observation[0]) > 0  # it was still on its way at the first sample
+    assert (observation[1:] == NEUTRAL).all()
+
+
+def test_the_walls_end_a_game_too() -> None:
+    with lane(observation="state", difficulty=NO_LANE) as environment:
+        environment.reset(seed=0)
+        while not (last := environment.step(HARD_WEST))[2]:
+            pass
+    assert last[4]["position_m"][1] == pytest.approx(-(5.0 - 0.342), abs=0.02)
+    assert "wall" in last[4]["collision"]
+
+
+def test_the_end_of_the_lane_is_a_success() -> None:
+    with lane(observation="state", difficulty=NO_LANE, goal_reward=3.0) as environment:
+        _, reward, terminated, truncated, info = crash(environment, 0)
+    assert (terminated, truncated, info["is_success"], info["collision"]) == (True, False, True, None)
+    assert 150.0 <= info["distance_m"] < 151.0
+    assert reward == pytest.approx(3.1, abs=0.01)
+
+
+def test_too_many_commands_truncate() -> None:
+    with lane(observation="state", max_commands=3) as environment:
+        environment.reset(seed=0)
+        ends = [environment.step(AHEAD)[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+@needs_opengl
+def test_infos_are_json_and_the_same_twice() -> None:
+    with lane(split="evaluation") as environment:
+        texts = [json.dumps(crash(environment, 2)[4]) for _ in range(2)]
+    assert texts[0] == texts[1]
+    info = json.loads(texts[0])
+    assert info["lane"] == 2
+    assert info["phase_s"]["simulation"] == pytest.approx(info["commands"], abs=1.0)
+
+
+# --- observations -----------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_events_are_neutral_before_anything_moved() -> None:
+    with lane() as environment:
+        start, seen = fly(environment, [AHEAD])
+    assert start.shape == IMAGE
+    assert start.dtype == np.uint8
+    assert (start == NEUTRAL).all()
+    assert np.ptp(seen) > 20
+
+
+@needs_opengl
+def test_history_keeps_the_frames_of_the_commands_before() -> None:
+    with lane(history=2) as environment:
+        start, first, second = fly(environment, [AHEAD, HARD_WEST])
+    assert (start == NEUTRAL).all()
+    np.testing.assert_array_equal(first[3:], second[:3])
+
+
+@needs_opengl
+def test_colour_and_depth_show_the_lane() -> None:
+    with lane(observation="colour") as environment:
+        _, colour = fly(environment, [AHEAD])
+    assert colour.shape == (9, 36, 64)
+    assert np.ptp(colour) > 100
+    with lane(observation="depth", difficulty=NO_LANE) as environment:
+        _, depth = fly(environment, [AHEAD])
+    assert depth.shape == IMAGE
+    assert depth[2, 0, 32] == 255  # the sky
+    metres = depth[2, 18].astype(float) * DEPTH_FAR_M / 255
+    assert 3.0 < metres.min() < 9.0  # the walls, 5 m away at the sides of a view 90 degrees wide
+    np.testing.assert_allclose(metres, metres[::-1], atol=0.6)
+
+
+def test_the_state_is_that_of_the_vehicle() -> None:
+    with lane(observation="state") as environment:
+        environment.reset(seed=0)
+        seen, _, _, _, info = environment.step(AHEAD)
+    assert seen.shape == (3, 13)
+    assert seen.dtype == np.float32
+    np.testing.assert_allclose(seen[-1, :3], info["position_m"], rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(seen[:, 3:7], axis=1), 1.0, rtol=1e-6)
+    assert (np.diff(seen[:, 7]) > 0).all()  # it gains speed
+
+
+@needs_opengl
+def test_blank_images_show_nothing() -> None:
+    with lane(blank_images=True) as environment:
+        assert all((seen == NEUTRAL).all() for seen in fly(environment, [AHEAD, HARD_WEST]))
+
+
+# --- timings ----------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_tcsc_sees_the_same_at_any_clock_speed() -> None:
+    flights = []
+    for timing, clock_speed in (("lockstep", 1.0), ("virtual", 1.0), ("virtual", 100.0)):
+        with lane(timing=timing, clock_speed=clock_speed) as environment:
+            seen = fly(environment, [2, 3, 1, 4, 2, 2])
+        flights.append([observation.tobytes() for observation in seen])
+    assert flights[0] == flights[1] == flights[2]
+
+
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+def test_time_passes_for_adsc_alone_while_the_agent_thinks(command: str) -> None:
+    task = {"observation": "state", "timing": "virtual", "clock_speed": 50.0, "difficulty": NO_LANE}
+    ends_m = []
+    for thought_s in (0.0, 0.02):  # at 50x the longer one is a simulated second, in which the vehicle brakes
+        with lane(**task, command=command) as environment:
+            environment.reset(seed=0)
+            for _ in range(5):
+                environment.charge(thought_s)
+                info = environment.step(AHEAD)[4]
+        assert info["phase_s"]["inference"] == pytest.approx(5 * thought_s)
+        ends_m.append(info["distance_m"])
+    assert ends_m[1] < ends_m[0] - 0.5 if command == "adsc" else ends_m[1] == ends_m[0]
+
+
+@needs_opengl
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+def test_a_journal_brings_another_environment_to_the_same_point(timing: str) -> None:
+    with (
+        lane(command="adsc", timing=timing, clock_speed=10.0) as first,
+        lane(command="adsc", timing=timing, clock_speed=10.0) as second,
+    ):
+        first.reset(seed=3)
+        first.charge(0.004)
+        fly(first, [2, 1], seed=4)
+        first.charge(0.01, "learning")
+        seen = first.step(3)[0]
+        journal = json.loads(json.dumps(first.journal()))
+        np.testing.assert_array_equal(second.replay(journal), seen)
+        np.testing.assert_array_equal(first.step(2)[0], second.step(2)[0])
+        assert first.reset()[1]["lane"] == second.reset()[1]["lane"]
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ({"observaton": "dvs"}, "unknown key 'observaton'; did you mean 'observation'?"),
+        ({"observation": "lidar"}, "observation = 'lidar'"),
+        ({"dvs_preset": "foggy"}, "dvs_preset = 'foggy'"),
+        ({"headings_deg": []}, "headings_deg = []: needs at least one heading"),
+        ({"max_commands": 0}, "max_commands = 0"),
+        ({"difficulty": {"obstacles_per_row": 4, "min_gap_m": 5.0}}, "the lane is 10 m wide"),
+    ],
+)
+def test_a_wrong_keyword_is_one_clear_line(task: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        ObstacleLane(**task)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_first_step_needs_a_reset() -> None:
+    with lane(observation="state") as environment, pytest.raises(UserError, match="reset the environment"):
+        environment.step(AHEAD)
+
+
+def test_an_empty_difficulty_is_the_published_one() -> None:
+    with lane(difficulty={}) as environment:
+        assert environment.task.difficulty == Difficulty()
