@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
+from uavaccel.commands.slices import samples_due
 from uavaccel.config import validate
 from uavaccel.envs.senses import make_sense, observation_space
 from uavaccel.errors import UserError
@@ -26,8 +27,8 @@ from uavaccel.rl.config import TrainConfig
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # a copy for learning alone
 PREPROCESSING = (
-    "three frames a command (T_sample), rendered at 256 x 144, gray (BT.601), counted by the DVS model, ON - OFF "
-    "summed over 4 x 4 pixels, plus 128, clipped to 0..255: uint8 (3, 36, 64), oldest first"
+    "a frame every T_sample of a command, rendered at 256 x 144, gray (BT.601), counted by the DVS model, ON - OFF "
+    "summed over 4 x 4 pixels, plus 128, clipped to 0..255: uint8 (frames, 36, 64), oldest first"
 )
 
 
@@ -98,7 +99,7 @@ def load_policy(path: Path) -> Policy:
 def _network(config: TrainConfig) -> BasePolicy:
     """The untrained policy, by stable-baselines3's class for this algorithm."""
     aliases: Mapping[str, Any] = algorithm_class(config.algorithm).policy_aliases
-    frames = 3 * config.task.history
+    frames = len(samples_due(config.task.t_move_s, config.task.t_sample_s)) * config.task.history
     space = observation_space(make_sense(config.task), frames)
     actions = spaces.Discrete(len(config.task.headings_deg))
     network: BasePolicy = aliases[policy_name(config)](
