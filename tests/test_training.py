@@ -1,0 +1,325 @@
+"""Training: equal weights in every timing and after a kill, schedules on games, the Double DQN target, algorithms."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from tests.learning import needs_opengl, tiny_config, train_into
+from uavaccel.cli.train import Request, configure
+from uavaccel.config import to_yaml
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.task import LaneTask
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.rl import train as training
+from uavaccel.rl.algorithms import learning_rhythm, make_model
+from uavaccel.rl.checkpoint import find_checkpoint
+from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.policy import weights_sha256
+from uavaccel.rl.train import CHECKPOINTS
+
+STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
+PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
+
+# Trains as the command line does, but dies without a word as soon as it has flown some games.
+KILLED = """
+import os, signal, sys
+from uavaccel.config import validate
+from uavaccel.records import RunDirectory
+from uavaccel.rl.config import TrainConfig
+from uavaccel.rl.train import train
+from uavaccel.yaml_io import load_yaml
+
+def report(status):
+    if status["games"] == int(sys.argv[3]):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+config = validate(TrainConfig, load_yaml(sys.argv[1]), sys.argv[1])
+train(config, RunDirectory.create(sys.argv[2], config, {}), report)
+"""
+
+
+@pytest.fixture(scope="module")
+def lockstep(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """A training in `lockstep`."""
+    out = tmp_path_factory.mktemp("training") / "run"
+    train_into(out, tiny_config())
+    return RunDirectory(out)
+
+
+def untrained(environment: VecEnv) -> DoubleDQN:
+    model = make_model(tiny_config(), environment)
+    assert isinstance(model, DoubleDQN)
+    return model
+
+
+def weights_of(run: RunDirectory) -> str:
+    return str(run.read_json("summary.json")["weights_sha256"])
+
+
+# --- equal weights ----------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+@pytest.mark.parametrize("clock_speed", [1.0, 100.0])
+def test_tcsc_learns_the_same_weights_at_any_clock_speed(
+    tmp_path: Path, lockstep: RunDirectory, clock_speed: float
+) -> None:
+    config = tiny_config({"timing": "virtual", "clock_speed": clock_speed})
+    assert train_into(tmp_path / "run", config)["weights_sha256"] == weights_of(lockstep)
+    flown = [
+        (row["lane"], row["distance_m"], row["commands"]) for row in RunDirectory(tmp_path / "run").rows()
+    ]
+    assert flown == [(row["lane"], row["distance_m"], row["commands"]) for row in lockstep.rows()]
+
+
+def test_adsc_does_not(tmp_path: Path) -> None:
+    hashes = set()
+    for clock_speed in (1.0, 100.0):
+        task = {**STATE, "command": "adsc", "timing": "virtual", "clock_speed": clock_speed}
+        summary = train_into(tmp_path / f"{clock_speed:g}", tiny_config(task, mirror=False))
+        hashes.add(summary["weights_sha256"])
+    assert len(hashes) == 2
+
+
+@needs_opengl
+def test_another_seed_learns_other_weights_on_other_lanes(tmp_path: Path, lockstep: RunDirectory) -> None:
+    summary = train_into(tmp_path / "run", tiny_config(seed=1))
+    assert summary["weights_sha256"] != weights_of(lockstep)
+    lanes = [{row["lane"] for row in run.rows()} for run in (lockstep, RunDirectory(tmp_path / "run"))]
+    assert not lanes[0] & lanes[1]
+
+
+@pytest.mark.parametrize("task", [STATE, pytest.param({"timing": "virtual"}, marks=needs_opengl)])
+def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
+    tmp_path: Path, task: dict[str, Any]
+) -> None:
+    config = tiny_config(task, mirror=task is not STATE, games=6)
+    (tmp_path / "config.yaml").write_text(to_yaml(config))
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "5"]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert len(RunDirectory(tmp_path / "killed").rows()) == 5
+    checkpoint = find_checkpoint(tmp_path / "killed" / CHECKPOINTS)
+    assert checkpoint is not None
+    assert checkpoint.name == "0000004"
+    resumed = train_into(tmp_path / "killed", config, resume=True)
+    whole = train_into(tmp_path / "whole", config)
+    assert resumed == whole
+    rows = [(tmp_path / name / "rows.jsonl").read_bytes() for name in ("killed", "whole")]
+    assert rows[0] == rows[1]
+
+
+def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:
+    config = tiny_config(STATE, mirror=False)
+    first = train_into(tmp_path / "run", config)
+    assert train_into(tmp_path / "run", config, resume=True)["games"] == first["games"]
+    with pytest.raises(UserError, match="has another configuration: games"):
+        train_into(tmp_path / "run", tiny_config(STATE, mirror=False, games=5), resume=True)
+
+
+def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> None:
+    for name, whole in (("0000002", True), ("0000004", False)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "learner.pt").touch()
+        if whole:
+            (tmp_path / name / "state.json").touch()
+    assert find_checkpoint(tmp_path) == tmp_path / "0000002"
+    assert find_checkpoint(tmp_path / "elsewhere") is None
+
+
+def side_by_side(task: LaneTask, count: int) -> VecEnv:
+    """As make_lanes, but in this process."""
+    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
+    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+
+
+def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tiny_config(STATE, mirror=False, environments=2)
+    processes = train_into(tmp_path / "processes", config)
+    monkeypatch.setattr(training, "make_lanes", side_by_side)
+    assert train_into(tmp_path / "one", config) == processes
+    assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
+
+
+# --- schedules and records --------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_exploration_falls_with_games_however_long_they_are(tmp_path: Path, lockstep: RunDirectory) -> None:
+    train_into(tmp_path / "run", tiny_config({"max_commands": 6}, games=4))
+    for run in (lockstep, RunDirectory(tmp_path / "run")):
+        # From 1 to 0.01 over the first 0.3 of four games, as it was before each game's end.
+        expected = [1.0, 1.0 - 0.99 * 0.25 / 0.3, 0.01, 0.01]
+        assert [row["exploration"] for row in run.rows()] == pytest.approx(expected)
+
+
+def test_the_learning_rate_falls_with_games() -> None:
+    environment = side_by_side(LaneTask(max_commands=2), 1)
+    model = untrained(environment)
+    for games_done, rate in ((0, 3e-4), (2, 3e-4 * (1 + 0.02) / 2), (4, 3e-4 * 0.02)):
+        model.games_done = games_done  # type: ignore[attr-defined]
+        model._update_current_progress_remaining(10**6, 1)
+        assert model.lr_schedule(model._current_progress_remaining) == pytest.approx(rate)
+    environment.close()
+
+
+@pytest.mark.parametrize(
+    ("commands", "environments", "rhythm"), [(4, 1, (4, 1)), (4, 5, (4, 5)), (4, 8, (1, 2)), (1, 3, (1, 3))]
+)
+def test_the_ratio_of_learning_is_exact(commands: int, environments: int, rhythm: tuple[int, int]) -> None:
+    assert learning_rhythm(commands, environments) == rhythm
+    assert rhythm[1] * commands == rhythm[0] * environments
+
+
+@needs_opengl
+def test_a_training_leaves_rows_times_summary_and_curves(lockstep: RunDirectory) -> None:
+    rows, summary = lockstep.rows(), lockstep.read_json("summary.json")
+    assert [row["game"] for row in rows] == [0, 1, 2, 3]
+    assert summary["commands"] == sum(row["commands"] for row in rows) == summary["sim_time_s"]
+    assert 40 < summary["phase_s"]["simulation"] <= summary["commands"]
+    times = lockstep.timings()
+    assert len(times) == 4
+    assert all(times[-1]["learner_s"][phase] > 0 for phase in ("inference", "learning"))
+    assert all(
+        times[-1]["host_phase_s"][phase] > 0 for phase in ("simulation", "rendering", "image_processing")
+    )
+    assert list((lockstep.path / "tensorboard").iterdir())
+
+
+def test_virtual_charges_each_gradient_step_to_the_games(tmp_path: Path) -> None:
+    config = tiny_config({**STATE, "timing": "virtual"}, mirror=False, learning_s=0.25, inference_s=0.125)
+    phases = train_into(tmp_path / "run", config)["phase_s"]
+    commands = sum(row["commands"] for row in RunDirectory(tmp_path / "run").rows())
+    assert phases["learning"] == pytest.approx(0.25 * ((commands - 8) // 4), abs=0.25)
+    assert phases["inference"] == pytest.approx(0.125 * commands, abs=0.5)
+
+
+# --- learning ---------------------------------------------------------------------------------------------------
+
+
+class Rated(th.nn.Module):
+    """A network whose ratings of the actions are known: one row an observation."""
+
+    def __init__(self, ratings: list[list[float]]) -> None:
+        super().__init__()
+        self.ratings = th.tensor(ratings)
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        return self.ratings
+
+
+def a_batch(count: int) -> ReplayBufferSamples:
+    """Observations (count, 1, 1, 2), actions 0, 1, ...; the first game goes on, the last is over."""
+    images = th.arange(count * 2, dtype=th.float32).reshape(count, 1, 1, 2)
+    actions = th.arange(count).reshape(-1, 1)
+    rewards = th.arange(1.0, count + 1).reshape(-1, 1)
+    dones = th.zeros(count, 1)
+    dones[-1] = 1.0
+    return ReplayBufferSamples(images, actions, images + 100, dones, rewards, None)
+
+
+def learner(mirror: tuple[int, ...] | None = None) -> DoubleDQN:
+    """Without an environment: just what targets and mirror need."""
+    model = DoubleDQN.__new__(DoubleDQN)
+    model.gamma, model.mirror, model.device = 0.5, mirror, th.device("cpu")
+    model.q_net = Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]])  # type: ignore[assignment]
+    model.q_net_target = Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]])  # type: ignore[assignment]
+    return model
+
+
+def test_the_target_network_rates_what_the_online_network_would_do() -> None:
+    targets = learner().targets(a_batch(3))
+    # 1 + 0.5 * 20 and 2 + 0.5 * 30, where plain DQN would take 40; the last game is over.
+    np.testing.assert_allclose(targets.numpy(), [[11.0], [17.0], [3.0]])
+
+
+def test_several_steps_have_discounts_of_their_own() -> None:
+    batch = a_batch(3)._replace(discounts=th.tensor([[0.125], [0.25], [0.5]]))
+    np.testing.assert_allclose(learner().targets(batch).numpy(), [[3.5], [9.5], [3.0]])
+
+
+def test_half_of_a_batch_is_seen_in_a_mirror() -> None:
+    batch = a_batch(4)
+    turned = learner((3, 2, 1, 0))._mirrored(batch)
+    np.testing.assert_array_equal(turned.actions.ravel(), [3, 2, 2, 3])
+    for before, after in (
+        (batch.observations, turned.observations),
+        (batch.next_observations, turned.next_observations),
+    ):
+        np.testing.assert_array_equal(after[:2], before[:2].flip(-1))
+        np.testing.assert_array_equal(after[2:], before[2:])
+    np.testing.assert_array_equal(turned.rewards, batch.rewards)
+
+
+def test_the_first_weights_come_from_the_seed() -> None:
+    environment = side_by_side(LaneTask(max_commands=2), 1)
+    hashes = [weights_sha256(make_model(tiny_config(seed=seed), environment)) for seed in (0, 0, 1)]
+    assert hashes[0] == hashes[1] != hashes[2]
+    environment.close()
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"algorithm": "dqn", "mirror": False},
+        PPO,
+        {"algorithm": "a2c", "mirror": False, "options": {}},
+    ],
+    ids=lambda keys: keys["algorithm"],
+)
+def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) -> None:
+    summary = train_into(tmp_path / "run", tiny_config(STATE, **keys, games=2))
+    assert summary["games"] == 2
+    model = make_model(tiny_config(STATE, **keys, games=2), environment := side_by_side(LaneTask(**STATE), 1))
+    assert summary["weights_sha256"] != weights_sha256(model)
+    environment.close()
+
+
+@needs_opengl
+def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) -> None:
+    summary = train_into(tmp_path / "run", tiny_config(algorithm="dqn", mirror=False, games=2))
+    assert summary["weights_sha256"] != weights_of(lockstep)
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
+        ({"options": {"learning_tempo": 1}}, "options of double_dqn: .*learning_tempo"),
+    ],
+)
+def test_an_algorithm_that_cannot_be_is_one_clear_line(
+    tmp_path: Path, keys: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        train_into(tmp_path / "run", tiny_config(**keys))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["task.timing=wall", "environments=2"], "environments must be 1 with timing wall"),
+        (["task.observation=state"], "mirror must be false"),
+        (["task.headings_deg=[0.0, 30.0]"], "mirror must be false"),
+        (["gamess=3"], "unknown key 'gamess'; did you mean 'games'?"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_one_clear_line(overrides: list[str], said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        configure(Request("train", None, None, {}, overrides, None, False))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
