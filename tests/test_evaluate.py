@@ -1,0 +1,216 @@
+"""Evaluation: baselines on lanes of known geometry, equal bytes, paired comparison, figure, films, policies."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from tests.learning import needs_opengl, tiny_config, train_into
+from uavaccel.cli.evaluate import Request, compare, configure, evaluate_agent
+from uavaccel.errors import UsageError, UserError
+from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.records import RunDirectory
+from uavaccel.resources import asset
+from uavaccel.rl.agents import OffsetAgent
+from uavaccel.rl.algorithms import make_model
+from uavaccel.rl.evaluate import evaluate, summarise
+from uavaccel.rl.lanes import make_lanes
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
+from uavaccel.sim.lane import draw_layout, free_distance_m, lane_seed
+
+LANES = 4
+FIGURE = "figures/figure8_survival.png"
+
+
+def request(agent: str, out: Path, *overrides: str, **options: Any) -> Request:
+    return Request(
+        agent,
+        games=options.get("games", LANES),
+        seed=options.get("seed"),
+        task=options.get("task", {}),
+        jobs=options.get("jobs", 1),
+        overrides=overrides,
+        out=out,
+        resume=options.get("resume", False),
+        against=options.get("against"),
+        films=options.get("films", False),
+    )
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    out = tmp_path_factory.mktemp("evaluate") / "straight"
+    evaluate_agent(request("straight", out))
+    return RunDirectory(out)
+
+
+def free_m(lane: int, y_m: float) -> float:
+    return free_distance_m(draw_layout(lane_seed("evaluation", lane)), y_m)
+
+
+# --- baselines --------------------------------------------------------------------------------------------------
+
+
+def test_straight_flight_gets_as_far_as_the_lane_is_free(straight: RunDirectory) -> None:
+    rows = straight.rows()
+    assert [row["lane"] for row in rows] == list(range(LANES))
+    for row in rows:
+        assert row["distance_m"] == pytest.approx(free_m(row["lane"], 0.0), abs=0.02)
+        assert not row["is_success"]
+        assert row["collision"]
+
+
+def test_an_offset_is_reached_and_kept(tmp_path: Path) -> None:
+    config = configure(request("offset:-1.5", tmp_path))
+    evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    for row in RunDirectory(tmp_path / "run").rows():
+        near = [free_m(row["lane"], -1.5 + off) for off in np.linspace(-0.35, 0.35, 15)]
+        assert min(near) - 0.1 <= row["distance_m"] <= max(near) + 0.1
+
+
+@pytest.mark.parametrize(("y_m", "heading_deg"), [(0.0, 60.0), (1.9, 0.0), (2.0, 0.0), (4.0, -60.0)])
+def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float) -> None:
+    task = configure(request("straight", Path())).task
+    action = OffsetAgent(2.0, task).act(np.zeros(0), {"position_m": [0.0, y_m, -2.0]})
+    assert task.headings_deg[action] == heading_deg
+
+
+# --- results ----------------------------------------------------------------------------------------------------
+
+
+def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> None:
+    summary, rows = straight.read_json("summary.json"), straight.rows()
+    assert (summary["games"], summary["successes"], summary["success_ratio"]) == (LANES, 0, 0.0)
+    assert (summary["wilson_low"], summary["wilson_high"]) == wilson_interval(0, LANES)
+    assert summary["distance_m_median"] == pytest.approx(np.median([row["distance_m"] for row in rows]))
+    won = [{**row, "is_success": row["lane"] < 3} for row in rows]
+    summary = summarise(configure(request("straight", Path())), won)
+    assert summary["success_ratio"] == 0.75
+    # Wilson's score interval of 3 in 4.
+    assert [summary["wilson_low"], summary["wilson_high"]] == pytest.approx([0.3006, 0.9544], abs=1e-4)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory, jobs: int) -> None:
+    evaluate_agent(request("straight", tmp_path / "run", jobs=jobs))
+    for name in ("rows.jsonl", "summary.json", "config.yaml", FIGURE):
+        assert (tmp_path / "run" / name).read_bytes() == (straight.path / name).read_bytes()
+
+
+def test_a_resumed_evaluation_flies_what_is_missing(tmp_path: Path, straight: RunDirectory) -> None:
+    evaluate_agent(request("straight", tmp_path / "run"))
+    rows = (tmp_path / "run/rows.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "run/rows.jsonl").write_bytes(b"".join(rows[:2]))
+    evaluate_agent(request("straight", tmp_path / "run", resume=True))
+    assert (tmp_path / "run/rows.jsonl").read_bytes() == (straight.path / "rows.jsonl").read_bytes()
+
+
+def test_the_paired_comparison_is_mcnemars(tmp_path: Path, straight: RunDirectory) -> None:
+    rows = [{**row, "is_success": True} for row in straight.rows()]
+    p_value = mcnemar_exact([True] * LANES, [False] * LANES).p_value
+    assert p_value == pytest.approx(2 * 0.5**LANES)
+    said = compare(rows, straight)
+    assert said.endswith(f"on the same {LANES} lanes: {LANES} v 0 successes, exact McNemar p = {p_value:.3g}")
+    with pytest.raises(UserError, match="is no evaluation of the same lanes"):
+        compare([{**row, "lane": row["lane"] + 100} for row in rows], straight)
+
+
+def test_against_another_run_on_the_command_line(
+    tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluate_agent(request("offset:1", tmp_path / "run", against=straight.path, games=2))
+    said = capsys.readouterr().out
+    assert "on the same 2 lanes: 0 v 0 successes, exact McNemar p = 1" in said
+    assert re.search(r"0 of 2 lanes \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
+    assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
+
+
+@needs_opengl
+def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
+    evaluate_agent(request("straight", tmp_path / "run", "first_lane=2", games=2, films=True))
+    made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
+    assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
+
+
+# --- policies ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"algorithm": "dqn", "mirror": False, "task": {"observation": "state", "history": 2}},
+        {"algorithm": "ppo", "mirror": False, "options": {}},
+    ],
+    ids=["double_dqn", "dqn-state", "ppo"],
+)
+def test_an_exported_policy_acts_as_the_model(tmp_path: Path, keys: dict[str, Any]) -> None:
+    config = tiny_config(**keys)
+    environment = make_lanes(config.task, 1)
+    model = make_model(config, environment)
+    export_policy(tmp_path, model, config, {"games": 0})
+    policy = load_policy(tmp_path)
+    rng = np.random.default_rng(0)
+    shape = (50, *(environment.observation_space.shape or ()))
+    seen = rng.integers(0, 256, shape).astype(environment.observation_space.dtype)
+    np.testing.assert_array_equal(policy.act(seen), model.predict(seen, deterministic=True)[0])
+    assert policy.config.task == config.task
+    environment.close()
+
+
+class Trap:
+    """Runs code where it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("sprung"),)
+
+
+def test_reading_a_policy_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    th.save({"trap": Trap()}, tmp_path / WEIGHTS)
+    (tmp_path / MANIFEST).write_text((asset("policies/default") / MANIFEST).read_text())
+    with pytest.raises(Exception, match=r"(?i)weights.only|holds no policy"):
+        load_policy(tmp_path)
+    assert not (tmp_path / "sprung").exists()
+
+
+@needs_opengl
+def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
+    manifest = json.loads((asset("policies/default") / MANIFEST).read_text())
+    assert manifest["preprocessing"]
+    config = configure(request("default", tmp_path, games=1))
+    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    assert summary["games"] == 1
+    assert summary["distance_m_median"] > 50.0
+
+
+@needs_opengl
+def test_a_trainings_run_directory_is_an_agent(tmp_path: Path) -> None:
+    train_into(tmp_path / "training", tiny_config(games=1))
+    config = configure(request(str(tmp_path / "training"), tmp_path, "task.max_commands=3", games=1))
+    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    assert summary["games"] == 1
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("agent", "said"),
+    [("nowhere", "nowhere: holds no policy"), ("offset:left", "offset:left: must be offset:METRES")],
+)
+def test_an_agent_that_is_none_is_one_clear_line(tmp_path: Path, agent: str, said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        evaluate_agent(request(agent, tmp_path / "run", games=1))
+    assert "\n" not in str(caught.value)
+
+
+def test_jobs_with_wall_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--jobs must be 1 with timing wall"):
+        evaluate_agent(request("straight", tmp_path / "run", task={"timing": "wall"}, jobs=2))
