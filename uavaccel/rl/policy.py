@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -85,6 +86,8 @@ def load_policy(path: Path) -> Policy:
         weights = th.load(path / WEIGHTS, weights_only=True, map_location="cpu")
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: holds no policy: {error}") from error
+    except UnpicklingError as error:
+        raise UserError(f"{path / WEIGHTS}: is no state dict of tensors alone") from error
     config = validate(TrainConfig, manifest["config"], str(path / MANIFEST))
     network = _network(config)
     target = {
