@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch as th
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.learning import needs_opengl, tiny_config, train_into
 from uavaccel.cli.train import Request, configure
@@ -25,6 +25,7 @@ from uavaccel.rl import train as training
 from uavaccel.rl.algorithms import learning_rhythm, make_model
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.rl.train import CHECKPOINTS
 
@@ -57,7 +58,7 @@ def lockstep(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     return RunDirectory(out)
 
 
-def untrained(environment: VecEnv) -> DoubleDQN:
+def untrained(environment: Lanes) -> DoubleDQN:
     model = make_model(tiny_config(), environment)
     assert isinstance(model, DoubleDQN)
     return model
@@ -137,10 +138,10 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
     assert find_checkpoint(tmp_path / "elsewhere") is None
 
 
-def side_by_side(task: LaneTask, count: int) -> VecEnv:
+def side_by_side(task: LaneTask, count: int) -> Lanes:
     """As make_lanes, but in this process."""
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
-    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+    return Lanes(DummyVecEnv([lambda: ObstacleLane(**keywords)] * count))
 
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

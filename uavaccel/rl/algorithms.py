@@ -9,20 +9,20 @@ from typing import Any
 import stable_baselines3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
 from uavaccel.rl.config import TrainConfig
 from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.network import LaneFeatures
 
 DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
     "learning_rate": 3e-4,
     "buffer_size": 150_000,
     "learning_starts": 2_000,
-    "batch_size": 64,
+    "batch_size": 32,
     "gamma": 0.95,
     "n_steps": 3,
     "target_update_interval": 2_000,
@@ -33,18 +33,35 @@ DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
 
 
 class ByGames:
-    """Mixed into an algorithm: exploration and learning rate follow the share of games flown, not of timesteps."""
+    """Mixed into an algorithm: exploration and learning rate follow the share of games flown, not of timesteps.
+
+    What learns from a buffer learns while the next command is flown: `train` notes the steps, `learn_owed` makes them.
+    """
 
     games_done: int
     games_total: int
+    owed = 0  # gradient steps
     stopwatch: Stopwatch
+    batch_size: int
 
     def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
         self._current_progress_remaining = 1.0 - self.games_done / self.games_total
 
-    def train(self, *args: Any, **kwargs: Any) -> None:
+    def train(self, gradient_steps: int | None = None, batch_size: int = 0) -> None:
+        if gradient_steps is None:
+            self._learn()
+        else:
+            self.owed += gradient_steps
+
+    def learn_owed(self) -> None:
+        """The gradient steps that `train` was asked for."""
+        if self.owed:
+            self._learn(gradient_steps=self.owed, batch_size=self.batch_size)
+            self.owed = 0
+
+    def _learn(self, **keywords: int) -> None:
         self.stopwatch.switch("learning")
-        super().train(*args, **kwargs)  # type: ignore[misc]
+        super().train(**keywords)  # type: ignore[misc]
         self.stopwatch.switch(None)
 
     def _sample_action(self, *args: Any, **kwargs: Any) -> Any:
@@ -64,7 +81,7 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
     return found
 
 
-def make_model(config: TrainConfig, environment: VecEnv) -> BaseAlgorithm:
+def make_model(config: TrainConfig, environment: Lanes) -> BaseAlgorithm:
     """The untrained model. Raises UserError for options that its class does not know."""
     base = algorithm_class(config.algorithm)
     scheduled: Any = type(f"{base.__name__}ByGames", (ByGames, base), {})
@@ -79,6 +96,7 @@ def make_model(config: TrainConfig, environment: VecEnv) -> BaseAlgorithm:
         raise UserError(f"options of {config.algorithm}: {error}") from error
     model.games_done, model.games_total = 0, config.games  # type: ignore[attr-defined]
     model.stopwatch = Stopwatch(MonotonicClock())  # type: ignore[attr-defined]
+    environment.meanwhile = model.learn_owed  # type: ignore[attr-defined]
     return model
 
 
@@ -96,9 +114,12 @@ def policy_keywords(config: TrainConfig) -> dict[str, Any]:
     keywords: dict[str, Any] = {"net_arch": list(config.hidden)}
     if config.task.observation != "state":
         keywords |= {
+            "normalize_images": False,  # the network reads grey levels
             "features_extractor_class": LaneFeatures,
             "features_extractor_kwargs": {"channels": list(config.channels)},
         }
+    if config.algorithm == "double_dqn":
+        keywords["optimizer_kwargs"] = {"fused": True}
     return keywords
 
 

@@ -27,6 +27,7 @@ _COUNTERS = (
     "exploration_rate",
     "_current_progress_remaining",
     "games_done",
+    "owed",
 )
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COMPLETE = "state.json"

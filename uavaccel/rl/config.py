@@ -30,7 +30,7 @@ class TrainConfig(Config):
     """Of algorithms with a replay buffer."""
     mirror: bool = True
     """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
-    channels: tuple[int, ...] = (16, 32, 32)
+    channels: tuple[int, ...] = (16, 32)
     hidden: tuple[int, ...] = (256,)
 
     device: str = "cpu"

@@ -65,7 +65,6 @@ class _Keeper(BaseCallback):
         self._random: dict[str, Any] | None = None
         self._recent: deque[bool] = deque(maxlen=RECENT)
         self._returns = [0.0] * config.environments
-        self._updates_charged = 0
         self._saved = 0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
@@ -76,7 +75,6 @@ class _Keeper(BaseCallback):
         """Take a checkpoint's state; rows written after it are dropped, their games are flown again."""
         notes, self._random = load_checkpoint(checkpoint, model)
         self._returns = notes["returns"]
-        self._updates_charged = getattr(model, "_n_updates", 0)
         self.keep_rows(notes["rows"])
 
     def keep_rows(self, count: int) -> None:
@@ -95,20 +93,19 @@ class _Keeper(BaseCallback):
     # --- flying -----------------------------------------------------------------------------------
 
     def _on_rollout_start(self) -> None:
-        self._charge_learning()
         if self.games - self._saved >= self._config.checkpoint_games:
             notes = {"rows": self.games, "returns": self._returns}
             save_checkpoint(self._run.path / CHECKPOINTS, self.model, notes)
             export_policy(self._run.path, self.model, self._config, {"games": self.games})
             self._saved = self.games
+        self._charge_learning()
 
     def _charge_learning(self) -> None:
         """Each environment pays for the gradient steps that its own commands bring about."""
-        updates = getattr(self.model, "_n_updates", 0)
-        if self._config.task.timing == "virtual" and updates > self._updates_charged:
-            share = (updates - self._updates_charged) / self._config.environments
+        owed = self.model.owed  # type: ignore[attr-defined]
+        if self._config.task.timing == "virtual" and owed:
+            share = owed / self._config.environments
             self.training_env.env_method("charge", share * self._config.learning_s, "learning")
-        self._updates_charged = updates
 
     def _on_step(self) -> bool:
         for index, (done, info) in enumerate(zip(self.locals["dones"], self.locals["infos"], strict=True)):

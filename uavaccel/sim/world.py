@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
+from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.lane_scene import apply_layout, collision_object
 from uavaccel.sim.profile import Profile
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from uavaccel.sim.camera import Camera
 
 SAMPLE_CAPACITY = 1 << 16
+NEAR_TICKS = 16  # flown with contacts where something is so near that leaving them out is not worth while
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -57,6 +59,8 @@ class World:
         self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._warnings = self.data.warning.number
+        self._clearance = Clearance(self.model, self.data)
+        self._with_contacts = int(self.model.opt.disableflags)
         self._handles = self._addresses()
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
         self.stop_recording()
@@ -102,6 +106,7 @@ class World:
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
+        self._look_for_contacts()
         self._field["wind"][0] = layout.wind_m_s
 
     def close(self) -> None:
@@ -132,6 +137,7 @@ class World:
         self.data.qvel[:3] = ned_to_mujoco(velocity_m_s)
         self.state["collision_tick"] = NEVER
         self.collision_object = ""
+        self._look_for_contacts()
         self._failed = False
         hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
@@ -158,7 +164,7 @@ class World:
         """
         if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
             return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
-        flown: int = hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks)
+        flown = self._fly(ticks)
         if not self.collision_object and self.collision_tick is not None:
             self.collision_object = collision_object(self.model, self.data)
         if self._warnings.any():
@@ -166,6 +172,28 @@ class World:
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")
         return flown
+
+    def _fly(self, ticks: int) -> int:
+        flown, touched = 0, self.collision_tick
+        while flown < ticks and self.collision_tick == touched:
+            if self.tick >= self._look_again_tick:
+                self._look_around()
+            due = min(ticks - flown, self._look_again_tick - self.tick)
+            flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, due))
+        return flown
+
+    def _look_around(self) -> None:
+        """Look for contacts, or, while there can be none, leave them out: the flight is the same."""
+        free_ticks = int(self._clearance.free_s(self.parameters, self.state) / self.profile.tick_s)
+        if free_ticks < NEAR_TICKS:
+            self._look_for_contacts(NEAR_TICKS)
+        else:
+            self.model.opt.disableflags = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+            self._look_again_tick = self.tick + free_ticks
+
+    def _look_for_contacts(self, ticks: int = 0) -> None:
+        self.model.opt.disableflags = self._with_contacts
+        self._look_again_tick = self.tick + ticks
 
     def fly_velocity(self, goal: Vector, height_held: bool, yaw: float, yaw_is_rate: bool) -> None:
         """Set the autopilot's goal: NED m/s, the third a height in m if held; yaw in rad or rad/s."""

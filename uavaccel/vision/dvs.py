@@ -133,7 +133,7 @@ def _advance(
     _check_frame(sensor, frame)
     _check_time(state, t_s)
     frame, dt_s, index = np.ascontiguousarray(frame), t_s - state.time_s, state.frame_index + 1
-    rng = np.random.default_rng(np.random.SeedSequence(state.noise_seed, spawn_key=(index,)))
+    rng = _noise(sensor, state.noise_seed, index)
     log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
     base = _leaked(sensor, state.base_log, dt_s, rng)
     burst = _burst(sensor, state, log, base, t_s)
@@ -147,6 +147,14 @@ def _advance(
     return DvsState(base, log, last_event_s, t_s, index, state.noise_seed), on, off, events
 
 
+def _noise(sensor: DvsSensor, seed: int, index: int) -> np.random.Generator | None:
+    """The generator of a frame's noise, for a sensor that has any: it takes as long to make as the frame's events."""
+    parameters = sensor.parameters
+    if parameters.leak_rate_hz <= 0 and parameters.shot_noise_rate_hz <= 0:
+        return None
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+
+
 def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame, dt_s: float) -> Floats:
     if parameters.cutoff_hz <= 0:
         return kernels.look_up(frame, LIN_LOG)
@@ -155,9 +163,9 @@ def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame
     return kernels.low_pass(frame, filtered_log, LIN_LOG, weights)
 
 
-def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Generator) -> Floats:
+def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Generator | None) -> Floats:
     parameters = sensor.parameters
-    if parameters.leak_rate_hz <= 0:
+    if rng is None or parameters.leak_rate_hz <= 0:
         return base_log
     jitter = 1 - parameters.leak_jitter_fraction * rng.standard_normal(base_log.shape, np.float32)
     rate_hz = parameters.leak_rate_hz * sensor.leak_rate_factor * jitter
@@ -176,16 +184,16 @@ def _burst(sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: f
 
 
 def _after_refractory(burst: _Burst) -> tuple[Counts, NDArray[np.float32]]:
-    if np.isneginf(burst.refractory_s):
+    if math.isinf(burst.refractory_s):
         return burst.signed, burst.last_event_s
     return kernels.drop_refractory(*burst)
 
 
 def _shot_noise(
-    sensor: DvsSensor, frame: Frame, dt_s: float, rng: np.random.Generator
+    sensor: DvsSensor, frame: Frame, dt_s: float, rng: np.random.Generator | None
 ) -> tuple[Mask, Mask] | None:
     parameters = sensor.parameters
-    if parameters.shot_noise_rate_hz <= 0:
+    if rng is None or parameters.shot_noise_rate_hz <= 0:
         return None
     dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
     chance = kernels.look_up(frame, parameters.shot_noise_rate_hz / 2 * dt_s * dimming)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -30,6 +31,7 @@ CHANNELS = {
     "simGetImage": "image",
 }
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
+_BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
 
 
@@ -42,8 +44,7 @@ def channel_of(method: str, params: Sequence[Any]) -> str:
 
 def after_wait(channel: str, wait_ns: int) -> str:
     """The channel's name once the last command, or continue-for, has been waited for so long: "pause@10ms"."""
-    nearest = min(WAITS_MS, key=lambda wait_ms: abs(math.log(max(wait_ns, 1) / 1e6 / wait_ms)))
-    return f"{channel}@{nearest}ms"
+    return f"{channel}@{WAITS_MS[bisect_left(_BETWEEN_NS, wait_ns)]}ms"
 
 
 class LatencyConfig(Config):
@@ -120,6 +121,8 @@ class Latency:
         return self._draw("timer", "", {"": self._config.timer_us})
 
     def _draw(self, kind: str, channel: str, tables: dict[str, tuple[float, ...]]) -> int:
+        if self._config is ZERO_LATENCY:  # which flights by the million draw from
+            return 0
         name = channel if self._wait_ns is None else after_wait(channel, self._wait_ns)
         if name not in tables:
             name = channel if channel in tables else DEFAULT
