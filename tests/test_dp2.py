@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from uavaccel.cli.run import Request, report_run, run_experiment
-from uavaccel.cli.view import view_run
+from uavaccel.cli.view import view_game
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
@@ -308,7 +308,7 @@ def test_figure_7_of_little_or_nothing(clouds: list[ImageCloud], tmp_path: Path)
 def test_view_writes_a_film_that_plays_and_a_contact_sheet(
     run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    view_run(run_dir, None, tmp_path)
+    view_game(str(run_dir), None, tmp_path)
     assert capsys.readouterr().out.split() == [str(tmp_path / f"tcsc-k100.{kind}") for kind in ("mp4", "png")]
     film = cv2.VideoCapture(str(tmp_path / "tcsc-k100.mp4"))
     played = []
@@ -325,19 +325,19 @@ def test_view_writes_a_film_that_plays_and_a_contact_sheet(
 @needs_opengl
 def test_view_says_what_is_wrong(run_dir: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"--case tcsc-k10: .*did you mean tcsc-k100"):
-        view_run(run_dir, "tcsc-k10", tmp_path)
+        view_game(str(run_dir), "tcsc-k10", tmp_path)
     with pytest.raises(UserError, match="not a run directory"):
-        view_run(tmp_path, None, None)
+        view_game(str(tmp_path), None, None)
 
 
 def test_view_of_a_run_without_images(tmp_path: Path) -> None:
     RunDirectory.create(tmp_path / "run", config_of(SHORT_PATH), {})
     with pytest.raises(UserError, match="holds no finished game"):
-        view_run(tmp_path / "run", None, None)
+        view_game(str(tmp_path / "run"), None, None)
     text = (tmp_path / "run/config.yaml").read_text()
     (tmp_path / "run/config.yaml").write_text(text.replace("suite: dp2", "suite: dp1"))
     with pytest.raises(UserError, match="a run of dp1 keeps no images"):
-        view_run(tmp_path / "run", None, None)
+        view_game(str(tmp_path / "run"), None, None)
 
 
 def test_a_frame_shows_camera_events_and_map() -> None:

@@ -19,8 +19,8 @@ from uavaccel.manifest import describe_run
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.report.evaluation_film import film_lane
-from uavaccel.report.figure8_survival import draw_survival
+from uavaccel.report.evaluation_film import best_first, film_lane
+from uavaccel.report.learning_report import report_evaluations
 from uavaccel.report.video import write_contact_sheet, write_video
 from uavaccel.rl.evaluate import EvaluateConfig, evaluate
 
@@ -62,14 +62,13 @@ def evaluate_agent(request: Request) -> None:
     console.print(
         f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
         f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {timing_provenance(config.task.timing)}, "
-        f"{config.task.command} at {config.task.clock_speed:g}x, seed {config.seed}"
+        f"{config.task.command} at {config.task.clock_speed:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
+        f"seconds a wall second, seed {config.seed}"
     )
     rows = run.rows()
     if request.against is not None:
         console.print(compare(rows, RunDirectory(request.against)))
-    distances = {config.agent: [row["distance_m"] for row in rows]}
-    source = f"{timing_provenance(config.task.timing)} · {len(rows)} games · seed {config.seed}"
-    console.print(str(draw_survival(distances, run.file("figures/figure8_survival.png"), source)))
+    console.print(str(report_evaluations([run])))
     if request.films:
         _film(config, run, rows)
 
@@ -106,12 +105,8 @@ def _show(row: dict[str, Any], games: int, run: RunDirectory) -> None:
 
 
 def _film(config: EvaluateConfig, run: RunDirectory, rows: Sequence[dict[str, Any]]) -> None:
-    """The best game, a success in the fewest commands, and the worst, as films and contact sheets."""
-
-    def rank(row: dict[str, Any]) -> tuple[bool, float]:
-        return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
-
-    order = sorted(rows, key=rank)
+    """The best game and the worst as films and contact sheets."""
+    order = best_first(rows)
     for name, row in {"best": order[0], "worst": order[-1]}.items():
         film = film_lane(config, int(row["lane"]))
         console.print(str(write_video(film, run.file(f"films/{name}.mp4"))))

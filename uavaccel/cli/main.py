@@ -73,25 +73,29 @@ def run(
 def report(
     run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")],
 ) -> None:
-    """Compute the metrics and draw the figures of finished runs again."""
-    from uavaccel.cli.run import report_run
+    """Compute the metrics and draw the figures of finished runs again.
 
-    for run_dir in run_dirs:
-        report_run(run_dir)
+    Trainings are drawn side by side, in the first one's Figure 9; so are evaluations, in its Figure 8.
+    """
+    from uavaccel.cli.report import report_runs
+
+    report_runs(run_dirs)
 
 
 @app.command()
 def view(
-    run_dir: Annotated[Path, typer.Argument(help="Run directory of an experiment with images.")],
+    source: Annotated[
+        str, typer.Argument(help="Run directory of dp2, evaluate or train; a policy's folder.")
+    ] = "default",
     case: Annotated[
-        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest.")
+        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest, or best.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
 ) -> None:
     """Show a game: an MP4 of camera, DVS and map side by side, and a contact sheet."""
-    from uavaccel.cli.view import view_run
+    from uavaccel.cli.view import view_game
 
-    view_run(run_dir, case, out)
+    view_game(source, case, out)
 
 
 @app.command()

@@ -18,6 +18,7 @@ from uavaccel.config import apply_overrides, validate
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
+from uavaccel.report.learning_report import report_trainings
 from uavaccel.rl.config import TrainConfig
 from uavaccel.rl.train import train
 from uavaccel.sim.gl import describe_renderer
@@ -61,6 +62,7 @@ def train_policy(request: Request) -> None:
         f"{summary['successes']} of {summary['games']} training games succeeded; "
         f"weights {summary['weights_sha256'][:12]}"
     )
+    console.print(str(report_trainings([run])))
     console.print(f"policy: {out / 'policy.pt'}; evaluate it with: uavaccel evaluate {out}")
 
 

@@ -1,8 +1,9 @@
-"""`uavaccel view`: a game of a run as a film and a contact sheet."""
+"""`uavaccel view`: a game of a run, or of a policy, as a film and a contact sheet."""
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,12 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.report.dp2_scores import count_events
+from uavaccel.report.evaluation_film import best_first, film_lane
 from uavaccel.report.style import clock_label, command_name
 from uavaccel.report.video import Film, write_contact_sheet, write_video
+from uavaccel.rl.agents import DEFAULT, policy_folder
+from uavaccel.rl.evaluate import EvaluateConfig, lane_case
+from uavaccel.rl.policy import MANIFEST
 from uavaccel.suites.dp2 import Dp2Config
 
 Row = Mapping[str, Any]
@@ -23,36 +28,61 @@ Row = Mapping[str, Any]
 console = Console(highlight=False, soft_wrap=True)
 
 
-def view_run(run_dir: Path, case: str | None, out: Path | None) -> None:
-    """Write CASE.mp4 and CASE.png into `out`, by default the run's folder view/, and print their paths.
+def view_game(source: str, case: str | None, out: Path | None) -> None:
+    """Write CASE.mp4 and CASE.png into `out`, by default the folder view/ of the run, and print their paths.
 
-    Without `case` the fastest TCSC game is shown. Raises UserError if the run has no such game, or no images.
+    `source` is a run directory of dp2 or of an evaluation, or a policy: "default", its folder, a training's run
+    directory. Without `case`: the fastest TCSC game, the best evaluated one, a policy's first evaluation lane.
+    Raises UserError if there is no such game.
     """
-    run = RunDirectory(run_dir)
+    if (policy_folder(source) / MANIFEST).is_file():
+        folder = Path("runs") if source == DEFAULT else Path(source)
+        name, film = _fly_policy(source, case or lane_case(0))
+    else:
+        run = RunDirectory(source)
+        folder, (name, film) = run.path, _show_run(run, case)
+    folder = out or folder / "view"
+    console.print(str(write_video(film, folder / f"{name}.mp4")))
+    console.print(str(write_contact_sheet(film, folder / f"{name}.png")))
+
+
+def _fly_policy(policy: str, case: str) -> tuple[str, Film]:
+    lane = re.fullmatch(r"lane-(\d+)", case)
+    if not lane:
+        raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
+    task = {"split": "evaluation", "timing": "lockstep"}
+    config = validate(EvaluateConfig, {"agent": policy, "task": task}, "view")
+    return case, film_lane(config, int(lane[1]))
+
+
+def _show_run(run: RunDirectory, case: str | None) -> tuple[str, Film]:
     suite = run.config().get("suite")
-    if suite != "dp2":
-        raise UserError(f"{run.path}: a run of {suite} keeps no images to show; one of dp2 does")
-    row = choose(run.rows(), case, run.path)
-    film = film_of(run, row)
-    folder = out or run.path / "view"
-    console.print(str(write_video(film, folder / f"{row['case']}.mp4")))
-    console.print(str(write_contact_sheet(film, folder / f"{row['case']}.png")))
+    if suite == "dp2":
+        row = choose(run.rows(), case, run.path)
+        return row["case"], film_of(run, row)
+    if suite == "evaluate":
+        row = choose(best_first(run.rows()), case, run.path)
+        config = validate(EvaluateConfig, run.config(), str(run.path / "config.yaml"))
+        return row["case"], film_lane(config, int(row["lane"]))
+    raise UserError(f"{run.path}: a run of {suite} keeps no images to show; one of dp2 or evaluate does")
 
 
 def choose(rows: Sequence[Row], case: str | None, run_dir: Path) -> Row:
-    """The row of a case; without one, of the fastest game, TCSC before ADSC."""
+    """The row of a case; without one the first, or of DP2's the fastest game, TCSC before ADSC."""
     if not rows:
         raise UserError(f"{run_dir / 'rows.jsonl'}: holds no finished game")
     if case is None:
-        return max(
-            rows, key=lambda row: (row["role"] == "game", row["command"] == "tcsc", row["clock_speed"])
-        )
+        return max(rows, key=_interest)
     by_name = {row["case"]: row for row in rows}
     if case not in by_name:
         close = difflib.get_close_matches(case, by_name, n=1)
         hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(by_name)}"
         raise UserError(f"--case {case}: not in {run_dir}; {hint}")
     return by_name[case]
+
+
+def _interest(row: Row) -> Any:
+    return row.get("role") == "game", row.get("command") == "tcsc", row.get("clock_speed", 0.0)
 
 
 def film_of(run: RunDirectory, row: Row) -> Film:

@@ -23,7 +23,7 @@ from uavaccel.envs.senses import make_sense, observation_space
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
-from uavaccel.sim.lane import EVALUATION_SEEDS, LENGTH_M, lane_seed
+from uavaccel.sim.lane import EVALUATION_SEEDS, LENGTH_M
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import ZERO_LATENCY
 from uavaccel.wire.session import Session, open_session
@@ -36,8 +36,8 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
     """An environment made of a `LaneTask`, whose keys are the keywords of `gymnasium.make`.
 
     `reset` draws a lane, or takes `options={"lane": index}` of the task's split. Infos have `is_success`, `distance_m`
-    (how far north it got), `position_m` (NED), `collision` (what it touched, or None), `lane`, `commands` and
-    `phase_s`, seconds of the game's own clock by phase. Raises UserError for keywords that do not fit.
+    (how far north it got), `position_m` (NED), `collision` (what it touched, or None), `lane`, `commands`, `wall_s`,
+    seconds of the game's own wall clock, and `phase_s`, those by phase. Raises UserError for keywords that do not fit.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
@@ -138,9 +138,9 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
         if self._session is None:
             latency = task.latency_model() if task.timing == "virtual" else ZERO_LATENCY
             self._session = open_session(task.timing, task.profile, "lane", latency)
-        seed = lane_seed(task.split, self._lane)
-        lane = {"seed": seed, "difficulty": task.difficulty.model_dump(mode="json")}
+        lane = task.wire_lane(self._lane)
         inner = self._session.start_game(task.clock_speed, latencies, lane=lane, height_m=-task.altitude_m)
+        self._start_ns = inner.now_ns()
         self._stopwatches = [Stopwatch(inner.transport.clock)]
         if task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
@@ -195,6 +195,7 @@ class ObstacleLane(gymnasium.Env[Observation, np.int64]):
             "collision": self._collision,
             "lane": self._lane,
             "commands": self._commands,
+            "wall_s": (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0,
             "phase_s": self._stopwatches[0].spent_s(),
         }
         if self.task.report_host_times:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
 from uavaccel.config import Config
+from uavaccel.errors import UserError
 from uavaccel.resources import experiment
-from uavaccel.sim.lane import Difficulty, Split
+from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, Split, lane_seed
+from uavaccel.sim.lane_file import LaneFile
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyConfig
@@ -24,6 +27,8 @@ class LaneTask(Config):
     split: Split = "training"
     """Which lanes are drawn; no lane is both a training and an evaluation lane."""
     difficulty: Difficulty = Difficulty()
+    lane: LaneFile | None = None
+    """One lane for all games, instead of drawn ones: written out, or the name of its YAML file."""
     observation: Literal["dvs", "state", "colour", "depth"] = "dvs"
     history: Annotated[int, Field(ge=1, le=8)] = 1
     """Commands whose frames are in one observation, the newest last."""
@@ -60,6 +65,11 @@ class LaneTask(Config):
     report_host_times: bool = False
     """Whether infos have `host_phase_s`, measured on this machine's clock: never the same twice."""
 
+    @field_validator("lane", mode="before")
+    @classmethod
+    def _written_out(cls, lane: Any) -> Any:
+        return load_yaml(Path(lane)) if isinstance(lane, str) else lane
+
     @field_validator("headings_deg")
     @classmethod
     def _any_heading(cls, headings: tuple[float, ...]) -> tuple[float, ...]:
@@ -78,6 +88,14 @@ class LaneTask(Config):
             return 0
         latency_s = min(self.t_th_wall_s * self.clock_speed, 0.1 * self.t_sample_s)
         return max(seconds_to_ns(latency_s), profile.tick_ns)
+
+    def wire_lane(self, index: int) -> dict[str, Any]:
+        """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""
+        if self.lane is not None:
+            return self.lane.model_dump(mode="json")
+        if not 0 <= index < EVALUATION_SEEDS:
+            raise UserError(f"lane {index} does not exist: lanes are 0 to {EVALUATION_SEEDS - 1}")
+        return {"seed": lane_seed(self.split, index), "difficulty": self.difficulty.model_dump(mode="json")}
 
     def latency_model(self) -> LatencyConfig:
         """The given latency model, or the one that ships."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from uavaccel.report.style import clock_label, command_name
 from uavaccel.report.video import Film
 from uavaccel.rl.agents import agent_task, make_agent
 from uavaccel.rl.evaluate import EvaluateConfig, fly_lane
-from uavaccel.sim.lane import draw_layout, lane_seed
+from uavaccel.wire.image_api import lane_layout
 
 
 class FilmedLane(ObstacleLane):
@@ -27,6 +28,15 @@ class FilmedLane(ObstacleLane):
     def _see(self, sample: LaneSample) -> NDArray[Any]:
         self.samples.append(sample)
         return super()._see(sample)
+
+
+def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Games from the success in the fewest commands to the one that got least far."""
+
+    def rank(row: dict[str, Any]) -> tuple[bool, float]:
+        return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
+
+    return sorted(rows, key=rank)
 
 
 def film_lane(config: EvaluateConfig, lane: int) -> Film:
@@ -49,5 +59,5 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     )
     title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}"
     position_m = np.array([sample.state.position_m for sample in samples])
-    layout = draw_layout(lane_seed("evaluation", lane), task.difficulty)
+    layout = lane_layout(task.wire_lane(lane))
     return Film(title, time_s, images, on, off, position_m, layout)

@@ -41,7 +41,7 @@ def evaluate(
     """Fly the lanes that have no row yet, in `jobs` processes; the summary, which is also written."""
     done = run.done_cases()
     lanes = range(config.first_lane, config.first_lane + config.games)
-    for row in _rows(config, [lane for lane in lanes if _case(lane) not in done], jobs):
+    for row in _rows(config, [lane for lane in lanes if lane_case(lane) not in done], jobs):
         run.append_row(row)
         report(row)
     summary = summarise(config, run.rows())
@@ -54,6 +54,7 @@ def summarise(config: EvaluateConfig, rows: list[dict[str, Any]]) -> dict[str, A
     successes = sum(row["is_success"] for row in rows)
     low, high = wilson_interval(successes, len(rows))
     task = config.task
+    sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
     return {
         "suite": "evaluate",
         "agent": config.agent,
@@ -67,6 +68,9 @@ def summarise(config: EvaluateConfig, rows: list[dict[str, Any]]) -> dict[str, A
         "success_ratio": successes / len(rows),
         "wilson_low": low,
         "wilson_high": high,
+        "sim_time_s": sim_time_s,
+        "wall_s": wall_s,
+        "simulated_s_per_wall_s": sim_time_s / wall_s,
         "distance_m_median": float(np.median([row["distance_m"] for row in rows])),
     }
 
@@ -122,9 +126,9 @@ def _fly_in_worker(lane: int) -> dict[str, Any]:
 
 def _row(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> dict[str, Any]:
     infos = list(fly_lane(config, environment, agent, lane))
-    names = ("is_success", "distance_m", "collision", "lane", "commands", "phase_s")
+    names = ("is_success", "distance_m", "collision", "lane", "commands", "wall_s", "phase_s")
     return {
-        "case": _case(lane),
+        "case": lane_case(lane),
         "suite": "evaluate",
         **{name: infos[-1][name] for name in names},
         "sim_time_s": infos[-1]["commands"] * config.task.t_move_s,
@@ -132,5 +136,6 @@ def _row(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: 
     }
 
 
-def _case(lane: int) -> str:
+def lane_case(lane: int) -> str:
+    """Name of the game on an evaluation lane."""
     return f"lane-{lane:06d}"

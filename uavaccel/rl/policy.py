@@ -95,7 +95,10 @@ def load_policy(path: Path) -> Policy:
         for name, tensor in weights.items()
         if name.startswith("q_net.")
     }
-    network.load_state_dict({**weights, **target})
+    try:
+        network.load_state_dict({**weights, **target})
+    except RuntimeError as error:
+        raise UserError(f"{path / WEIGHTS}: does not fit the network of {MANIFEST}") from error
     return Policy(network, config, manifest)
 
 
