@@ -175,6 +175,30 @@ def test_the_seed_draws_the_lanes() -> None:
     assert len({*drawn[0], *drawn[2]}) == 10
 
 
+OWN_LANE = {
+    "obstacles": [{"x_m": 12, "y_m": 0.2, "half_side_m": 0.5}, {"x_m": 20, "y_m": -2, "radius_m": 0.6}]
+}
+
+
+@pytest.mark.parametrize("written", ["out", "file"])
+def test_a_lane_of_ones_own_is_flown_in_every_game(tmp_path: Path, written: str) -> None:
+    (tmp_path / "own.yaml").write_text(json.dumps(OWN_LANE))  # JSON is YAML
+    own = OWN_LANE if written == "out" else str(tmp_path / "own.yaml")
+    with lane(observation="state", lane=own) as environment:
+        for index in (0, 7):
+            info = crash(environment, index)[4]
+            assert info["distance_m"] == pytest.approx(12 - 0.5 - 0.3418, abs=0.01)
+            assert info["collision"] == "obstacle_00"
+
+
+def test_a_lane_that_does_not_exist_is_one_clear_line() -> None:
+    with (
+        lane(observation="state") as environment,
+        pytest.raises(UserError, match="lane 1000000 does not exist"),
+    ):
+        environment.reset(options={"lane": EVALUATION_SEEDS})
+
+
 # --- a game's ends ----------------------------------------------------------------------------------------------
 
 
@@ -223,6 +247,7 @@ def test_infos_are_json_and_the_same_twice() -> None:
     info = json.loads(texts[0])
     assert info["lane"] == 2
     assert info["phase_s"]["simulation"] == pytest.approx(info["commands"], abs=1.0)
+    assert info["wall_s"] == sum(info["phase_s"].values())  # nothing takes any time but flight
 
 
 # --- observations -----------------------------------------------------------------------------------------------
@@ -335,6 +360,8 @@ def test_a_journal_brings_another_environment_to_the_same_point(timing: str) -> 
         ({"dvs_preset": "foggy"}, "dvs_preset = 'foggy'"),
         ({"headings_deg": []}, "headings_deg = []: needs at least one heading"),
         ({"max_commands": 0}, "max_commands = 0"),
+        ({"lane": {"obstacles": [{"x_m": 12, "y_m": 0.2}]}}, "should have radius_m"),
+        ({"lane": "nowhere.yaml"}, "nowhere.yaml"),
         ({"difficulty": {"obstacles_per_row": 4, "min_gap_m": 5.0}}, "the lane is 10 m wide"),
     ],
 )

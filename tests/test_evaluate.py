@@ -13,6 +13,8 @@ import torch as th
 
 from tests.learning import needs_opengl, tiny_config, train_into
 from uavaccel.cli.evaluate import Request, compare, configure, evaluate_agent
+from uavaccel.cli.report import report_runs
+from uavaccel.cli.view import view_game
 from uavaccel.errors import UsageError, UserError
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.records import RunDirectory
@@ -138,6 +140,36 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
 
 
+@pytest.mark.parametrize(("clock_speed", "least", "most"), [(1.0, 0.9, 1.0), (50.0, 10.0, 50.0)])
+def test_the_speed_is_that_of_the_games_own_clock(
+    tmp_path: Path, clock_speed: float, least: float, most: float
+) -> None:
+    config = configure(request("straight", tmp_path, task={"clock_speed": clock_speed}, games=1))
+    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    speed = summary["sim_time_s"] / summary["wall_s"]
+    assert summary["simulated_s_per_wall_s"] == speed
+    assert least < speed < most
+
+
+def test_evaluations_are_reported_side_by_side(tmp_path: Path, straight: RunDirectory) -> None:
+    evaluate_agent(request("offset:1", tmp_path / "run", games=2))
+    alone = (tmp_path / "run" / FIGURE).read_bytes()
+    report_runs([tmp_path / "run", straight.path])
+    assert (tmp_path / "run" / FIGURE).read_bytes() != alone
+
+
+@needs_opengl
+def test_view_films_an_evaluated_game(
+    tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view_game(str(straight.path), None, tmp_path)
+    best = max(straight.rows(), key=lambda row: row["distance_m"])["case"]
+    assert capsys.readouterr().out.split() == [str(tmp_path / f"{best}.{kind}") for kind in ("mp4", "png")]
+    assert (tmp_path / f"{best}.mp4").stat().st_size > 10_000
+    with pytest.raises(UserError, match="--case lane-99: not in"):
+        view_game(str(straight.path), "lane-99", tmp_path)
+
+
 # --- policies ---------------------------------------------------------------------------------------------------
 
 
@@ -188,6 +220,28 @@ def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
     summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
     assert summary["games"] == 1
     assert summary["distance_m_median"] > 50.0
+
+
+@needs_opengl
+def test_view_flies_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    train_into(tmp_path / "training", tiny_config(games=1))
+    view_game(str(tmp_path / "training"), "lane-000004", None)
+    folder = tmp_path / "training/view"
+    assert capsys.readouterr().out.split() == [str(folder / f"lane-000004.{kind}") for kind in ("mp4", "png")]
+    with pytest.raises(UserError, match="--case 4: must be an evaluation lane, as lane-000007"):
+        view_game(str(tmp_path / "training"), "4", None)
+
+
+def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
+    config = tiny_config()
+    environment = make_lanes(config.task, 1)
+    export_policy(tmp_path, make_model(config, environment), config, {})
+    environment.close()
+    other = json.loads((tmp_path / MANIFEST).read_text())
+    other["config"]["hidden"] = [17]
+    (tmp_path / MANIFEST).write_text(json.dumps(other))
+    with pytest.raises(UserError, match=r"policy\.pt: does not fit the network of policy\.json$"):
+        load_policy(tmp_path)
 
 
 @needs_opengl
