@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from uavaccel.clock import WallClock
 from uavaccel.units import NS_PER_S
 
@@ -23,6 +26,13 @@ class Stopwatch:
         if self._phase is not None:
             self._spent_ns[self._phase] += now_ns - self._since_ns
         self._phase, self._since_ns = phase, now_ns
+
+    @contextmanager
+    def phase(self, phase: str) -> Iterator[None]:
+        """What passes inside belongs to `phase`, and to nothing afterwards."""
+        self.switch(phase)
+        yield
+        self.switch(None)
 
     def add(self, phase: str, duration_s: float) -> None:
         """Time known from elsewhere."""

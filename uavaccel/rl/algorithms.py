@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import stable_baselines3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.type_aliases import TrainFreq
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
@@ -35,40 +38,50 @@ DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
 class ByGames:
     """Mixed into an algorithm: exploration and learning rate follow the share of games flown, not of timesteps.
 
-    What learns from a buffer learns while the next command is flown: `train` notes the steps, `learn_owed` makes them.
+    What learns from a buffer learns while lanes are flown: `train` notes the gradient steps, `learn_a_part` makes them.
     """
 
+    batch_size: int
     games_done: int
     games_total: int
     owed = 0  # gradient steps
+    parts: deque[Callable[[], None]]  # of them, that are left
     stopwatch: Stopwatch
-    batch_size: int
+    train_freq: TrainFreq
 
     def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
         self._current_progress_remaining = 1.0 - self.games_done / self.games_total
 
     def train(self, gradient_steps: int | None = None, batch_size: int = 0) -> None:
         if gradient_steps is None:
-            self._learn()
+            with self.stopwatch.phase("learning"):
+                super().train()  # type: ignore[misc]
         else:
             self.owed += gradient_steps
 
-    def learn_owed(self) -> None:
-        """The gradient steps that `train` was asked for."""
-        if self.owed:
-            self._learn(gradient_steps=self.owed, batch_size=self.batch_size)
+    def learn_a_part(self) -> None:
+        """While a command is flown: an equal part of what is owed, so that all is done before `train` asks for more."""
+        if self.owed and not self.parts:
+            self.parts.extend(self._parts_of(self.owed))
+            self._flights_left = self.train_freq.frequency
+        if not self.parts:
+            return
+        with self.stopwatch.phase("learning"):
+            for _ in range(math.ceil(len(self.parts) / self._flights_left)):
+                self.parts.popleft()()
+        self._flights_left -= 1
+        if not self.parts:
             self.owed = 0
 
-    def _learn(self, **keywords: int) -> None:
-        self.stopwatch.switch("learning")
-        super().train(**keywords)  # type: ignore[misc]
-        self.stopwatch.switch(None)
+    def _parts_of(self, gradient_steps: int) -> list[Callable[[], None]]:
+        if hasattr(self, "gradient_parts"):
+            parts: list[Callable[[], None]] = self.gradient_parts(gradient_steps, self.batch_size)
+            return parts
+        return [partial(super().train, gradient_steps, self.batch_size)]  # type: ignore[misc]
 
     def _sample_action(self, *args: Any, **kwargs: Any) -> Any:
-        self.stopwatch.switch("inference")
-        actions = super()._sample_action(*args, **kwargs)  # type: ignore[misc]
-        self.stopwatch.switch(None)
-        return actions
+        with self.stopwatch.phase("inference"):
+            return super()._sample_action(*args, **kwargs)  # type: ignore[misc]
 
 
 def algorithm_class(name: str) -> type[BaseAlgorithm]:
@@ -95,8 +108,8 @@ def make_model(config: TrainConfig, environment: Lanes) -> BaseAlgorithm:
     except TypeError as error:
         raise UserError(f"options of {config.algorithm}: {error}") from error
     model.games_done, model.games_total = 0, config.games  # type: ignore[attr-defined]
-    model.stopwatch = Stopwatch(MonotonicClock())  # type: ignore[attr-defined]
-    environment.meanwhile = model.learn_owed  # type: ignore[attr-defined]
+    model.stopwatch, model.parts = Stopwatch(MonotonicClock()), deque()  # type: ignore[attr-defined]
+    environment.meanwhile = model.learn_a_part  # type: ignore[attr-defined]
     return model
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-import numpy as np
 import torch as th
 from stable_baselines3 import DQN
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
@@ -22,23 +23,30 @@ class DoubleDQN(DQN):
         super().__init__(*args, **kwargs)
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
+        for part in self.gradient_parts(gradient_steps, batch_size):
+            part()
+
+    def gradient_parts(self, gradient_steps: int, batch_size: int) -> list[Callable[[], None]]:
+        """Gradient steps as parts that take about equally long, to be called one after another."""
+        return [partial(self._draw, batch_size), self._step] * gradient_steps
+
+    def _draw(self, batch_size: int) -> None:
+        assert self.replay_buffer is not None
+        self._batch = self._mirrored(self.replay_buffer.sample(batch_size, env=self._vec_normalize_env))
+        self._targets = self.targets(self._batch)
+
+    def _step(self) -> None:
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        losses = [self._gradient_step(batch_size) for _ in range(gradient_steps)]
-        self._n_updates += gradient_steps
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record("train/loss", float(np.mean([loss.item() for loss in losses])))
-
-    def _gradient_step(self, batch_size: int) -> th.Tensor:
-        assert self.replay_buffer is not None
-        batch = self._mirrored(self.replay_buffer.sample(batch_size, env=self._vec_normalize_env))
-        chosen = self.q_net(batch.observations).gather(1, batch.actions.long())
-        loss = functional.smooth_l1_loss(chosen, self.targets(batch))
+        chosen = self.q_net(self._batch.observations).gather(1, self._batch.actions.long())
+        loss = functional.smooth_l1_loss(chosen, self._targets)
         self.policy.optimizer.zero_grad()
         loss.backward()
         th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
         self.policy.optimizer.step()
-        return loss.detach()
+        self._n_updates += 1
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        self.logger.record_mean("train/loss", loss.item())
 
     def targets(self, batch: ReplayBufferSamples) -> th.Tensor:
         """Rewards (n, 1) plus the discounted rating of what the online network would do next."""
