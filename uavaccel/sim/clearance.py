@@ -56,7 +56,7 @@ def _strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
 
 def _time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
     """Seconds within which not even the strongest acceleration brings the vehicle so far."""
-    if not distance_m > 0:
+    if not (distance_m > 0 and math.isfinite(speed_m_s) and math.isfinite(acceleration_m_s2)):
         return 0.0
     arrival = (math.sqrt(speed_m_s**2 + 2 * acceleration_m_s2 * distance_m) - speed_m_s) / acceleration_m_s2
     return min(arrival, GUST_M_S / acceleration_m_s2)
