@@ -21,7 +21,7 @@ def draw_survival(distances_m: Mapping[str, Sequence[float]], path: Path, source
             reached = np.sort(np.minimum(np.asarray(values, float), LANE_M))
             share = 1.0 - np.arange(len(reached) + 1) / len(reached)
             axes.step(np.concatenate([[0.0], reached]), share, where="post", label=name)
-        axes.axvline(LANE_M, color=style.VERMILION, linewidth=1.2, label="end of the lane")
+        axes.axvline(LANE_M, color=style.BLACK, linewidth=1.2, linestyle="--", label="end of the lane")
         axes.set_xlabel("distance north, m")
         axes.set_ylabel("share of games that got there")
         axes.set_ylim(0.0, 1.05)

@@ -57,13 +57,13 @@ class WallSession:
 
     def __init__(self, scene: str, profile: str) -> None:
         self._cores = _cores()
-        # software rendering in the lane wants every core it can get
-        core = max(self._cores) if len(self._cores) > 1 and scene != "lane" else None
+        core = max(self._cores) if len(self._cores) > 1 else None
         options = json.dumps({"scene": scene, "profile": profile, "core": core})
         self._process = subprocess.Popen(
             [sys.executable, "-m", "uavaccel.wire.host", options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on that core too
             start_new_session=True,  # Ctrl-C is for the client, which then ends the server
         )
         assert self._process.stdout is not None
