@@ -366,10 +366,16 @@ def test_images_are_deflated_and_come_back_whole(tmp_path: Path) -> None:
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
 
 
+def test_a_lane_of_ones_own_may_have_wind() -> None:
+    lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}], wind_m_s: [1.0, 0.0, 0.5]}"
+    assert config_of(lane).layout().wind_m_s == (1.0, 0.0, 0.5)
+
+
 MISTAKES = {
     "lane=-1": r"dp2\.yaml: lane = -1",
     "lane={seed: 3, dificulty: {}}": "unknown key 'lane.dificulty'",
     "lane={obstacles: [{x_m: 0.1, y_m: 0.0, radius_m: 0.3}]}": "of the start",
+    "lane={obstacles: [{x_m: 9.0, y_m: 0.0}]}": "should have radius_m",
     "lane=nowhere.yaml": r"nowhere\.yaml",
     "path=[]": "path = .*needs at least one velocity",
     "height_m=10": "height_m = 10",

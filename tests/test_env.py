@@ -176,7 +176,8 @@ def test_the_seed_draws_the_lanes() -> None:
 
 
 OWN_LANE = {
-    "obstacles": [{"x_m": 12, "y_m": 0.2, "half_side_m": 0.5}, {"x_m": 20, "y_m": -2, "radius_m": 0.6}]
+    "obstacles": [{"x_m": 12, "y_m": 0.2, "half_side_m": 0.5}, {"x_m": 20, "y_m": -2, "radius_m": 0.6}],
+    "wind_m_s": [0.5, 0.0, 0.0],
 }
 
 
@@ -185,6 +186,8 @@ def test_a_lane_of_ones_own_is_flown_in_every_game(tmp_path: Path, written: str)
     (tmp_path / "own.yaml").write_text(json.dumps(OWN_LANE))  # JSON is YAML
     own = OWN_LANE if written == "out" else str(tmp_path / "own.yaml")
     with lane(observation="state", lane=own) as environment:
+        again = ObstacleLane(**environment.task.model_dump(mode="json"))  # as other processes get it
+        assert again.task == environment.task
         for index in (0, 7):
             info = crash(environment, index)[4]
             assert info["distance_m"] == pytest.approx(12 - 0.5 - 0.3418, abs=0.01)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, Split, lane_seed
@@ -68,7 +69,9 @@ class LaneTask(Config):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        return load_yaml(Path(lane)) if isinstance(lane, str) else lane
+        if isinstance(lane, str):
+            return validate(LaneFile, load_yaml(Path(lane)), lane)
+        return validate(LaneFile, lane, "lane") if isinstance(lane, Mapping) else lane
 
     @field_validator("headings_deg")
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
-from uavaccel.config import Config, load_yaml
+from uavaccel.config import Config, load_yaml, validate
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane import Difficulty, LaneLayout, Share
@@ -90,7 +90,10 @@ class Dp2Config(Experiment):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        return load_yaml(Path(lane)) if isinstance(lane, str) else lane
+        written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+        if isinstance(written, Mapping) and "seed" not in written:
+            return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
+        return written
 
     @field_validator("path")
     @classmethod
