@@ -5,24 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from uavaccel.config import validate
-from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import TrainConfig
 from uavaccel.rl.train import train
-from uavaccel.sim import gl
-
-
-def opengl_works() -> bool:
-    try:
-        return bool(gl.choose_backend())
-    except UserError:
-        return False
-
-
-needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 

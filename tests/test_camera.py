@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.opengl import needs_opengl
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim import gl
@@ -23,16 +24,6 @@ from uavaccel.sim.lane_file import layout_from
 from uavaccel.sim.lane_scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
-
-
-def opengl_works() -> bool:
-    try:
-        return bool(gl.choose_backend())
-    except UserError:
-        return False
-
-
-needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
 
 EYE_AHEAD_M = 0.46
 WALL_FACE_M, POST_FACE_M = 5.0, 6.0

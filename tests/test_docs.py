@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 import typer
 
+from tests.opengl import needs_opengl
 from uavaccel.cli import evaluate, train
 from uavaccel.cli.main import app
 from uavaccel.envs.task import LaneTask
-from uavaccel.errors import UserError
 from uavaccel.rl.config import TrainConfig
-from uavaccel.sim import gl
 from uavaccel.sim.lane import Difficulty
 
 ROOT = Path(__file__).parents[1]
@@ -24,15 +23,6 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 PYTHON = [code for language, code in BLOCKS if language == "python"]
 SHELL = [line for language, code in BLOCKS if language == "sh" for line in code.splitlines()]
 
-
-def opengl_works() -> bool:
-    try:
-        return bool(gl.choose_backend())
-    except UserError:
-        return False
-
-
-needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
 
 
 def test_there_are_blocks_of_two_kinds() -> None:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.opengl import needs_opengl
 from uavaccel.cli.run import Request, report_run, run_experiment
 from uavaccel.cli.view import view_game
 from uavaccel.errors import UsageError, UserError
@@ -23,7 +24,6 @@ from uavaccel.report.dp2_summary import summary_of
 from uavaccel.report.dp2_table import table
 from uavaccel.report.figure7_images import ImageCloud, draw_images
 from uavaccel.report.video import Film, dvs_picture, frames
-from uavaccel.sim import gl
 from uavaccel.sim.lane import LENGTH_M, draw_layout
 from uavaccel.suites import dp2
 from uavaccel.suites.experiment import read_mapping, resolve
@@ -34,15 +34,6 @@ SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
 SAMPLES = 13  # the start, and three of each command
 FIGURE = "figures/figure7_images.png"
 
-
-def opengl_works() -> bool:
-    try:
-        return bool(gl.choose_backend())
-    except UserError:
-        return False
-
-
-needs_opengl = pytest.mark.skipif(not opengl_works(), reason="no OpenGL on this machine")
 
 
 def config_of(*overrides: str, **options: Any) -> dp2.Dp2Config:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as check_env_for_learning
 
 import uavaccel.envs  # noqa: F401 - registers
-from tests.learning import needs_opengl
+from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.senses import DEPTH_FAR_M
 from uavaccel.errors import UserError

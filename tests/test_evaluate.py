@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import torch as th
 
-from tests.learning import needs_opengl, tiny_config, train_into
+from tests.learning import tiny_config, train_into
+from tests.opengl import needs_opengl
 from uavaccel.cli.evaluate import Request, compare, configure, evaluate_agent
 from uavaccel.cli.report import report_runs
 from uavaccel.cli.view import view_game
