@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from uavaccel.cli.run import time_stamp
+from uavaccel.cli.shared import check_jobs, given, resumable, time_stamp
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides, validate
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
@@ -46,19 +46,12 @@ class Request:
 def evaluate_agent(request: Request) -> None:
     """Evaluate, print the success ratio, write figure and films. Raises UserError with one clear line."""
     config = configure(request)
-    if request.jobs < 1 or (request.jobs > 1 and config.task.timing == "wall"):
-        raise UsageError(
-            "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
-        )
+    check_jobs(request.jobs, config.task.timing)
     out = request.out or Path("runs") / f"evaluate-{time_stamp()}"
     manifest = describe_run(sys.argv, config.seed, calendar_time())
     run = RunDirectory.create(out, config, manifest, request.resume)
-    try:
+    with resumable(out):
         summary = evaluate(config, run, request.jobs, lambda row: _show(row, config.games, run))
-    except KeyboardInterrupt:
-        raise UserError(
-            f"interrupted; go on with --out {out} --resume, the other options as they were"
-        ) from None
     console.print(
         f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
         f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {timing_provenance(config.task.timing)}, "
@@ -75,12 +68,8 @@ def evaluate_agent(request: Request) -> None:
 
 def configure(request: Request) -> EvaluateConfig:
     """Options, then --set, over the defaults: 300 evaluation lanes at 1x in `virtual`. Raises UserError."""
-    task = {"split": "evaluation", "timing": "virtual"}
-    task |= {key: value for key, value in request.task.items() if value is not None}
-    mapping: dict[str, Any] = {"agent": request.agent, "task": task}
-    mapping |= {
-        key: value for key, value in (("games", request.games), ("seed", request.seed)) if value is not None
-    }
+    task = {"split": "evaluation", "timing": "virtual", **given(request.task)}
+    mapping = {"agent": request.agent, "task": task, **given({"games": request.games, "seed": request.seed})}
     return validate(EvaluateConfig, apply_overrides(mapping, request.overrides), "evaluate")
 
 

@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from uavaccel.cli.progress import Progress
+from uavaccel.cli.shared import check_jobs, given, resumable, time_stamp
 from uavaccel.cli.suites import SuiteEntry, entry
 from uavaccel.clock import calendar_time
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, read_mapping, resolve
@@ -44,22 +45,15 @@ class Request:
 def run_experiment(request: Request) -> None:
     """Fly, report, print the table. Raises UserError or UsageError with one clear line."""
     suite, config = configure(request)
-    if request.jobs < 1 or (request.jobs > 1 and config.timing == "wall"):
-        raise UsageError(
-            "--jobs must be 1 with timing wall, since neighbours would spoil the measurement, or above 0"
-        )
+    check_jobs(request.jobs, config.timing)
     cases = list(suite.cases(config))
     out = request.out or Path("runs") / f"{Path(request.experiment).stem}-{time_stamp()}"
     print_plan(suite, config, cases, request.jobs, out)
     if request.dry_run:
         return
     run = RunDirectory.create(out, config, manifest_of(suite, config), request.resume)
-    try:
+    with resumable(out):
         fly(suite, config, cases, run, request.jobs)
-    except KeyboardInterrupt:
-        raise UserError(
-            f"interrupted; go on with --out {out} --resume, the other options as they were"
-        ) from None
     report_run(out)
 
 
@@ -67,7 +61,7 @@ def configure(request: Request) -> tuple[SuiteEntry, Any]:
     """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly."""
     mapping, source = read_mapping(request.experiment)
     suite = entry(mapping.get("suite"), source)
-    options = {key: value for key, value in request.options.items() if value is not None}
+    options = given(request.options)
     shipped = not request.experiment.endswith((".yaml", ".yml"))
     if shipped and len(options.get("clock_speed", ())) == 1:
         mapping |= suite.quick
@@ -87,10 +81,6 @@ def _fit_options(suite: SuiteEntry, options: dict[str, Any], name: str) -> None:
             if len(value) > 1:
                 raise UsageError(f"{option}: {name} takes one value, not {len(value)}")
             options[key] = value[0]
-
-
-def time_stamp() -> str:
-    return calendar_time()[:19].replace(":", "")
 
 
 def manifest_of(suite: SuiteEntry, config: Experiment) -> dict[str, Any]:

@@ -12,10 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
-from uavaccel.cli.run import time_stamp
+from uavaccel.cli.shared import given, resumable, time_stamp
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides, validate
-from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.report.learning_report import report_trainings
@@ -51,13 +50,8 @@ def train_policy(request: Request) -> None:
     console.print(
         f"{config.games} games, {config.algorithm}, {config.environments} environment(s), into {out}"
     )
-    try:
-        with _Progress(config.games) as progress:
-            summary = train(config, run, progress.show)
-    except KeyboardInterrupt:
-        raise UserError(
-            f"interrupted; go on with --out {out} --resume, the other options as they were"
-        ) from None
+    with resumable(out), _Progress(config.games) as progress:
+        summary = train(config, run, progress.show)
     console.print(
         f"{summary['successes']} of {summary['games']} training games succeeded; "
         f"weights {summary['weights_sha256'][:12]}"
@@ -69,13 +63,9 @@ def train_policy(request: Request) -> None:
 def configure(request: Request) -> TrainConfig:
     """YAML, then options, then --set. A latency model may be named by its file. Raises UserError."""
     mapping, source = read_mapping(request.experiment)
-    given = {
-        key: value for key, value in (("games", request.games), ("seed", request.seed)) if value is not None
-    }
-    task = {key: value for key, value in request.task.items() if value is not None}
-    merged = apply_overrides(
-        {**mapping, **given, "task": {**(mapping.get("task") or {}), **task}}, request.overrides
-    )
+    mapping |= given({"games": request.games, "seed": request.seed})
+    mapping["task"] = {**(mapping.get("task") or {}), **given(request.task)}
+    merged = apply_overrides(mapping, request.overrides)
     latency = merged["task"].get("latency")
     if isinstance(latency, str):
         merged["task"]["latency"] = read_latency(Path(latency))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, Split, lane_seed
-from uavaccel.sim.lane_file import LaneFile
+from uavaccel.sim.lane_file import LaneFile, lane_written_out
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyConfig
@@ -69,9 +67,7 @@ class LaneTask(Config):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        if isinstance(lane, str):
-            return validate(LaneFile, load_yaml(Path(lane)), lane)
-        return validate(LaneFile, lane, "lane") if isinstance(lane, Mapping) else lane
+        return lane_written_out(lane)
 
     @field_validator("headings_deg")
     @classmethod

@@ -66,6 +66,17 @@ class LaneFile(Config):
     """NED."""
 
 
+def lane_written_out(lane: Any) -> Any:
+    """A mapping, or the name of a YAML file with one, as LaneFile; what is no lane of one's own stays as it is.
+
+    For validators: within them pydantic takes no list for a tuple. Raises UserError that names the file and the key.
+    """
+    written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+    if isinstance(written, Mapping) and "seed" not in written:
+        return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
+    return written
+
+
 def load_layout(path: Path) -> LaneLayout:
     """The layout in a YAML file. Raises UserError that names the file and the key."""
     return layout_from(load_yaml(path), str(path))

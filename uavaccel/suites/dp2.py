@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,11 +12,11 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
-from uavaccel.config import Config, load_yaml, validate
+from uavaccel.config import Config
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane import Difficulty, LaneLayout, Share
-from uavaccel.sim.lane_file import LaneFile
+from uavaccel.sim.lane_file import LaneFile, lane_written_out
 from uavaccel.sim.lane_path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.dp1 import check_samples
@@ -90,10 +89,7 @@ class Dp2Config(Experiment):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
-        if isinstance(written, Mapping) and "seed" not in written:
-            return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
-        return written
+        return lane_written_out(lane)
 
     @field_validator("path")
     @classmethod
