@@ -8,7 +8,7 @@ from typing import Any
 from uavaccel.config import validate
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import TrainConfig
-from uavaccel.rl.train import train
+from uavaccel.suites.training.flights import train
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 

@@ -14,14 +14,14 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
+from uavaccel.bench.camera import bench_camera
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim import gl
 from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
-from uavaccel.sim.camera_bench import bench_camera
-from uavaccel.sim.lane import draw_layout
-from uavaccel.sim.lane_file import layout_from
-from uavaccel.sim.lane_scene import apply_layout
+from uavaccel.sim.lane.file import layout_from
+from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 
@@ -334,7 +334,7 @@ def test_flying_needs_no_opengl() -> None:
     code = (
         "import sys\n"
         "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
-        "from uavaccel.sim.lane import draw_layout\n"
+        "from uavaccel.sim.lane.layout import draw_layout\n"
         "world = World('lane', NATIVE); world.set_lane(draw_layout(0)); world.reset(); world.advance(10)\n"
         "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
     )

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavaccel.sim.clearance import Clearance
-from uavaccel.sim.lane import draw_layout
+from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.world import World
 

@@ -14,7 +14,7 @@ from uavaccel.cli import evaluate, train
 from uavaccel.cli.main import app
 from uavaccel.envs.task import LaneTask
 from uavaccel.rl.config import TrainConfig
-from uavaccel.sim.lane import Difficulty
+from uavaccel.sim.lane.layout import Difficulty
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "learning.md"
@@ -22,7 +22,6 @@ TEXT = PAGE.read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 PYTHON = [code for language, code in BLOCKS if language == "python"]
 SHELL = [line for language, code in BLOCKS if language == "sh" for line in code.splitlines()]
-
 
 
 def test_there_are_blocks_of_two_kinds() -> None:

@@ -16,8 +16,8 @@ from uavaccel.cli.progress import Progress
 from uavaccel.cli.run import Request, run_experiment
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.report import dp1_report
-from uavaccel.suites import dp1
+from uavaccel.suites.dp1 import flights as dp1
+from uavaccel.suites.dp1 import report as dp1_report
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 

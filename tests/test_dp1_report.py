@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from uavaccel.config import Config
+from uavaccel.draw.trellis import Message, messages, running_spans
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.report.dp1_report import HEADER, table, write_report
-from uavaccel.report.dp1_summary import summarise
-from uavaccel.report.figure4_trellis import Message, messages, running_spans
+from uavaccel.suites.dp1.report import HEADER, table, write_report
+from uavaccel.suites.dp1.summary import summarise
 
 SQUARE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 TWO_FORWARD_ONE_BACK = ((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))

@@ -15,17 +15,17 @@ import pytest
 from tests.opengl import needs_opengl
 from uavaccel.cli.run import Request, report_run, run_experiment
 from uavaccel.cli.view import view_game
+from uavaccel.draw.film import Film, dvs_picture, frames
+from uavaccel.draw.image_errors import ImageCloud, draw_images
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
-from uavaccel.report import dp2_guard
-from uavaccel.report.dp2_scores import SeenFlight, count_events, score_game, score_games
-from uavaccel.report.dp2_summary import summary_of
-from uavaccel.report.dp2_table import table
-from uavaccel.report.figure7_images import ImageCloud, draw_images
-from uavaccel.report.video import Film, dvs_picture, frames
-from uavaccel.sim.lane import LENGTH_M, draw_layout
-from uavaccel.suites import dp2
+from uavaccel.sim.lane.layout import LENGTH_M, draw_layout
+from uavaccel.suites.dp2 import flights as dp2
+from uavaccel.suites.dp2 import guard as dp2_guard
+from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
+from uavaccel.suites.dp2.summary import summary_of
+from uavaccel.suites.dp2.table import table
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.wire.session import open_session
@@ -33,7 +33,6 @@ from uavaccel.wire.session import open_session
 SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
 SAMPLES = 13  # the start, and three of each command
 FIGURE = "figures/figure7_images.png"
-
 
 
 def config_of(*overrides: str, **options: Any) -> dp2.Dp2Config:

@@ -26,7 +26,7 @@ from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.senses import DEPTH_FAR_M
 from uavaccel.errors import UserError
-from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
 from uavaccel.vision.observation import NEUTRAL
 
 NAME = "uavaccel/ObstacleLane-v0"

@@ -22,10 +22,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.agents import OffsetAgent
 from uavaccel.rl.algorithms import make_model
-from uavaccel.rl.evaluate import evaluate, summarise
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
-from uavaccel.sim.lane import draw_layout, free_distance_m, lane_seed
+from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
+from uavaccel.suites.evaluation.flights import evaluate, summarise
 
 LANES = 4
 FIGURE = "figures/figure8_survival.png"

@@ -19,7 +19,9 @@ print(world.state["position"][0])
 
 
 def flown_m(checkout: Path) -> float:
-    done = subprocess.run([sys.executable, "-c", FLY], cwd=checkout, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FLY], cwd=checkout, capture_output=True, text=True, check=True
+    )
     return float(done.stdout)
 
 

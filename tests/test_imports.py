@@ -22,8 +22,13 @@ ROOMS: dict[str, set[str]] = {
     "vision": GROUND,
     "metrics": GROUND,
 }
-for _room in ("envs", "rl", "suites", "report", "cli", "__main__"):
-    ROOMS[_room] = set(ROOMS)  # all of those above it
+ROOMS["envs"] = set(ROOMS) - {"__init__"}
+ROOMS["rl"] = ROOMS["envs"] | {"envs"}
+ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
+ROOMS["bench"] = ROOMS["envs"]
+ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench"}
+ROOMS["cli"] = ROOMS["suites"] | {"suites", "__init__"}
+ROOMS["__main__"] = {"cli"}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim import lane_path
-from uavaccel.sim.lane import (
+from uavaccel.sim.lane import path as lane_path
+from uavaccel.sim.lane.file import layout_from, load_layout
+from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
     HULL_RADIUS_M,
     LENGTH_M,
@@ -29,9 +30,8 @@ from uavaccel.sim.lane import (
     free_distance_m,
     lane_seed,
 )
-from uavaccel.sim.lane_file import layout_from, load_layout
-from uavaccel.sim.lane_path import plan_path
-from uavaccel.sim.lane_scene import apply_layout, collision_object, obstacle_geoms
+from uavaccel.sim.lane.path import plan_path
+from uavaccel.sim.lane.scene import apply_layout, collision_object, obstacle_geoms
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 

@@ -24,13 +24,13 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl import train as training
 from uavaccel.rl.algorithms import learning_rhythm, make_model
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.policy import weights_sha256
-from uavaccel.rl.train import CHECKPOINTS
+from uavaccel.suites.training import flights as training
+from uavaccel.suites.training.flights import CHECKPOINTS
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
@@ -41,7 +41,7 @@ import os, signal, sys
 from uavaccel.config import validate
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import TrainConfig
-from uavaccel.rl.train import train
+from uavaccel.suites.training.flights import train
 from uavaccel.yaml_io import load_yaml
 
 def report(status):

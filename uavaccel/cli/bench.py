@@ -9,11 +9,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from uavaccel.bench import images as bench_images
+from uavaccel.bench import speed as bench
+from uavaccel.bench.machine import check_host
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.manifest import describe_run
-from uavaccel.suites import bench, bench_images
-from uavaccel.suites.host_check import check_host
 
 BENCHES: dict[str, Callable[[], Iterator[bench.Figure]]] = {
     "hot-loop": bench.bench_hot_loop,

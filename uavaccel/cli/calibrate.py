@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from uavaccel.bench.calibration import calibrate
+from uavaccel.bench.machine import check_host
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import describe_renderer
-from uavaccel.suites.calibrate import calibrate
-from uavaccel.suites.host_check import check_host
 from uavaccel.yaml_io import dump_yaml
 
 console = Console(highlight=False)

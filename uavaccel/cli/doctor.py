@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from uavaccel.bench.machine import check_host
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
-from uavaccel.suites.host_check import check_host
 
 USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
 TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it

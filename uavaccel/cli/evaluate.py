@@ -14,15 +14,15 @@ from rich.console import Console
 from uavaccel.cli.shared import check_jobs, given, resumable, time_stamp
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides, validate
+from uavaccel.draw.film import write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.report.evaluation_film import best_first, film_lane
-from uavaccel.report.learning_report import report_evaluations
-from uavaccel.report.video import write_contact_sheet, write_video
-from uavaccel.rl.evaluate import EvaluateConfig, evaluate
+from uavaccel.suites.evaluation.film import best_first, film_lane
+from uavaccel.suites.evaluation.flights import EvaluateConfig, evaluate
+from uavaccel.suites.evaluation.report import report_evaluations
 
 console = Console(highlight=False, soft_wrap=True)
 

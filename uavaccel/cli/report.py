@@ -8,7 +8,8 @@ from pathlib import Path
 from uavaccel.cli.run import console, report_run
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.report.learning_report import report_evaluations, report_trainings
+from uavaccel.suites.evaluation.report import report_evaluations
+from uavaccel.suites.training.report import report_trainings
 
 
 def report_runs(run_dirs: Sequence[Path]) -> None:

@@ -11,6 +11,7 @@ from typing import Any, get_origin
 from rich.console import Console
 from rich.table import Table
 
+from uavaccel.bench.machine import check_host
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.shared import check_jobs, given, resumable, time_stamp
 from uavaccel.cli.suites import SuiteEntry, entry
@@ -19,7 +20,6 @@ from uavaccel.errors import UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, read_mapping, resolve
-from uavaccel.suites.host_check import check_host
 from uavaccel.suites.runner import AnyCase, run_cases
 
 TABLE_WIDTH = 170

@@ -61,8 +61,9 @@ def entry(suite: Any, source: str) -> SuiteEntry:
 
 
 def _dp1() -> SuiteEntry:
-    from uavaccel.report import dp1_report, dp1_table
-    from uavaccel.suites import dp1
+    from uavaccel.suites.dp1 import flights as dp1
+    from uavaccel.suites.dp1 import report as dp1_report
+    from uavaccel.suites.dp1 import table as dp1_table
 
     def cost(config: dp1.Dp1Config, case: dp1.Case) -> Cost:
         calls_s = 6 * CALL_S * case.simulated_s() / case.t_move_s
@@ -83,8 +84,8 @@ def _dp1() -> SuiteEntry:
 
 def _record_traces(config: Any, run: RunDirectory) -> None:
     """One trace of each command, for Figure 4."""
-    from uavaccel.suites import dp1
-    from uavaccel.suites.traces import record_trace
+    from uavaccel.bench.traces import record_trace
+    from uavaccel.suites.dp1 import flights as dp1
     from uavaccel.wire.session import open_session
 
     with open_session(config.timing, config.profile, dp1.SCENE, config.latency) as session:
@@ -94,8 +95,9 @@ def _record_traces(config: Any, run: RunDirectory) -> None:
 
 
 def _dp2() -> SuiteEntry:
-    from uavaccel.report import dp2_report, dp2_table
-    from uavaccel.suites import dp2
+    from uavaccel.suites.dp2 import flights as dp2
+    from uavaccel.suites.dp2 import report as dp2_report
+    from uavaccel.suites.dp2 import table as dp2_table
 
     def cost(config: dp2.Dp2Config, case: dp2.Case) -> Cost:
         images = case.simulated_s() / config.t_sample_s

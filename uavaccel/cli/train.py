@@ -12,17 +12,17 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from uavaccel.bench.machine import check_host
 from uavaccel.cli.shared import given, resumable, time_stamp
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides, validate
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.report.learning_report import report_trainings
 from uavaccel.rl.config import TrainConfig
-from uavaccel.rl.train import train
 from uavaccel.sim.gl import describe_renderer
 from uavaccel.suites.experiment import read_latency, read_mapping
-from uavaccel.suites.host_check import check_host
+from uavaccel.suites.training.flights import train
+from uavaccel.suites.training.report import report_trainings
 
 LINES = 20  # of progress where there is no terminal to redraw
 

@@ -11,17 +11,17 @@ from typing import Any
 from rich.console import Console
 
 from uavaccel.config import validate
+from uavaccel.draw.film import Film, write_contact_sheet, write_video
+from uavaccel.draw.style import clock_label, command_name
 from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.report.dp2_scores import count_events
-from uavaccel.report.evaluation_film import best_first, film_lane
-from uavaccel.report.style import clock_label, command_name
-from uavaccel.report.video import Film, write_contact_sheet, write_video
 from uavaccel.rl.agents import DEFAULT, policy_folder
-from uavaccel.rl.evaluate import EvaluateConfig, lane_case
 from uavaccel.rl.policy import MANIFEST
-from uavaccel.suites.dp2 import Dp2Config
+from uavaccel.suites.dp2.flights import Dp2Config
+from uavaccel.suites.dp2.scores import count_events
+from uavaccel.suites.evaluation.film import best_first, film_lane
+from uavaccel.suites.evaluation.flights import EvaluateConfig, lane_case
 
 Row = Mapping[str, Any]
 

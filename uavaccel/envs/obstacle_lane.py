@@ -23,7 +23,7 @@ from uavaccel.envs.senses import make_sense, observation_space
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
-from uavaccel.sim.lane import EVALUATION_SEEDS, LENGTH_M
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import ZERO_LATENCY
 from uavaccel.wire.session import Session, open_session

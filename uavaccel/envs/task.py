@@ -9,8 +9,8 @@ from pydantic import Field, field_validator
 from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
-from uavaccel.sim.lane import EVALUATION_SEEDS, Difficulty, Split, lane_seed
-from uavaccel.sim.lane_file import LaneFile, lane_written_out
+from uavaccel.sim.lane.file import LaneFile, lane_written_out
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, Split, lane_seed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyConfig

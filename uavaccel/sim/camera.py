@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.sim import gl
-from uavaccel.sim.lane_scene import object_name
+from uavaccel.sim.lane.scene import object_name
 
 Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]

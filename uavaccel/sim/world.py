@@ -13,8 +13,8 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
-from uavaccel.sim.lane import LaneLayout
-from uavaccel.sim.lane_scene import apply_layout, collision_object
+from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane.scene import apply_layout, collision_object
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, density_ratio, parameters
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco

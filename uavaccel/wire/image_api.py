@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.lane import Difficulty, LaneLayout, draw_layout
-from uavaccel.sim.lane_file import layout_from
+from uavaccel.sim.lane.file import layout_from
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.quadrotor import body_to_world
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import types

@@ -1,0 +1,151 @@
+"""Calibration: micro-latencies of this machine's client and server, for `virtual` to draw from.
+
+Only messages are timed, on the machine's clock, at both ends of the wire: no trajectory is looked at. The messages
+are those of ADSC and TCSC, since how fast an end wakes depends on what it did before.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from uavaccel.bench.traces import TracingTransport
+from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import QUANTILES, after_wait
+from uavaccel.wire.session import WallSession
+
+CLOCK_SPEEDS = (50.0, 100.0)
+T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1
+BATCH = 24  # commands between two readings of the server's trace
+_STAY = VelocityGoal((0.0, 0.0, 0.0))
+
+Samples = dict[str, list[int]]
+OnBatch = Callable[[int, int], None]
+
+
+class Latencies:
+    """Nanoseconds by channel, as `LatencyConfig` wants them summarised."""
+
+    def __init__(self) -> None:
+        self.request: Samples = defaultdict(list)
+        self.reply: Samples = defaultdict(list)
+        self.issue: list[int] = []
+
+    def add(self, samples: Samples, channel: str, wait_ns: int | None, latency_ns: int) -> None:
+        """Count a latency for its channel, and for its channel after such a wait."""
+        samples[channel].append(latency_ns)
+        if wait_ns is not None:
+            samples[after_wait(channel, wait_ns)].append(latency_ns)
+
+    def block(self) -> dict[str, Any]:
+        """The YAML block `latency`."""
+        return {
+            "quantiles": list(QUANTILES),
+            "request_us": {name: microseconds(self.request[name]) for name in sorted(self.request)},
+            "reply_us": {name: microseconds(self.reply[name]) for name in sorted(self.reply)},
+            "issue_us": microseconds(self.issue),
+        }
+
+
+def microseconds(samples_ns: Sequence[int]) -> list[float]:
+    """The samples' quantiles, to a tenth of a microsecond."""
+    return [round(float(value) / 1e3, 1) for value in np.quantile(samples_ns, QUANTILES)]
+
+
+def calibrate(
+    profile: str, commands: int, images: bool, on_batch: OnBatch = lambda done, total: None
+) -> Latencies:
+    """Fly about `commands` commands of each kind on this machine's clock and gather what the messages took.
+
+    With `images` also as many pictures of the lane, rendering included; raises rpc.RpcError where nothing can draw.
+    """
+    latencies = Latencies()
+    cells = [(name, k, t) for name in sorted(COMMANDS) for k in CLOCK_SPEEDS for t in T_MOVES_S]
+    batches = [cell for cell in cells for _ in range(max(round(commands / BATCH / (len(cells) / 2)), 1))]
+    with WallSession("blocks", profile) as session:
+        for done, (name, clock_speed, t_move_s) in enumerate(batches, start=1):
+            client = session.start_game(clock_speed, np.random.SeedSequence(0))
+            _fly_batch(client, name, t_move_s, latencies)
+            _ping(client, latencies)
+            on_batch(done, len(batches))
+    if images:
+        _look(profile, commands, latencies)
+    return latencies
+
+
+def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: Latencies) -> None:
+    command, tracing = COMMANDS[command_name], TracingTransport(client.transport)
+    traced = Client(tracing, client.clock_speed)
+    command.begin(client)
+    client.trace(True)
+    for _ in range(BATCH):
+        for _ in command.fly(traced, _STAY, t_move_s, t_move_s):
+            pass
+    _gather(tracing, client.trace(False), latencies)
+
+
+def _look(profile: str, pictures: int, latencies: Latencies) -> None:
+    with WallSession("lane", profile) as session:
+        client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
+        client.image("gray")  # makes the GL context
+        for _ in range(max(pictures // BATCH, 1)):
+            tracing = TracingTransport(client.transport)
+            client.trace(True)
+            for _ in range(BATCH):
+                Client(tracing).image("gray")
+            _gather(tracing, client.trace(False), latencies)
+
+
+def _ping(client: Client, latencies: Latencies) -> None:
+    """Calls without a channel of their own, of which ping stands for all."""
+    tracing = TracingTransport(client.transport)
+    client.trace(True)
+    for _ in range(BATCH):
+        Client(tracing).call("ping")
+    _gather(tracing, client.trace(False), latencies)
+
+
+def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], latencies: Latencies) -> None:
+    """Match the two ends' events; the first call of a batch has no moment at which the client became ready."""
+    handled, ended, paused = _server_times(server)
+    deferred = {"move": ended, "continue_for": paused}
+    arrived: dict[str, int] = {}
+    ready: int | None = None
+    wait_ns: int | None = None
+    for event in tracing.events:
+        if event.kind == "call":
+            arrived[event.channel] = handled[event.method].pop(0)
+            if ready is not None:
+                latencies.add(latencies.request, event.channel, wait_ns, arrived[event.channel] - ready)
+        elif event.kind == "issued":
+            if ready is not None:
+                latencies.issue.append(event.wall_ns - ready)
+            ready = event.wall_ns
+        else:
+            answered = arrived[event.channel]
+            if event.channel in deferred:
+                answered = deferred[event.channel].pop(0)
+                wait_ns = answered - arrived[event.channel]
+            latencies.add(latencies.reply, event.channel, wait_ns, event.wall_ns - answered)
+            ready = event.wall_ns
+
+
+def _server_times(
+    server: Iterable[tuple[str, int, int]],
+) -> tuple[dict[str, list[int]], list[int], list[int]]:
+    """When each method was handled, commands ended and continue-fors paused, in order."""
+    handled: dict[str, list[int]] = defaultdict(list)
+    ended: list[int] = []
+    paused: list[int] = []
+    for event, wall_ns, _ in server:
+        if event == "end":
+            ended.append(wall_ns)
+        elif event == "pause":
+            paused.append(wall_ns)
+        elif event.startswith("handle "):
+            handled[event.removeprefix("handle ")].append(wall_ns)
+    return handled, ended, paused

@@ -1,0 +1,1 @@
+"""Figures, films and documents from arrays: what draws them knows no experiment."""

@@ -1,0 +1,79 @@
+"""Figure 5: STLC against the number of rounds, a row a command and a column a ClockSpeed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from uavaccel.draw import style
+
+SIMILAR_STLC = 1.8  # the paper's line: above it trajectories look alike (section III-C2a)
+
+AccuracyBoxes = Mapping[tuple[str, float, int], Sequence[float]]
+
+
+def draw_accuracy(boxes: AccuracyBoxes, path: Path, source: str) -> Path:
+    """Draw STLC boxes from `boxes[command, clock_speed, rounds]`, one value a game, T_moves pooled.
+
+    Identical games give a box of zero width, drawn as the thick line it is. Returns `path`.
+    """
+    commands = sorted({command for command, _, _ in boxes})
+    clocks = sorted({clock for _, clock, _ in boxes})
+    rounds = sorted({n for _, _, n in boxes})
+    with style.look():
+        width_in = 2.0 + 1.9 * max(len(clocks), 2)
+        figure = style.new_figure(
+            width_in, 1.2 + 2.3 * max(len(commands), 1), "Accuracy of the trajectories: STLC", source
+        )
+        grid = figure.subplots(
+            max(len(commands), 1), max(len(clocks), 1), sharex=True, sharey=True, squeeze=False
+        )
+        if not boxes:
+            style.note(grid[0, 0], "no games to compare")
+            return style.save(figure, path)
+        for (row, column), axes in np.ndenumerate(grid):
+            cell = {n: boxes.get((commands[row], clocks[column], n), ()) for n in rounds}
+            _draw_boxes(axes, cell, style.COMMAND_COLOUR.get(commands[row], style.GREEN))
+        _label(grid, commands, clocks, _lowest(boxes))
+        return style.save(figure, path)
+
+
+def _draw_boxes(axes: Axes, cell: Mapping[int, Sequence[float]], colour: str) -> None:
+    axes.axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
+    places = range(len(cell))
+    drawn = [(place, values) for place, values in zip(places, cell.values(), strict=True) if len(values)]
+    if drawn:
+        axes.boxplot(
+            [list(values) for _, values in drawn],
+            positions=[place for place, _ in drawn],
+            widths=0.62,
+            patch_artist=True,
+            manage_ticks=False,
+            boxprops={"facecolor": colour, "edgecolor": colour, "alpha": 0.45, "linewidth": 1.0},
+            medianprops={"color": colour, "linewidth": 2.4, "solid_capstyle": "butt"},
+            whiskerprops={"color": colour},
+            capprops={"color": colour},
+            flierprops={"marker": ".", "markersize": 3, "markeredgecolor": colour},
+        )
+    else:
+        axes.text(0.5, 0.15, "no games to compare", transform=axes.transAxes, ha="center", color=style.GREY)
+    axes.set_xticks(list(places), [str(n) for n in cell])
+    axes.set_xlim(-0.6, len(cell) - 0.4)
+    axes.grid(axis="x", visible=False)
+
+
+def _lowest(boxes: AccuracyBoxes) -> float:
+    return min((min(values) for values in boxes.values() if len(values)), default=SIMILAR_STLC)
+
+
+def _label(grid: np.ndarray, commands: Sequence[str], clocks: Sequence[float], lowest: float) -> None:
+    for axes, clock in zip(grid[0], clocks, strict=True):
+        axes.set_title(style.clock_label(clock), loc="center")
+    for axes, command in zip(grid[:, 0], commands, strict=True):
+        axes.set_ylabel(f"{style.command_name(command)}\nSTLC")
+        axes.set_ylim(min(1.7, lowest - 0.05), 2.04)
+    for axes in grid[-1]:
+        axes.set_xlabel("rounds")

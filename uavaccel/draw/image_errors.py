@@ -1,0 +1,88 @@
+"""Figure 7: position error over DVS-ED, a point an image, a colour a ClockSpeed, a panel a command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from uavaccel.draw import style
+
+LEAST_PERCENT, LEAST_M = 0.1, 0.001  # below, the axes are linear
+
+_MARKERS = "osD^v<>"
+
+
+@dataclass(frozen=True)
+class ImageCloud:
+    """The images of one command and ClockSpeed; arrays (images,)."""
+
+    command: str
+    clock_speed: float
+    dvs_ed_percent: np.ndarray
+    position_error_m: np.ndarray
+
+
+def draw_images(clouds: Sequence[ImageCloud], path: Path, source: str) -> Path:
+    """Draw the clouds; both axes are common to all panels; returns `path`."""
+    commands = sorted({cloud.command for cloud in clouds}, reverse=True)
+    clocks = sorted({cloud.clock_speed for cloud in clouds})
+    with style.look():
+        title = "Position error and DVS-ED of each image against the run at 1x"
+        figure = style.new_figure(2.4 + 3.6 * max(len(commands), 1), 4.4, title, source)
+        panels = figure.subplots(1, max(len(commands), 1), sharex=True, sharey=True, squeeze=False)[0]
+        if not clouds:
+            style.note(panels[0], "no accelerated game to compare with a run at 1x")
+            return style.save(figure, path)
+        for axes, command in zip(panels, commands, strict=True):
+            _draw_panel(axes, [cloud for cloud in clouds if cloud.command == command], clocks)
+        panels[0].set_ylabel("position error, m")
+        _set_scales(panels[0])
+        return style.save(figure, path)
+
+
+def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float]) -> None:
+    """Fastest first, so that few and near points lie on top; those at 0 as rings that do not hide each other."""
+    for cloud in sorted(clouds, key=lambda cloud: -cloud.clock_speed):
+        place = clocks.index(cloud.clock_speed)
+        colour, marker = style.CYCLE[place % len(style.CYCLE)], _MARKERS[place % len(_MARKERS)]
+        at_zero = (cloud.dvs_ed_percent == 0) & (cloud.position_error_m == 0)
+        away = ~at_zero
+        x, y = cloud.dvs_ed_percent[away], cloud.position_error_m[away]
+        axes.scatter(x, y, s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
+        if at_zero.any():
+            size = (5.0 + 4.5 * place) ** 2
+            axes.scatter(0, 0, s=size, facecolors="none", edgecolors=colour, linewidths=1.6, clip_on=False)
+        label = f"{style.clock_label(cloud.clock_speed)}: {_count(at_zero)}"
+        axes.scatter([], [], s=22, c=colour, marker=marker, label=label)
+    axes.set_xlabel("DVS-ED, % of the pixels")
+    handles, labels = axes.get_legend_handles_labels()
+    above: Any = {
+        "loc": "lower left",
+        "bbox_to_anchor": (-0.02, 1.0),
+        "alignment": "left",
+        "title_fontsize": 10,
+    }
+    axes.legend(handles[::-1], labels[::-1], title=style.command_name(clouds[0].command), ncols=2, **above)
+
+
+def _count(at_zero: np.ndarray) -> str:
+    if at_zero.all():
+        return f"all {at_zero.size} at 0, 0"
+    return (
+        f"{np.count_nonzero(at_zero)} of {at_zero.size} at 0, 0"
+        if at_zero.any()
+        else f"{at_zero.size} images"
+    )
+
+
+def _set_scales(axes: Axes) -> None:
+    """Logarithmic, as the clouds lie decades apart, but linear below what matters, so that 0 has its place."""
+    for axis, unit, ticks in ((axes.xaxis, LEAST_PERCENT, "{x:g}"), (axes.yaxis, LEAST_M, "{x:g}")):
+        getattr(axes, f"set_{axis.axis_name}scale")("symlog", linthresh=unit, linscale=0.6)
+        axis.set_major_formatter(ticks)
+    axes.set(xlim=(-0.4 * LEAST_PERCENT, 100), ylim=(-0.4 * LEAST_M, 10))

@@ -1,0 +1,45 @@
+"""Figure 9: where the time of a training goes, and how fast it was (paper, section IV-D)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uavaccel.draw import style
+
+UNITS = (("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0))
+
+
+@dataclass(frozen=True)
+class PhaseTimes:
+    """Seconds of a training by phase, those of the lanes summed over all, and how fast it was all in all."""
+
+    label: str
+    phase_s: Mapping[str, float]
+    simulated_s_per_wall_s: float
+
+
+def draw_phases(trainings: Sequence[PhaseTimes], path: Path, source: str) -> Path:
+    """Draw a bar a training, its phases on top of each other, and the speeds as points; returns `path`."""
+    with style.look():
+        figure = style.new_figure(3.2 + 1.5 * len(trainings), 4.2, "Time of training by phase", source)
+        axes = figure.subplots()
+        longest_s = max(sum(training.phase_s.values()) for training in trainings)
+        unit, unit_s = next((name, size) for name, size in UNITS if longest_s >= size or size == 1.0)
+        places, below = np.arange(len(trainings)), np.zeros(len(trainings))
+        for phase, colour in zip(trainings[0].phase_s, style.CYCLE, strict=False):
+            spent = np.array([training.phase_s[phase] for training in trainings]) / unit_s
+            axes.bar(places, spent, 0.55, below, color=colour, label=phase.replace("_", " "))
+            below += spent
+        axes.set_xticks(places, [training.label for training in trainings])
+        axes.set(ylabel=unit, xlim=(-0.6, len(trainings) - 0.4))
+        speed = axes.twinx()
+        speeds = [training.simulated_s_per_wall_s for training in trainings]
+        speed.plot(places, speeds, "o", color=style.BLACK, label="speed (right)")
+        speed.set(ylabel="simulated seconds a wall second", ylim=(0, 1.2 * max(speeds)))
+        speed.grid(visible=False)
+        figure.legend(loc="outside right upper")
+        return style.save(figure, path)

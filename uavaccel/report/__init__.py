@@ -1,1 +1,0 @@
-"""Summaries, figures and documents of finished runs."""

@@ -1,0 +1,106 @@
+"""A lane of one's own, as YAML or a mapping:
+
+obstacles:
+  - {x_m: 12, y_m: 0.5, half_side_m: 0.4}               # a square post
+  - {x_m: 20, y_m: -2, radius_m: 0.6, texture: yellow}  # a cylinder
+light: 0.8
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from uavaccel.config import Config, validate
+from uavaccel.errors import UserError
+from uavaccel.sim.lane.layout import (
+    GROUND_TEXTURES,
+    HULL_RADIUS_M,
+    LENGTH_M,
+    MAX_OBSTACLES,
+    OBSTACLE_TEXTURES,
+    WALL_TEXTURES,
+    WIDTH_M,
+    LaneLayout,
+    Share,
+    clearance_m,
+)
+from uavaccel.yaml_io import load_yaml
+
+HalfWidth = Annotated[float, Field(gt=0.0, le=WIDTH_M / 2)]
+
+
+class Obstacle(Config):
+    """One obstacle: a cylinder, or a square post with its sides along the lane."""
+
+    x_m: Annotated[float, Field(gt=0.0, le=LENGTH_M)]
+    """North of the start."""
+    y_m: Annotated[float, Field(ge=-WIDTH_M / 2, le=WIDTH_M / 2)]
+    """East of the lane's middle."""
+    radius_m: HalfWidth | None = None
+    half_side_m: HalfWidth | None = None
+    texture: Literal["red", "white", "yellow", "blue"] = "red"
+
+    @model_validator(mode="after")
+    def _has_one_shape(self) -> Self:
+        if (self.radius_m is None) == (self.half_side_m is None):
+            raise ValueError("should have radius_m (a cylinder) or half_side_m (a square post), one of them")
+        return self
+
+
+class LaneFile(Config):
+    """A lane as a user writes it."""
+
+    obstacles: Annotated[list[Obstacle], Field(max_length=MAX_OBSTACLES)]
+    wall_texture: Literal["concrete", "brick"] = "concrete"
+    ground_texture: Literal["asphalt", "grass"] = "asphalt"
+    light: Share = 1.0
+    """1 is full daylight."""
+    sun_azimuth_rad: float = 0.5
+    """Heading of the sunlight; 0 shines north, the way the drone looks."""
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """NED."""
+
+
+def lane_written_out(lane: Any) -> Any:
+    """A mapping, or the name of a YAML file with one, as LaneFile; what is no lane of one's own stays as it is.
+
+    For validators: within them pydantic takes no list for a tuple. Raises UserError that names the file and the key.
+    """
+    written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
+    if isinstance(written, Mapping) and "seed" not in written:
+        return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
+    return written
+
+
+def load_layout(path: Path) -> LaneLayout:
+    """The layout in a YAML file. Raises UserError that names the file and the key."""
+    return layout_from(load_yaml(path), str(path))
+
+
+def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
+    """The layout in a mapping; `source` names it in errors.
+
+    Raises UserError if a key or value is wrong, or an obstacle stands where the drone starts.
+    """
+    lane = validate(LaneFile, mapping, source)
+    posts = lane.obstacles
+    layout = LaneLayout(
+        x_m=np.array([post.x_m for post in posts], float),
+        y_m=np.array([post.y_m for post in posts], float),
+        half_width_m=np.array([post.radius_m or post.half_side_m for post in posts], float),
+        round=np.array([post.radius_m is not None for post in posts], bool),
+        texture=np.array([OBSTACLE_TEXTURES.index(post.texture) for post in posts], int),
+        wall_texture=WALL_TEXTURES.index(lane.wall_texture),
+        ground_texture=GROUND_TEXTURES.index(lane.ground_texture),
+        light=lane.light,
+        sun_azimuth_rad=lane.sun_azimuth_rad,
+        wind_m_s=lane.wind_m_s,
+    )
+    if clearance_m(layout, (0.0, 0.0)) <= 0.0:
+        raise UserError(f"{source}: an obstacle is within {HULL_RADIUS_M:g} m of the start at x_m = y_m = 0")
+    return layout

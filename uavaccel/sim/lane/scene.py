@@ -1,0 +1,117 @@
+"""A lane layout in the MuJoCo scene assets/mjcf/lane.xml, and the name of what the drone has hit.
+
+Obstacles are geoms of the world, moved in place: neither a new model nor a new GL context for a new lane. As geoms
+of the world, not bodies of their own, they cost a physics step 2 µs instead of 12 and more. MuJoCo looks for
+contacts with them in a tree of bounding boxes that it builds once for ever, so that tree is refitted here.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, WALL_TEXTURES, LaneLayout
+from uavaccel.units import ned_to_mujoco
+
+OBSTACLE_HALF_HEIGHT_M = 10.0
+PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
+SUN_ELEVATION_RAD = 0.9
+DAYLIGHT = 0.65  # the sun's part of full daylight; the sky's, from everywhere, is AMBIENT
+AMBIENT = 0.45
+
+
+def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
+    """Move the scene's obstacles, and set its textures and light, in place; the drone stays as it is.
+
+    Raises UserError if the scene is not the lane, or has fewer obstacles than the layout.
+    """
+    geoms = obstacle_geoms(model)
+    if len(layout) > len(geoms):
+        raise UserError(f"the layout has {len(layout)} obstacles, the scene {len(geoms)}: leave some out")
+    used, parked = geoms[: len(layout)], geoms[len(layout) :]
+    _shape(model, used, layout)
+    _place(model, used, layout.x_m, layout.y_m)
+    _place(model, parked, model.geom_pos[parked, 0], np.zeros(len(parked)), z_m=PARKED_Z_M)
+    model.geom_rgba[used] = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, which lets the material's colour through
+    model.geom_rgba[parked, 3] = 0.0  # not drawn
+    _paint(model, used, layout)
+    _light(model, layout)
+    _refit_bounding_boxes(model)
+    mujoco.mj_kinematics(model, data)
+
+
+def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Ids of the geoms that a layout moves, in the order of their names; empty in other scenes than the lane."""
+    return np.array(
+        [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith("obstacle_")], int
+    )
+
+
+def _shape(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+    half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
+    box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+    model.geom_type[geoms] = np.where(layout.round, cylinder, box)
+    model.geom_size[geoms] = np.stack([half, np.where(layout.round, tall, half), tall], axis=1)
+    model.geom_aabb[geoms, 3:] = np.stack([half, half, tall], axis=1)
+    model.geom_rbound[geoms] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
+
+
+def _place(
+    model: mujoco.MjModel,
+    geoms: NDArray[np.int64],
+    x_m: NDArray[np.float64],
+    y_m: NDArray[np.float64],
+    z_m: float = -OBSTACLE_HALF_HEIGHT_M,
+) -> None:
+    model.geom_pos[geoms] = ned_to_mujoco(np.stack([x_m, y_m, np.full(len(geoms), z_m)], axis=1))
+
+
+def _paint(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+    materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
+    model.geom_matid[geoms] = materials[layout.texture]
+    for wall in ("wall_west", "wall_east"):
+        model.geom(wall).matid = model.material(f"wall_{WALL_TEXTURES[layout.wall_texture]}").id
+    model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
+
+
+def _light(model: mujoco.MjModel, layout: LaneLayout) -> None:
+    level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad
+    direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(SUN_ELEVATION_RAD)]
+    sun = model.light("sun")
+    sun.dir = ned_to_mujoco(direction)
+    sun.diffuse = layout.light * DAYLIGHT
+    sun.ambient = layout.light * AMBIENT
+
+
+def _refit_bounding_boxes(model: mujoco.MjModel) -> None:
+    """Boxes of the world's bounding-volume tree around its geoms where they are now; a node precedes its children."""
+    first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
+    boxes, children = model.bvh_aabb[first:], model.bvh_child[first:]
+    for node in reversed(range(count)):
+        geom = int(model.bvh_nodeid[first + node])
+        if geom < 0:
+            low = (boxes[children[node], :3] - boxes[children[node], 3:]).min(axis=0)
+            high = (boxes[children[node], :3] + boxes[children[node], 3:]).max(axis=0)
+            boxes[node] = np.concatenate([(low + high) / 2, (high - low) / 2])
+        elif model.geom(geom).name.startswith("obstacle_"):
+            boxes[node] = np.concatenate([model.geom_pos[geom], model.geom_aabb[geom, 3:]])
+
+
+def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
+    """Name of what the drone touches, e.g. "obstacle_07", "wall_west", "ground"; the deepest contact's, or ""."""
+    drone = model.body("quadrotor").id
+    deepest, name = np.inf, ""
+    for contact in data.contact[: data.ncon]:
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if drone in bodies and contact.dist < deepest:
+            deepest, name = contact.dist, object_name(model, int(contact.geom[1 - bodies.index(drone)]))
+    return name
+
+
+def object_name(model: mujoco.MjModel, geom: int) -> str:
+    """Name of a geom, or of its body where it has none; "" for -1, the sky."""
+    if geom < 0:
+        return ""
+    return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)

@@ -1,0 +1,117 @@
+"""DP1's report: summary.json, figures, report.md and report.html of a finished run."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import joblib
+
+from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from uavaccel.errors import UserError
+from uavaccel.files import read_arrays
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1 import figures
+from uavaccel.suites.dp1.scores import Arrays, CellScores, LoadArrays, Row, cells_of, score_cells
+from uavaccel.suites.dp1.summary import summary_of
+from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
+
+__all__ = ["HEADER", "table", "write_report"]
+
+PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
+MOST_JOBS = 8
+
+Summary = dict[str, Any]
+
+
+def write_report(run_dir: Path, jobs: int | None = None) -> Summary:
+    """Write summary.json, figures/*.png, report.md and report.html into a DP1 run; returns the summary.
+
+    `jobs` processes compute the metrics, by default one for a small run and otherwise one a core; the
+    results do not depend on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged
+    files.
+    """
+    run = RunDirectory(run_dir)
+    rows: list[Row] = [row for row in run.rows() if row.get("suite") == "dp1"]
+    if not rows:
+        raise UserError(f"{run.path / 'rows.jsonl'}: holds no dp1 game; fly one with: uavaccel run dp1")
+    load_arrays = partial(_load_arrays, run.path)
+    scores = score_cells(cells_of(rows), load_arrays, jobs or _default_jobs(rows))
+    summary = summary_of(rows, scores)
+    run.write_json("summary.json", summary)
+    pictures = _draw(run.path, rows, scores, summary, load_arrays)
+    title = f"DP1, {summary['profile']} profile, seed {summary['seed']}"
+    blocks = _blocks(run, rows, summary, pictures)
+    run.write_text("report.md", to_markdown(title, blocks, run.path))
+    run.write_text("report.html", to_html(title, blocks))
+    return summary
+
+
+def _load_arrays(run_dir: Path, row: Row) -> Arrays:
+    return read_arrays(run_dir / str(row["arrays"]))
+
+
+def _default_jobs(rows: list[Row]) -> int:
+    return 1 if len(rows) < PARALLEL_FROM_GAMES else min(joblib.cpu_count(), MOST_JOBS)
+
+
+def _draw(
+    run_dir: Path, rows: list[Row], scores: list[CellScores], summary: Summary, load_arrays: LoadArrays
+) -> list[Picture]:
+    folder = run_dir / "figures"
+    return [
+        figures.velocity_figure(rows, load_arrays, folder / "figure2_velocity.png"),
+        figures.trajectory_figure(scores, load_arrays, folder / "figure3_trajectories.png"),
+        figures.trellis_figure(run_dir, rows, folder / "figure4_trellis.png"),
+        figures.accuracy_figure(scores, folder / "figure5_accuracy.png"),
+        figures.speedup_figure(scores, summary, folder / "figure6_speedup.png"),
+    ]
+
+
+def _blocks(run: RunDirectory, rows: list[Row], summary: Summary, pictures: list[Picture]) -> list[Block]:
+    return [
+        Paragraph(f"Games: {figures.source_line(rows)}."),
+        *map(Paragraph, _warnings(summary)),
+        Heading("Overview: worst cell, range of speeds"),
+        Table(OVERVIEW_HEADER, overview(summary)),
+        Paragraph(_READING),
+        Heading("Figures"),
+        *pictures,
+        Heading("All cells"),
+        Table(HEADER, table(summary), folded=f"{len(summary['cells'])} cells"),
+        Heading("Provenance"),
+        Listing((run.path / "config.yaml").read_text(encoding="utf-8")),
+        *_manifest(run.path),
+    ]
+
+
+def _warnings(summary: Summary) -> list[str]:
+    cells = summary["cells"]
+    failed = sum(cell["failed_games"] for cell in cells)
+    lost_s = sum(cell["lost_wall_s"] or 0.0 for cell in cells)
+    warnings = []
+    if failed:
+        warnings.append(f"Warning: {failed} games failed and are left out; rows.jsonl says why.")
+    if lost_s:
+        warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if any(cell["reference"] is None for cell in cells):
+        warnings.append("Warning: some cells have no real-time ADSC games to compare with.")
+    return warnings
+
+
+def _manifest(run_dir: Path) -> list[Block]:
+    path = run_dir / "manifest.json"
+    return [Listing(path.read_text(encoding="utf-8"))] if path.is_file() else []
+
+
+_READING = (
+    "STLC (lambda 0.5, metres, seconds) is 2 for identical flights; above 1.8 they look alike. It matches "
+    "places and times independently and cannot see a lap too few or too late, so the position error at equal "
+    "times (RMSE, m) stands beside it. A game's accuracy is its mean over all reference games, ADSC at 1x of "
+    "the same T_move and rounds; a reference is not compared with itself. Medians, quartiles and 95 % "
+    "bootstrap intervals are over games. Effective speed-up is the ratio of mean wall times for the same "
+    "commands. Measured: the machine's clock. Modelled: a simulated clock. Mixed: a measured game over a "
+    "modelled baseline. Native TCSC games of one cell are identical by construction, and ADSC games at 1x "
+    "nearly so."
+)

@@ -1,0 +1,114 @@
+"""DP1's tables: a line a cell for the terminal and the report, and an overview of the worst cells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from uavaccel.draw.style import clock_label, command_name
+
+HEADER = (
+    "command",
+    "clock",
+    "T_move s",
+    "rounds",
+    "games",
+    "STLC median [q25, q75]",
+    "RMSE m",
+    "v. lockstep",
+    "duration s",
+    "speed-up",
+    "achieved",
+    "source",
+)
+
+OVERVIEW_HEADER = (
+    "command",
+    "ClockSpeed",
+    "games",
+    "lowest STLC median",
+    "largest RMSE v. reference, m",
+    "largest RMSE v. lockstep, m",
+    "effective speed-up",
+    "real-time factor",
+    "source",
+)
+
+Cell = Mapping[str, Any]
+
+
+def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row of text a cell, below `HEADER`; what cannot be known is "-"."""
+    return [_line(cell) for cell in summary["cells"]]
+
+
+def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row of text a command, ClockSpeed and timing, below `OVERVIEW_HEADER`."""
+    groups: dict[tuple[str, float, str], list[Cell]] = {}
+    for cell in summary["cells"]:
+        groups.setdefault((cell["command"], cell["clock_speed"], cell["timing"]), []).append(cell)
+    return [_overview_line(cells) for cells in groups.values()]
+
+
+def _line(cell: Cell) -> tuple[str, ...]:
+    failed = f" ({cell['failed_games']} failed)" if cell["failed_games"] else ""
+    stlc = "-"
+    if cell["stlc_median"] is not None:
+        stlc = f"{cell['stlc_median']:.3f} [{cell['stlc_q25']:.3f}, {cell['stlc_q75']:.3f}]"
+    return (
+        command_name(cell["command"]),
+        clock_label(cell["clock_speed"]),
+        f"{cell['t_move_s']:g}",
+        str(cell["rounds"]),
+        f"{cell['games']}{failed}",
+        stlc,
+        _metres(cell["position_rmse_m"]),
+        _metres(cell["position_rmse_vs_lockstep_m"]),
+        _number(cell["duration_error_s"], "+.3f"),
+        _number(cell["effective_speedup"], ".2f") + _mixed(cell),
+        _number(cell["real_time_factor"], ".2f"),
+        cell["provenance"],
+    )
+
+
+def _overview_line(cells: Sequence[Cell]) -> tuple[str, ...]:
+    first = cells[0]
+    return (
+        command_name(first["command"]),
+        clock_label(first["clock_speed"]),
+        str(sum(cell["games"] for cell in cells)),
+        _number(_extreme(min, cells, "stlc_median"), ".4f"),
+        _metres(_extreme(max, cells, "position_rmse_m")),
+        _metres(_extreme(max, cells, "position_rmse_vs_lockstep_m")),
+        _range(cells, "effective_speedup") + _mixed(first),
+        _range(cells, "real_time_factor"),
+        first["provenance"],
+    )
+
+
+def _mixed(cell: Cell) -> str:
+    """Marks a speed-up of which one wall time is measured and the other modelled."""
+    return " (mixed)" if cell["effective_speedup_provenance"] == "mixed" else ""
+
+
+def _extreme(choose: Callable[[Iterable[float]], float], cells: Sequence[Cell], key: str) -> float | None:
+    values = [cell[key] for cell in cells if cell[key] is not None]
+    return choose(values) if values else None
+
+
+def _range(cells: Sequence[Cell], key: str) -> str:
+    low, high = (_number(_extreme(choose, cells, key), ".2f") for choose in (min, max))
+    return low if low == high else f"{low} to {high}"
+
+
+def _metres(value: float | None) -> str:
+    """Three significant digits: errors reach from micrometres to metres, and an exact 0 is a claim."""
+    if value is None:
+        return "-"
+    if value == 0:
+        return "0"
+    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"
+
+
+def _number(value: float | None, spec: str) -> str:
+    return "-" if value is None else format(value, spec).replace("-0.000", "+0.000")

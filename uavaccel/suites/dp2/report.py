@@ -1,0 +1,139 @@
+"""DP2's report: summary.json, Figure 7, report.md and report.html of a finished run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from uavaccel.draw.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, draw_images
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1.figures import source_line
+from uavaccel.suites.dp2 import guard as dp2_guard
+from uavaccel.suites.dp2.scores import GameScore, Row, score_games
+from uavaccel.suites.dp2.summary import summary_of
+from uavaccel.suites.dp2.table import HEADER, table
+from uavaccel.vision.guard import GuardSettings
+
+Summary = dict[str, Any]
+
+
+def write_report(run_dir: Path) -> Summary:
+    """Write summary.json, figures/figure7_images.png, report.md and report.html into a DP2 run; the summary.
+
+    Raises UserError if the folder holds no DP2 run, no finished game, or damaged files.
+    """
+    run = RunDirectory(run_dir)
+    config = run.config()
+    rows = [row for row in run.rows() if row.get("suite") == "dp2"]
+    if not rows:
+        raise UserError(f"{run.path / 'rows.jsonl'}: holds no dp2 game; fly one with: uavaccel run dp2")
+
+    def load_arrays(row: Row) -> Mapping[str, Any]:
+        return run.load_arrays(str(row["arrays"]))
+
+    scores = list(score_games(rows, load_arrays, config["dvs_preset"], config["sensor_seed"]))
+    summary = summary_of(config, scores, _guard_study(run, rows, config))
+    run.write_json("summary.json", summary)
+    figure = _figure(scores, run.file("figures/figure7_images.png"))
+    title = f"DP2, {summary['profile']} profile, seed {summary['seed']}"
+    blocks = _blocks(run, rows, summary, figure)
+    run.write_text("report.md", to_markdown(title, blocks, run.path))
+    run.write_text("report.html", to_html(title, blocks))
+    return summary
+
+
+def _guard_study(run: RunDirectory, rows: Sequence[Row], config: Mapping[str, Any]) -> Summary | None:
+    """On the one game whose images are kept in colour."""
+    row = next((row for row in rows if row["role"] == "lockstep" and row["error"] is None), None)
+    if row is None:
+        return None
+    images = run.load_arrays(row["arrays"])["colour"]
+    return dp2_guard.study(images, GuardSettings(**config["guard"]), config["seed"])
+
+
+def _figure(scores: Sequence[GameScore], path: Path) -> Picture:
+    compared = [score for score in scores if score.reference is not None and score.row is not score.reference]
+    clouds = [
+        ImageCloud(
+            score.row["command"], score.row["clock_speed"], score.dvs_ed_percent, score.position_error_m
+        )
+        for score in compared
+    ]
+    source = source_line([score.row for score in scores])
+    draw_images(clouds, path, source)
+    return Picture(
+        path,
+        "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path "
+        "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes "
+        f"are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. "
+        f"Source: {source}.",
+    )
+
+
+def _blocks(run: RunDirectory, rows: Sequence[Row], summary: Summary, figure: Picture) -> list[Block]:
+    return [
+        Paragraph(f"Games: {source_line(rows)}."),
+        *map(Paragraph, _warnings(rows, summary, run.config())),
+        Heading("Each ClockSpeed against the run at 1x"),
+        Table(HEADER, table(summary)),
+        Paragraph(_READING),
+        figure,
+        *_guard_blocks(summary["guard_study"]),
+        Heading("Provenance"),
+        Listing((run.path / "config.yaml").read_text(encoding="utf-8")),
+        Listing((run.path / "manifest.json").read_text(encoding="utf-8")),
+    ]
+
+
+def _guard_blocks(guard: Mapping[str, Any] | None) -> list[Block]:
+    if guard is None:
+        return []
+    return [
+        Heading("Image guard (modelled)"),
+        Table(dp2_guard.HEADER, dp2_guard.table(guard)),
+        Paragraph(dp2_guard.sentence(guard)),
+        Paragraph(
+            f"The images are those of the game without latency, sent {guard['streams']} times with another seed. "
+            "MuJoCo draws every image right: what goes wrong with them here is a model of a renderer short of time, "
+            "of this project's own choice in its sizes. The guard looks at mean brightness alone and cannot see what "
+            "leaves that as it is."
+        ),
+    ]
+
+
+def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) -> list[str]:
+    failed = [row["case"] for row in rows if row["error"] is not None]
+    hit = [row for row in rows if row["collision"]]
+    lost_s = sum(row["lost_wall_s"] for row in rows)
+    drawing_known = "image" in config["latency"]["reply_us"]
+    warnings = [
+        f"{row['case']} hit {row['collision']['object']} after {row['distance_m']:.1f} m and stood still from there: "
+        f"its images count up to that moment."
+        for row in hit
+    ]
+    if failed:
+        warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")
+    if lost_s:
+        warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if summary["perturbed_share"]:
+        warnings.append(
+            f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way; "
+            "those of the runs at 1x that they are compared with were not."
+        )
+    if not drawing_known and any(row["timing"] == "virtual" for row in rows):
+        warnings.append(
+            "The modelled wall times leave out drawing the images: the latency model has no channel for them."
+        )
+    return warnings
+
+
+_READING = (
+    "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
+    "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "
+    "elsewhere. One DVS, with one map of thresholds, looks at the images of all games. An error of 0 is exactly 0. "
+    "Equal to lockstep means that every pose, or every pixel's event count, has the same bits as in the game flown "
+    "without latency. Measured: the machine's clock. Modelled: a simulated clock."
+)

@@ -1,0 +1,70 @@
+"""DP2's table: a line a command and ClockSpeed, for the terminal and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uavaccel.draw.style import clock_label, command_name
+
+HEADER = (
+    "command",
+    "ClockSpeed",
+    "images",
+    "position error, m: median, max",
+    "attitude error, deg: max",
+    "DVS-ED, %: median, max",
+    "guard retries",
+    "poses, counts v. lockstep",
+    "distance, m",
+    "simulated s a wall s",
+    "source",
+)
+
+Cell = Mapping[str, Any]
+
+
+def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row of text a cell, below `HEADER`; what cannot be known is "-"."""
+    return [_line(cell) for cell in summary["cells"]]
+
+
+def _line(cell: Cell) -> tuple[str, ...]:
+    return (
+        command_name(cell["command"]),
+        clock_label(cell["clock_speed"]) + _role(cell),
+        str(cell["paired_images"]),
+        _pair(cell, "position_error_m", 3),
+        _number(cell["attitude_error_deg_max"], 2),
+        _pair(cell, "dvs_ed_percent", 2),
+        str(cell["guard_retries"]),
+        f"{_verdict(cell['poses_equal_lockstep'])}, {_verdict(cell['dvs_counts_equal_lockstep'])}",
+        f"{cell['distance_m']:.1f}" + _end(cell),
+        _number(cell["simulated_s_per_wall_s"], 2),
+        cell["provenance"],
+    )
+
+
+def _role(cell: Cell) -> str:
+    return " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else ""
+
+
+def _end(cell: Cell) -> str:
+    return f" (hit {cell['collision']['object']})" if cell["collision"] else ""
+
+
+def _verdict(equal: bool | None) -> str:
+    return "-" if equal is None else "equal" if equal else "differ"
+
+
+def _pair(cell: Cell, name: str, digits: int) -> str:
+    return f"{_number(cell[f'{name}_median'], digits)}, {_number(cell[f'{name}_max'], digits)}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    """An exact 0 is a claim, so it is not written 0.000; what is smaller than the digits show is not 0."""
+    if value is None:
+        return "-"
+    if value == 0:
+        return "0"
+    return f"{value:.{digits}f}" if value >= 10.0**-digits else f"{value:.0e}"

@@ -1,0 +1,60 @@
+"""Figure 9: where the time of trainings went, several side by side."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from uavaccel.draw.phases import PhaseTimes, draw_phases
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.records import RunDirectory
+
+
+def report_trainings(runs: Sequence[RunDirectory]) -> Path:
+    """Figure 9 with a bar a training, in the first one's folder."""
+    games = _listed(sorted({len(run.rows()) for run in runs}))
+    seeds = _listed(sorted({run.config()["seed"] for run in runs}))
+    clocks = {_clock(run) for run in runs}
+    source = f"{' and '.join(sorted(clocks))} · {games} games · seed {seeds}"
+    return draw_phases([phase_times(run) for run in runs], runs[0].file("figures/figure9_phases.png"), source)
+
+
+def phase_times(run: RunDirectory) -> PhaseTimes:
+    """Of a training: by its own clock where that is simulated, else by the machine's."""
+    config, rows = run.config(), run.rows()
+    task = config["task"]
+    flown_by = f"{command_name(task['command'])} {clock_label(task['clock_speed'])}"
+    label = f"{flown_by}\n{task['timing']}, seed {config['seed']}"
+    sim_time_s = sum(row["sim_time_s"] for row in rows)
+    if task["timing"] == "virtual":
+        phase_s = {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES}
+        return PhaseTimes(label, phase_s, sim_time_s / (sum(phase_s.values()) / config["environments"]))
+    timings = run.timings()
+    flown, learned = Counter[str](), _over_all_starts([entry["learner_s"] for entry in timings])
+    for entry in timings:
+        flown.update(entry["host_phase_s"])
+    wall_s = _over_all_starts([{"wall_s": entry["wall_s"]} for entry in timings])["wall_s"]
+    return PhaseTimes(label, {phase: flown[phase] + learned[phase] for phase in PHASES}, sim_time_s / wall_s)
+
+
+def _over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
+    """The sums of stopwatches that begin anew whenever the training is resumed."""
+    total = Counter[str](readings[-1] if readings else {})
+    for before, after in pairwise(readings):
+        if sum(after.values()) < sum(before.values()):
+            total.update(before)
+    return total
+
+
+def _clock(run: RunDirectory) -> str:
+    if run.config()["task"]["timing"] == "virtual":
+        return "modelled"
+    return "measured, learning beside the flight"
+
+
+def _listed(numbers: Sequence[Any]) -> str:
+    return ", ".join(str(number) for number in numbers)
