@@ -15,10 +15,10 @@ import pytest
 import torch as th
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
+from uavaccel.cli.train import Request, configure
 
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
-from uavaccel.cli.train import Request, configure
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.task import LaneTask

@@ -14,3 +14,9 @@ class UsageError(UserError):
     """A call that cannot be meant: options that contradict each other, or a combination that is refused."""
 
     exit_status = 2
+
+
+class Interrupted(UserError):
+    """Stopped by Ctrl-C; the line says how to go on."""
+
+    exit_status = 130

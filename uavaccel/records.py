@@ -87,6 +87,12 @@ class RunDirectory:
         """Every whole entry of timing.jsonl."""
         return read_lines(self.path / "timing.jsonl")
 
+    def keep_first(self, count: int) -> None:
+        """Drop all rows but the first `count`, and what timing.jsonl has about them."""
+        for name, entries in (("rows.jsonl", self.rows()), ("timing.jsonl", self.timings())):
+            self.write_text(name, "".join(to_json(entry) + "\n" for entry in entries[:count]))
+        self._done = {str(row.get("case")) for row in self.rows()}
+
     def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> str:
         """Write a case's arrays, in place of those of an attempt without a row; their path in the run."""
         name = f"arrays/{case}.npz"

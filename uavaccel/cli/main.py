@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UserError
 
 app = typer.Typer(
     name="uavaccel",
@@ -29,32 +29,36 @@ Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
 Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")]
+OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
+OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
+Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value of the configuration.")]
 
 
 @app.command()
 def run(
-    experiment: Annotated[str, typer.Argument(help="dp1, dp2, or an experiment's YAML file.")],
+    experiment: Annotated[
+        str, typer.Argument(help="dp1, dp2, train, evaluate, or an experiment's YAML file.")
+    ],
     clock: Clock = None,
     command: Commands = None,
     t_move: Annotated[
         list[float] | None, typer.Option("--t-move", help="Seconds; repeat for several.")
     ] = None,
     rounds: Annotated[list[int] | None, typer.Option(help="Rounds of the path; repeat for several.")] = None,
-    games: Annotated[int | None, typer.Option(help="Games a cell.")] = None,
+    games: Annotated[int | None, typer.Option(help="Games per cell.")] = None,
     timing: Timing = None,
     profile: Profile = None,
     seed: Seed = None,
-    jobs: Annotated[int, typer.Option(help="Processes; above 1 not with wall.")] = 1,
+    jobs: Jobs = 1,
     out: Out = None,
     resume: Resume = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")
-    ] = False,
+    dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
     """Fly an experiment, measure it and draw its figures."""
-    from uavaccel.cli.run import Request, run_experiment
+    from uavaccel.cli.run import RunRequest, run_experiment
 
     options = {
         "clock_speed": clock,
@@ -66,7 +70,7 @@ def run(
         "profile": profile,
         "seed": seed,
     }
-    run_experiment(Request(experiment, options, overrides or [], jobs, out, resume, dry_run))
+    run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run))
 
 
 @app.command()
@@ -75,7 +79,7 @@ def report(
 ) -> None:
     """Compute the metrics and draw the figures of finished runs again.
 
-    Trainings are drawn side by side, in the first one's Figure 9; so are evaluations, in its Figure 8.
+    Several trainings are also drawn side by side, in the first one's folder; so are several evaluations.
     """
     from uavaccel.cli.report import report_runs
 
@@ -113,21 +117,22 @@ def calibrate(
 @app.command()
 def train(
     experiment: Annotated[str, typer.Argument(help="An experiment's YAML file.")] = "train",
-    clock: Annotated[float | None, typer.Option(help="ClockSpeed.")] = None,
-    command: Annotated[str | None, typer.Option(help="adsc or tcsc.")] = None,
+    clock: OneClock = None,
+    command: OneCommand = None,
     timing: Timing = None,
     profile: Profile = None,
     games: Annotated[int | None, typer.Option(help="Games to learn from.")] = None,
     seed: Seed = None,
     out: Out = None,
     resume: Resume = False,
+    dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
-    """Train a policy in the obstacle lane."""
-    from uavaccel.cli.train import Request, train_policy
+    """Train a policy in the obstacle lane: `run` on a training's YAML file."""
+    from uavaccel.cli.run import RunRequest, run_experiment
 
-    task = {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
-    train_policy(Request(experiment, games, seed, task, overrides or [], out, resume))
+    options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed}
+    run_experiment(RunRequest(experiment, options, overrides or [], 1, out, resume, dry_run))
 
 
 @app.command()
@@ -136,26 +141,34 @@ def evaluate(
         str, typer.Argument(help="A training's run directory, a policy's folder, straight or offset:METRES.")
     ] = "default",
     games: Annotated[int | None, typer.Option(help="Evaluation lanes; 300 without it.")] = None,
-    clock: Annotated[float | None, typer.Option(help="ClockSpeed.")] = None,
-    command: Annotated[str | None, typer.Option(help="adsc or tcsc.")] = None,
+    clock: OneClock = None,
+    command: OneCommand = None,
     timing: Timing = None,
     profile: Profile = None,
     seed: Seed = None,
-    jobs: Annotated[int, typer.Option(help="Processes; above 1 not with wall.")] = 1,
+    jobs: Jobs = 1,
     against: Annotated[
         Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
     ] = None,
     films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
     out: Out = None,
     resume: Resume = False,
+    dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
-    """Fly an agent on lanes that no training has seen: success ratio, Figure 8, films."""
-    from uavaccel.cli.evaluate import Request, evaluate_agent
+    """Fly an agent on lanes that no training has seen, `run evaluate`: success ratio, Figure 8, films."""
+    from uavaccel.cli.evaluate import evaluate_agent
+    from uavaccel.cli.run import RunRequest
 
-    task = {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
-    request = Request(agent, games, seed, task, jobs, overrides or [], out, resume, against, films)
-    evaluate_agent(request)
+    options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
+    request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run)
+    evaluate_agent(request, against, films)
+
+
+def _task_options(
+    clock: float | None, command: str | None, timing: str | None, profile: str | None
+) -> dict[str, object]:
+    return {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
 
 
 @app.command()
@@ -205,10 +218,8 @@ def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     try:
         status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
-    except UsageError as error:
-        status = _complain(str(error), 2)
     except UserError as error:
-        status = _complain(str(error), 1)
+        status = _complain(str(error), error.exit_status)
     except (KeyboardInterrupt, typer.Abort):
         status = _complain("interrupted", 130)
     except typer.Exit as error:

@@ -1,60 +1,69 @@
-"""Progress of a run: games done, simulated and wall time, time left."""
+"""Progress of a run: games done, how it goes, speed, time left."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn
-from rich.progress import Progress as RichProgress
+from rich.progress import Progress as Bar
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.suites.suite import Case, Row
 from uavaccel.units import NS_PER_S
 
 LINES = 10  # of progress where there is no terminal to redraw
 
 
 class Progress:
-    """A bar on a terminal, a few plain lines elsewhere; time left is estimated from simulated seconds."""
+    """A bar on a terminal, a few plain lines elsewhere; time left is estimated from simulated seconds.
 
-    def __init__(self, total_s: float, games: int, console: Console) -> None:
-        self._total_s, self._games, self._console = total_s, games, console
-        self._done_s, self._done, self._skipped_s = 0.0, 0, 0.0
+    `rows` are those that earlier starts of the run have flown, `status` says in a few words how it goes.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        rows: Sequence[Row],
+        status: Callable[[Sequence[Row]], str],
+        console: Console,
+    ) -> None:
+        self._rows, self._status, self._console = list(rows), status, console
+        done = {row["case"] for row in rows}
+        self._games, self._total_s = len(cases), sum(case.simulated_s() for case in cases)
+        self._skipped_s = sum(case.simulated_s() for case in cases if case.id in done)
+        self._done_s = self._skipped_s
+        self._flown_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
-        self._printed = 0
-        self._bar = RichProgress(
-            BarColumn(), TextColumn("{task.description}"), console=console, disable=not console.is_terminal
-        )
-        self._task = self._bar.add_task("", total=total_s)
+        self._printed = len(done) * LINES // max(self._games, 1)
+        columns = (BarColumn(), TextColumn("{task.description}", markup=False))
+        self._bar = Bar(*columns, console=console, disable=not console.is_terminal)
+        self._task = self._bar.add_task("", total=self._total_s, completed=int(self._done_s))
 
-    def skip(self, simulated_s: float) -> None:
-        """Count a game that an earlier run has flown."""
-        self._skipped_s += simulated_s
-        self._count(simulated_s)
-
-    def flown(self, case: Any, row: dict[str, Any]) -> None:
+    def flown(self, case: Case, row: Row) -> None:
         """Count a game; the runner's callback."""
-        self._count(case.simulated_s())
+        self._rows.append(row)
+        self._done_s += case.simulated_s()
+        self._flown_s += row.get("sim_time_s", case.simulated_s())
         text = self._text()
         self._bar.update(self._task, completed=self._done_s, description=text)
-        share = self._done * LINES // self._games
+        share = len(self._rows) * LINES // self._games
         if not self._console.is_terminal and share > self._printed:
             self._printed = share
-            self._console.print(text)
-
-    def _count(self, simulated_s: float) -> None:
-        self._done += 1
-        self._done_s += simulated_s
+            self._console.print(text, markup=False)
 
     def _text(self) -> str:
-        wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-        flown_s = self._done_s - self._skipped_s
-        left_s = wall_s * (self._total_s - self._done_s) / flown_s if flown_s else 0.0
+        wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
+        new_s = self._done_s - self._skipped_s
+        left_s = wall_s * (self._total_s - self._done_s) / new_s if new_s else 0.0
+        left = "under a minute left" if left_s < 60 else f"{left_s / 60:.0f} min left"
+        status = self._status(self._rows)
         return (
-            f"{self._done}/{self._games} games, {self._done_s:,.0f} simulated s, "
-            f"{wall_s:.0f} s passed, {left_s:.0f} s left"
+            f"{len(self._rows)}/{self._games} games, {status + ', ' if status else ''}"
+            f"{self._flown_s / wall_s:.0f} simulated s per wall s, {left}"
         )
 
     def __enter__(self) -> Self:

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 from uavaccel.cli.run import console, report_run
-from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.evaluation.report import report_evaluations
-from uavaccel.suites.training.report import report_trainings
+from uavaccel.suites.registry import find_suite
 
 
 def report_runs(run_dirs: Sequence[Path]) -> None:
-    """Each experiment's report; one figure for all evaluations, one for all trainings. Raises UserError."""
-    together: dict[str, list[RunDirectory]] = {"evaluate": [], "train": []}
+    """Each run's report; then those of one suite side by side. No game is flown. Raises UserError."""
+    together: dict[str, list[RunDirectory]] = defaultdict(list)
     for run_dir in run_dirs:
         run = RunDirectory(run_dir)
-        suite = str(run.config().get("suite"))
-        if suite not in together:
-            report_run(run_dir)
-        elif not run.rows():
-            raise UserError(f"{run_dir / 'rows.jsonl'}: holds no finished game")
-        else:
-            together[suite].append(run)
-    if together["evaluate"]:
-        console.print(str(report_evaluations(together["evaluate"])))
-    if together["train"]:
-        console.print(str(report_trainings(together["train"])))
+        report_run(run)
+        together[str(run.config()["suite"])].append(run)
+    for name, runs in together.items():
+        if len(runs) > 1 and (path := find_suite(name, str(runs[0].path), Path.cwd()).compare(runs)):
+            console.print(str(path), markup=False)

@@ -1,153 +1,193 @@
-"""`uavaccel run` and `uavaccel report`: configuration, host check, flights, report, and what the terminal shows."""
+"""`uavaccel run`, and with it `train` and `evaluate`: configuration, machine check, games, report."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_origin
 
+from pydantic import BaseModel
 from rich.console import Console
 from rich.table import Table
 
 from uavaccel.bench.machine import check_host
 from uavaccel.cli.progress import Progress
-from uavaccel.cli.shared import check_jobs, given, resumable, time_stamp
-from uavaccel.cli.suites import SuiteEntry, entry
 from uavaccel.clock import calendar_time
-from uavaccel.errors import UsageError
+from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, read_mapping, resolve
-from uavaccel.suites.runner import AnyCase, run_cases
+from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, resolve, timing_of
+from uavaccel.suites.registry import find_suite
+from uavaccel.suites.runner import check_jobs, run_cases
+from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable
 
-TABLE_WIDTH = 170
+TABLE_WIDTH = 170  # where nobody looks at a terminal
 
-console = Console(highlight=False)
-if not console.is_terminal:
-    console.width = TABLE_WIDTH  # a file or a pipe has room
+console = Console(highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
-class Request:
-    """What was asked for on the command line."""
+class RunRequest:
+    """What was asked for on the command line; an option about which nothing was said is None."""
 
     experiment: str
-    options: dict[str, Any]
-    overrides: Sequence[str]
-    jobs: int
-    out: Path | None
-    resume: bool
-    dry_run: bool
+    options: Mapping[str, Any] = field(default_factory=dict)
+    overrides: Sequence[str] = ()
+    jobs: int = 1
+    out: Path | None = None
+    resume: bool = False
+    dry_run: bool = False
 
 
-def run_experiment(request: Request) -> None:
-    """Fly, report, print the table. Raises UserError or UsageError with one clear line."""
+def run_experiment(request: RunRequest) -> RunDirectory | None:
+    """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
     suite, config = configure(request)
-    check_jobs(request.jobs, config.timing)
+    check_jobs(suite, config, request.jobs)
     cases = list(suite.cases(config))
-    out = request.out or Path("runs") / f"{Path(request.experiment).stem}-{time_stamp()}"
-    print_plan(suite, config, cases, request.jobs, out)
+    out = (
+        request.out
+        or Path("runs") / f"{Path(request.experiment).stem}-{calendar_time()[:19].replace(':', '')}"
+    )
+    console.print(plan(suite, config, cases, request.jobs, out))
     if request.dry_run:
-        return
+        return None
     run = RunDirectory.create(out, config, manifest_of(suite, config), request.resume)
     with resumable(out):
         fly(suite, config, cases, run, request.jobs)
-    report_run(out)
+    report_run(run)
+    return run
 
 
-def configure(request: Request) -> tuple[SuiteEntry, Any]:
+def configure(request: RunRequest) -> tuple[AnySuite, Any]:
     """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly."""
     mapping, source = read_mapping(request.experiment)
-    suite = entry(mapping.get("suite"), source)
-    options = given(request.options)
-    shipped = not request.experiment.endswith((".yaml", ".yml"))
-    if shipped and len(options.get("clock_speed", ())) == 1:
+    own_file = is_file(request.experiment)
+    suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
+    given = {key: value for key, value in request.options.items() if value is not None}
+    if not own_file and suite.quick is not None and len(_values(given.get("clock_speed", ()))) == 1:
         mapping |= suite.quick
-        options.setdefault("timing", "wall")
-    _fit_options(suite, options, mapping["suite"])
-    return suite, resolve(suite.config, mapping, source, options, request.overrides)
+        given.setdefault("timing", "wall")
+    options = {key: value for name in given for key, value in [place(suite, name, given[name])]}
+    complete = suite.complete(merged(mapping, options, request.overrides))
+    return suite, resolve(suite.config, complete, source)
 
 
-def _fit_options(suite: SuiteEntry, options: dict[str, Any], name: str) -> None:
-    """Turn an option given once into the one value that the suite takes. Raises UsageError where it takes none."""
-    for key, value in options.items():
-        option = f"--{key.replace('clock_speed', 'clock').removesuffix('_s').replace('_', '-')}"
-        if key not in suite.config.model_fields:
-            raise UsageError(f"{option}: {name} has no such option")
-        several = get_origin(suite.config.model_fields[key].annotation) is tuple
-        if isinstance(value, list) and not several:
-            if len(value) > 1:
-                raise UsageError(f"{option}: {name} takes one value, not {len(value)}")
-            options[key] = value[0]
+def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
+    """Where the configuration has an option, at its top or in its task, and the option's value as it is wanted there.
+
+    Raises UsageError where the suite has no such key, or takes one value and was given several.
+    """
+    option = f"--{name.replace('clock_speed', 'clock').removesuffix('_s').replace('_', '-')}"
+    fields = suite.config.model_fields
+    task = fields["task"].annotation if "task" in fields else None
+    holder: type[BaseModel] = suite.config
+    if name not in fields and isinstance(task, type) and issubclass(task, BaseModel):
+        holder = task
+    if name not in holder.model_fields:
+        raise UsageError(f"{option}: {suite.name} has no such option")
+    if get_origin(holder.model_fields[name].annotation) is not tuple:
+        values = _values(value)
+        if len(values) > 1:
+            raise UsageError(f"{option}: {suite.name} takes one value, not {len(values)}")
+        value = values[0]
+    return (name if holder is suite.config else f"task.{name}"), value
 
 
-def manifest_of(suite: SuiteEntry, config: Experiment) -> dict[str, Any]:
-    """What the run is made with. Checks the host first, and the renderer of a suite that needs one."""
-    renderer = None
-    if suite.renders:
+def _values(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
+def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Any]:
+    """What the run is made with. Looks at the machine first, and at the renderer of a suite that needs one."""
+    name = None
+    if suite.renders(config):
         from uavaccel.sim.gl import describe_renderer
 
         renderer = describe_renderer()
-        console.print(f"renderer: {renderer.name}{' (software)' if renderer.software else ''}")
-    name = renderer.name if renderer else None
+        name = renderer.name
+        console.print(f"renderer: {name}{' (software)' if renderer.software else ''}")
     manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
-    if config.timing == "wall":
+    manifest.update(suite.provenance(config))
+    if timing_of(config) == "wall":
         manifest["host_check"] = check_host()
         console.print(f"host check: {manifest['host_check']['verdict']}")
     return manifest
 
 
-def print_plan(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], jobs: int, out: Path) -> None:
-    """Games, simulated seconds, estimated wall time and disk of the run to come."""
-    simulated_s = sum(case.simulated_s() for case in cases)
+def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
+    """Games by their clock, simulated seconds, estimated wall time and disk of the run to come."""
     costs = [suite.cost(config, case) for case in cases]
     wall_s = sum(
         cost.wall_s / (1 if case.timing == "wall" else jobs) for case, cost in zip(cases, costs, strict=True)
     )
+    clocks = Counter(case.timing for case in cases)
+    by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
+    simulated_s = sum(case.simulated_s() for case in cases)
     disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
-    console.print(
-        f"{len(cases)} games, {simulated_s:,.0f} simulated s, timing {config.timing} "
-        f"({'measured' if config.timing == 'wall' else 'modelled'}; references {config.reference_timing}): "
-        f"about {wall_s / 60:.1f} min and {disk_mb:.0f} MB, into {out}"
+    return (
+        f"{len(cases)} games ({by_clock}: {_sources(clocks)}), {simulated_s:,.0f} simulated s: "
+        f"{duration(wall_s)} and {max(disk_mb, 1):.0f} MB, about, into {out}"
     )
 
 
-def fly(suite: SuiteEntry, config: Any, cases: Sequence[AnyCase], run: RunDirectory, jobs: int) -> None:
-    """Fly what has no row yet, then record what else the suite's report needs."""
-    done = run.done_cases()
-    with Progress(sum(case.simulated_s() for case in cases), len(cases), console) as progress:
-        for case in cases:
-            if case.id in done:
-                progress.skip(case.simulated_s())
-        run_cases(suite.suite, config, cases, run, jobs, progress.flown)
-    if suite.finish is not None:
-        suite.finish(config, run)
+def _sources(clocks: Mapping[str, int]) -> str:
+    return (
+        "measured" if set(clocks) == {"wall"} else "measured and modelled" if "wall" in clocks else "modelled"
+    )
 
 
-def print_table(suite: SuiteEntry, summary: Mapping[str, Any]) -> None:
-    """Every cell where there is room; else the suite's overview, if it has one."""
-    wide = console.width >= TABLE_WIDTH
-    header, rows = suite.table if wide or suite.overview is None else suite.overview
-    lines = Table(*header, box=None, pad_edge=False)
-    for row in rows(summary):
-        lines.add_row(*row)
-    console.print(lines)
+def duration(seconds: float) -> str:
+    """In words of the size that matters."""
+    if seconds < 60:
+        return "under a minute"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def report_run(run_dir: Path) -> None:
-    """Write a run's report; print its table and the paths of its figures."""
-    run = RunDirectory(run_dir)
-    suite = entry(run.config().get("suite"), str(run.path / "config.yaml"))
-    summary = suite.write_report(run_dir)
-    print_table(suite, summary)
-    slow = [cell for cell in summary["cells"] if cell["lost_wall_s"]]
-    if slow:
-        lost_s = sum(cell["lost_wall_s"] for cell in slow)
+def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int) -> None:
+    """Fly what has no row yet."""
+    suite.prepare(config, run)
+    with Progress(cases, run.rows(), suite.status, console) as progress:
+        run_cases(suite, config, cases, run, jobs, progress.flown)
+
+
+@contextmanager
+def resumable(out: Path) -> Iterator[None]:
+    """Turns Ctrl-C into a line that says how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted(
+            f"interrupted; go on with --out {out} --resume, the other options as they were"
+        ) from None
+
+
+def report_run(run: RunDirectory) -> Summary:
+    """Write a run's report; show its result and where its figures are."""
+    config_file = str(run.path / "config.yaml")
+    suite = find_suite(run.config().get("suite"), config_file, Path.cwd())
+    summary = suite.report(run)
+    if headline := suite.headline(summary):
+        console.print(headline)
+    if table := suite.overview(summary):
+        show_table(table)
+    lost = [cell["lost_wall_s"] for cell in summary.get("cells", ()) if cell.get("lost_wall_s")]
+    if lost:
         console.print(
-            f"warning: the machine did not keep up in {len(slow)} cells and lost {lost_s:.3f} s of wall time"
+            f"warning: the machine did not keep up in {len(lost)} cells and lost {sum(lost):.3f} s of wall time"
         )
-    for path in sorted((run_dir / "figures").glob("*.png")):
-        console.print(str(path))
-    console.print(f"report: {run_dir / 'report.html'}")
+    for path in sorted((run.path / "figures").glob("*.png")):
+        console.print(str(path), markup=False)
+    console.print(f"report: {run.path / 'report.html'}", markup=False)
+    return summary
+
+
+def show_table(table: SummaryTable) -> None:
+    """A table that is never wrapped: a terminal scrolls, a file has room."""
+    lines = Table(*table.header, box=None, pad_edge=False)
+    for row in table.rows:
+        lines.add_row(*row)
+    Console(highlight=False, width=None if console.is_terminal else TABLE_WIDTH).print(lines)

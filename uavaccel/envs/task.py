@@ -10,7 +10,7 @@ from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.sim.lane.file import LaneFile, lane_written_out
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, Split, lane_seed
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyConfig
@@ -87,6 +87,11 @@ class LaneTask(Config):
             return 0
         latency_s = min(self.t_th_wall_s * self.clock_speed, 0.1 * self.t_sample_s)
         return max(seconds_to_ns(latency_s), profile.tick_ns)
+
+    @property
+    def typical_s(self) -> float:
+        """Simulated seconds of a game that gets far, for estimates."""
+        return min(self.max_commands * self.t_move_s, 1.3 * LENGTH_M / self.speed_m_s)
 
     def wire_lane(self, index: int) -> dict[str, Any]:
         """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.rl.policy import Policy, load_policy
+from uavaccel.rl.policy import WEIGHTS, Policy, load_policy, observed_frames
 
 DEFAULT = "default"
 STRAIGHT = "straight"
@@ -54,18 +55,28 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-def agent_task(name: str, task: LaneTask) -> LaneTask:
-    """The task with the senses that the agent was trained with; a baseline needs no pictures."""
-    if name == STRAIGHT or name.startswith(OFFSET):
-        return task.model_copy(update={"observation": "state", "history": 1})
-    trained = load_policy(policy_folder(name)).config.task
-    senses = ("observation", "history", "blank_images", "dvs_preset", "dvs_seed")
-    flight = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
-    return task.model_copy(update={key: getattr(trained, key) for key in senses + flight})
+SENSES = ("observation", "history", "blank_images", "dvs_preset", "dvs_seed")
+FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
+
+
+def trained_keys(name: str) -> dict[str, Any]:
+    """Keys of the task that the agent was trained with; a baseline needs no pictures. Raises UserError."""
+    if is_baseline(name):
+        return {"observation": "state", "history": 1}
+    trained = load_policy(policy_folder(name)).config.task.model_dump(mode="json")
+    return {key: trained[key] for key in SENSES + FLIGHT}
+
+
+def is_baseline(name: str) -> bool:
+    """Whether the agent is one that was never trained."""
+    return name == STRAIGHT or name.startswith(OFFSET)
 
 
 def make_agent(name: str, task: LaneTask) -> Agent:
-    """The agent `straight`, `offset:METRES`, `default`, or a folder's policy. Raises UserError if there is none."""
+    """The agent `straight`, `offset:METRES`, `default`, or a folder's policy.
+
+    Raises UserError if there is none, or its network cannot take what the task lets it see and do.
+    """
     if name == STRAIGHT:
         return OffsetAgent(0.0, task)
     if name.startswith(OFFSET):
@@ -73,7 +84,35 @@ def make_agent(name: str, task: LaneTask) -> Agent:
             return OffsetAgent(float(name.removeprefix(OFFSET)), task)
         except ValueError:
             raise UserError(f"{name}: must be offset:METRES, as in offset:-1.5") from None
-    return PolicyAgent(load_policy(policy_folder(name)))
+    policy = load_policy(policy_folder(name))
+    _refuse_misfit(name, policy, task)
+    return PolicyAgent(policy)
+
+
+def _refuse_misfit(name: str, policy: Policy, task: LaneTask) -> None:
+    trained = policy.config.task
+    for key in ("observation", "history"):
+        if getattr(task, key) != getattr(trained, key):
+            raise UserError(
+                f"task.{key} = {getattr(task, key)!r}: {name} was trained with {getattr(trained, key)!r}"
+            )
+    frames, actions = observed_frames(task), len(task.headings_deg)
+    if frames != observed_frames(trained):
+        raise UserError(
+            f"task.t_sample_s = {task.t_sample_s:g}: {frames} frames per observation, but {name} was trained with "
+            f"{observed_frames(trained)}"
+        )
+    if actions != len(trained.headings_deg):
+        raise UserError(
+            f"task.headings_deg: {actions} actions, but {name} was trained with {len(trained.headings_deg)}"
+        )
+
+
+def policy_sha256(name: str) -> str | None:
+    """Hash of the file of weights that the agent flies with; None for a baseline."""
+    if is_baseline(name):
+        return None
+    return hashlib.sha256((policy_folder(name) / WEIGHTS).read_bytes()).hexdigest()
 
 
 def policy_folder(name: str) -> Path:

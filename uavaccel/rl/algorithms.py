@@ -16,7 +16,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
-from uavaccel.rl.config import TrainConfig
+from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.network import LaneFeatures
@@ -94,7 +94,7 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
     return found
 
 
-def make_model(config: TrainConfig, environment: Lanes) -> BaseAlgorithm:
+def make_model(config: LearnerConfig, environment: Lanes) -> BaseAlgorithm:
     """The untrained model. Raises UserError for options that its class does not know."""
     base = algorithm_class(config.algorithm)
     scheduled: Any = type(f"{base.__name__}ByGames", (ByGames, base), {})
@@ -117,12 +117,12 @@ def _falling(start: float, final_share: float, progress_remaining: float) -> flo
     return start * (final_share + (1.0 - final_share) * progress_remaining)
 
 
-def policy_name(config: TrainConfig) -> str:
+def policy_name(config: LearnerConfig) -> str:
     """Which of stable-baselines3's policies sees the observations."""
     return "MlpPolicy" if config.task.observation == "state" else "CnnPolicy"
 
 
-def policy_keywords(config: TrainConfig) -> dict[str, Any]:
+def policy_keywords(config: LearnerConfig) -> dict[str, Any]:
     """Network layout."""
     keywords: dict[str, Any] = {"net_arch": list(config.hidden)}
     if config.task.observation != "state":
@@ -142,7 +142,7 @@ def learning_rhythm(commands_per_gradient_step: int, environments: int) -> tuple
     return commands_per_gradient_step // divisor, environments // divisor
 
 
-def _keywords(config: TrainConfig, base: type[BaseAlgorithm]) -> dict[str, Any]:
+def _keywords(config: LearnerConfig, base: type[BaseAlgorithm]) -> dict[str, Any]:
     keywords: dict[str, Any] = {}
     if issubclass(base, OffPolicyAlgorithm):
         steps, gradient_steps = learning_rhythm(config.commands_per_gradient_step, config.environments)

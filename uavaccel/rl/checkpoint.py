@@ -62,6 +62,12 @@ def find_checkpoint(folder: Path) -> Path | None:
     return whole[-1] if whole else None
 
 
+def read_notes(checkpoint: Path) -> dict[str, Any]:
+    """The notes that were saved with it."""
+    notes: dict[str, Any] = json.loads((checkpoint / _COMPLETE).read_text())["notes"]
+    return notes
+
+
 def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, Any]]:
     """Put learner, buffer and games back; returns the notes, and the random states for `set_random`."""
     learner = th.load(checkpoint / "learner.pt", weights_only=True, map_location=model.device)

@@ -1,8 +1,8 @@
-"""Configuration of a training: the task, the algorithm and how long."""
+"""Configuration of a learner: the task, the algorithm and how long."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -10,10 +10,9 @@ from uavaccel.config import Config
 from uavaccel.envs.task import LaneTask, NotNegative
 
 
-class TrainConfig(Config):
-    """Keys of experiments/train.yaml. Network, algorithm and their settings are this project's own choice."""
+class LearnerConfig(Config):
+    """What a policy comes from. Network, algorithm and their settings are this project's own choice."""
 
-    suite: Literal["train"] = "train"
     seed: Annotated[int, Field(ge=0)] = 0
     games: Annotated[int, Field(ge=1)] = 5000
     environments: Annotated[int, Field(ge=1)] = 1
@@ -43,13 +42,13 @@ class TrainConfig(Config):
     """What a gradient step costs the simulated wall clock of `virtual`."""
 
     @model_validator(mode="after")
-    def _timing_allows(self) -> TrainConfig:
+    def _timing_allows(self) -> LearnerConfig:
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
         return self
 
     @model_validator(mode="after")
-    def _mirror_exists(self) -> TrainConfig:
+    def _mirror_exists(self) -> LearnerConfig:
         headings = self.task.headings_deg
         symmetric = {-heading for heading in headings} == set(headings)
         if self.mirror and (self.task.observation == "state" or not symmetric):

@@ -20,10 +20,11 @@ from stable_baselines3.common.policies import BasePolicy
 from uavaccel.commands.slices import samples_due
 from uavaccel.config import validate
 from uavaccel.envs.senses import make_sense, observation_space
+from uavaccel.envs.task import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.files import replacing, to_json
 from uavaccel.rl.algorithms import algorithm_class, policy_keywords, policy_name
-from uavaccel.rl.config import TrainConfig
+from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # a copy for learning alone
@@ -38,7 +39,7 @@ class Policy:
     """Greedy actions from observations, and the configuration that it was trained with."""
 
     network: BasePolicy
-    config: TrainConfig
+    config: LearnerConfig
     manifest: Mapping[str, Any]
 
     def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
@@ -56,7 +57,7 @@ def weights_sha256(model: BaseAlgorithm) -> str:
 
 
 def export_policy(
-    folder: Path, model: BaseAlgorithm, config: TrainConfig, trained: Mapping[str, Any]
+    folder: Path, model: BaseAlgorithm, config: LearnerConfig, trained: Mapping[str, Any]
 ) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
     weights = {
@@ -79,6 +80,15 @@ def export_policy(
         file.write((to_json(manifest, indent=2) + "\n").encode())
 
 
+def trained_with(folder: Path) -> Mapping[str, Any]:
+    """What its manifest says about a policy's training; nothing where there is no policy."""
+    try:
+        trained: Mapping[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
+    except (OSError, ValueError, KeyError):
+        return {}
+    return trained
+
+
 def load_policy(path: Path) -> Policy:
     """The policy in a run directory or any folder with its two files. Raises UserError if there is none."""
     try:
@@ -88,7 +98,8 @@ def load_policy(path: Path) -> Policy:
         raise UserError(f"{path}: holds no policy: {error}") from error
     except UnpicklingError as error:
         raise UserError(f"{path / WEIGHTS}: is no state dict of tensors alone") from error
-    config = validate(TrainConfig, manifest["config"], str(path / MANIFEST))
+    described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
+    config = validate(LearnerConfig, described, str(path / MANIFEST))
     network = _network(config)
     target = {
         _TARGET + name.removeprefix("q_net."): tensor
@@ -102,11 +113,15 @@ def load_policy(path: Path) -> Policy:
     return Policy(network, config, manifest)
 
 
-def _network(config: TrainConfig) -> BasePolicy:
+def observed_frames(task: LaneTask) -> int:
+    """Frames in one observation."""
+    return len(samples_due(task.t_move_s, task.t_sample_s)) * task.history
+
+
+def _network(config: LearnerConfig) -> BasePolicy:
     """The untrained policy, by stable-baselines3's class for this algorithm."""
     aliases: Mapping[str, Any] = algorithm_class(config.algorithm).policy_aliases
-    frames = len(samples_due(config.task.t_move_s, config.task.t_sample_s)) * config.task.history
-    space = observation_space(make_sense(config.task), frames)
+    space = observation_space(make_sense(config.task), observed_frames(config.task))
     actions = spaces.Discrete(len(config.task.headings_deg))
     network: BasePolicy = aliases[policy_name(config)](
         space, actions, lambda _: 0.0, **policy_keywords(config)

@@ -1,12 +1,12 @@
-"""What every experiment's configuration shares, and how it is put together from YAML, options and overrides."""
+"""What experiments' configurations share, and how one is put together from YAML, options and overrides."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
 from uavaccel.errors import UserError
@@ -23,15 +23,20 @@ SHIPPED_LATENCY = "latency.yaml"
 
 
 class Experiment(Config):
-    """Keys that every suite has."""
+    """Keys that every suite has. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class FlightExperiment(Experiment):
+    """Keys of suites that fly commands at several ClockSpeeds."""
 
     clock_speed: tuple[float, ...]
-    """ClockSpeeds to fly at: simulated seconds a wall second, above 0; 1.5 is 1.5."""
+    """ClockSpeeds to fly at: simulated seconds per wall second, above 0; 1.5 is 1.5."""
     command: tuple[CommandName, ...] = ("adsc", "tcsc")
     timing: Timing = "virtual"
     """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
     profile: ProfileName = "native"
-    seed: int = 0
     t_th_wall_s: float = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
     latency: LatencyConfig
@@ -46,13 +51,6 @@ class Experiment(Config):
     @classmethod
     def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
         return distinct(commands)
-
-    @field_validator("seed")
-    @classmethod
-    def _seed(cls, seed: int) -> int:
-        if seed < 0:
-            raise ValueError("must be 0 or more")
-        return seed
 
 
 def positive(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -77,7 +75,12 @@ def distinct(values: Values) -> Values:
     return values
 
 
-def t_th_ns(config: Experiment, clock_speed: float, t_sample_s: float) -> int:
+def timing_of(config: Experiment) -> str:
+    """The clock of a run's games; references may have another."""
+    return str(getattr(getattr(config, "task", config), "timing", "lockstep"))
+
+
+def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> int:
     """T_th in simulated nanoseconds: 0 where continue-for is exact; else the latency times ClockSpeed.
 
     At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
@@ -94,28 +97,51 @@ ExperimentType = TypeVar("ExperimentType", bound=Experiment)
 
 def read_mapping(name: str) -> tuple[dict[str, Any], str]:
     """The mapping of an experiment that ships ("dp1") or of a YAML file of one's own, and what to call it."""
-    if Path(name).suffix in (".yaml", ".yml"):
+    if is_file(name):
         return load_yaml(Path(name)), name
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
+
+
+def is_file(name: str) -> bool:
+    """Whether an experiment's name is that of a YAML file of one's own."""
+    return Path(name).suffix in (".yaml", ".yml")
+
+
+def merged(
+    mapping: Mapping[str, Any], options: Mapping[str, Any], overrides: Iterable[str] = ()
+) -> dict[str, Any]:
+    """A YAML's mapping with options by dotted key in it, then each "dotted.key=value" of --set. Raises UserError."""
+    result = dict(mapping)
+    for key, value in options.items():
+        _put(result, key.split("."), value)
+    return apply_overrides(result, overrides)
 
 
 def resolve(
     cls: type[ExperimentType],
     mapping: Mapping[str, Any],
     source: str,
-    options: Mapping[str, Any],
+    options: Mapping[str, Any] | None = None,
     overrides: Iterable[str] = (),
 ) -> ExperimentType:
-    """The configuration: YAML, then command-line options, then --set. Raises UserError.
+    """The configuration: YAML, then options by dotted key, then --set. Raises UserError.
 
     `latency` may name a YAML file, as `uavaccel calibrate` writes it; without one the shipped model is taken.
     """
-    given = {key: value for key, value in options.items() if value is not None}
-    merged = apply_overrides({**mapping, **given}, overrides)
-    latency = merged.get("latency", str(experiment(SHIPPED_LATENCY)))
-    if isinstance(latency, str):
-        merged["latency"] = read_latency(Path(latency))
-    return validate(cls, merged, source)
+    whole = merged(mapping, options or {}, overrides)
+    holder = whole.get("task") if "task" in cls.model_fields else whole
+    if "latency" in cls.model_fields:
+        whole.setdefault("latency", str(experiment(SHIPPED_LATENCY)))
+    if isinstance(holder, dict) and isinstance(holder.get("latency"), str):
+        holder["latency"] = read_latency(Path(holder["latency"]))
+    return validate(cls, whole, source)
+
+
+def _put(mapping: dict[str, Any], parts: list[str], value: Any) -> None:
+    for part in parts[:-1]:
+        mapping[part] = dict(mapping.get(part) or {})
+        mapping = mapping[part]
+    mapping[parts[-1]] = value
 
 
 def read_latency(path: Path) -> Any:

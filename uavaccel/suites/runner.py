@@ -5,63 +5,41 @@ from __future__ import annotations
 import os
 import signal
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
-import numpy as np
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.experiment import Experiment, timing_of
+from uavaccel.suites.registry import find_suite
+from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.session import Session, open_session
 
 
-class AnyCase(Protocol):
-    """What the runner needs of a case."""
-
-    @property
-    def id(self) -> str: ...
-
-    @property
-    def timing(self) -> str: ...
-
-    def simulated_s(self) -> float: ...
-
-
-Row = dict[str, Any]
-Arrays = dict[str, np.ndarray]
-RunCase = Callable[[Any, Any, Session], tuple[Row, Arrays]]
-
-
-class Suite(NamedTuple):
-    """A suite: where its games take place, and how one is flown."""
-
-    scene: str
-    run_case: RunCase
-
-
-class Flown(NamedTuple):
-    """A finished game, and what it took on this machine."""
-
-    row: Row
-    arrays: Arrays
-    host: dict[str, Any]
-
-
-OnFlown = Callable[[AnyCase, Row], None]
+def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
+    """Raises UsageError for a number of processes that cannot be."""
+    if jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if jobs > 1 and timing_of(config) == "wall":
+        raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
+    if jobs > 1 and suite.serial:
+        raise UsageError(f"--jobs must be 1 with {suite.name}: {suite.serial}")
 
 
 def run_cases(
-    suite: Suite,
+    suite: AnySuite,
     config: Experiment,
-    cases: Sequence[AnyCase],
+    cases: Sequence[Case],
     run: RunDirectory,
     jobs: int,
     on_flown: OnFlown,
 ) -> None:
-    """Fly the cases that have no row yet and append their rows in the order of `cases`.
+    """Fly the cases that have no row yet, append their rows in the order of `cases`, then let the suite finish.
 
     Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them.
     """
@@ -69,16 +47,18 @@ def run_cases(
     left = [case for case in cases if case.id not in done]
     for timing, group in _by_timing(left):
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
-        for case, game in zip(group, flown(suite, config, group, timing, jobs), strict=True):
-            game.row["arrays"] = run.save_arrays(case.id, game.arrays)
+        for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
+            if game.arrays:
+                game.row["arrays"] = run.save_arrays(case.id, game.arrays)
             run.append_row(game.row)
             run.append_timing({"case": case.id, **game.host})
             on_flown(case, game.row)
+    suite.finish(config, run)
 
 
-def _by_timing(cases: Iterable[AnyCase]) -> Iterator[tuple[str, list[AnyCase]]]:
+def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
     """Runs of neighbours that share a timing, so that order is kept."""
-    group: list[AnyCase] = []
+    group: list[Case] = []
     for case in cases:
         if group and group[-1].timing != case.timing:
             yield group[0].timing, group
@@ -89,44 +69,59 @@ def _by_timing(cases: Iterable[AnyCase]) -> Iterator[tuple[str, list[AnyCase]]]:
 
 
 def _fly_one_by_one(
-    suite: Suite, config: Experiment, cases: Sequence[AnyCase], timing: str, jobs: int
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
-    with open_session(timing, config.profile, suite.scene, config.latency) as session:
+    with suite.open(config, cases[0].timing, run) as opened:
         for case in cases:
-            yield fly_case(suite, config, case, session)
+            yield fly_case(suite, config, case, opened)
 
 
 def _fly_in_parallel(
-    suite: Suite, config: Experiment, cases: Sequence[AnyCase], timing: str, jobs: int
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
+    name = run.config()["suite"]
     with parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="4*n_jobs", batch_size=4)
-        games = parallel(delayed(_fly_in_worker)(suite, config, case, timing) for case in cases)
+        games = parallel(delayed(_fly_in_worker)(name, config, case, run.path) for case in cases)
         try:
-            for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
-                yield game
+            yield from _told_of_dead_workers(games)
         finally:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of games that an interruption cancels
                 games.close()
 
 
-_SESSIONS: dict[tuple[str, str, str], Session] = {}
+def _told_of_dead_workers(games: Iterator[Flown]) -> Iterator[Flown]:
+    try:
+        for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
+            yield game
+    except TerminatedWorkerError:
+        raise UserError(
+            "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
+        ) from None
 
 
-def _fly_in_worker(suite: Suite, config: Experiment, case: AnyCase, timing: str) -> Flown:
-    """Fly a case in this worker process, which keeps its session; Ctrl-C is the parent's to handle."""
-    key = (timing, config.profile, suite.scene)
-    if key not in _SESSIONS:
+_OPENED: dict[tuple[str, str, str], tuple[AnySuite, Any]] = {}
+
+
+def _fly_in_worker(name: str, config: Experiment, case: Case, folder: Path) -> Flown:
+    """Fly a case in this worker process, which keeps what it opened; Ctrl-C is the parent's to handle."""
+    key = (str(folder), name, case.timing)
+    if key not in _OPENED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        _SESSIONS[key] = open_session(*key, config.latency)
-    return fly_case(suite, config, case, _SESSIONS[key])
+        os.environ.setdefault(
+            "LP_NUM_THREADS", "0"
+        )  # drawing in software, it leaves the other cores to its siblings
+        suite = find_suite(name, str(folder))
+        _OPENED[key] = suite, suite.open(config, case.timing, RunDirectory(folder)).__enter__()
+    suite, opened = _OPENED[key]
+    return fly_case(suite, config, case, opened)
 
 
-def fly_case(suite: Suite, config: Experiment, case: AnyCase, session: Session) -> Flown:
+def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> Flown:
     """Fly one case and note the host's time and load, which are never the same twice."""
     clock = MonotonicClock()
     start_ns = clock.now_ns()
-    row, arrays = suite.run_case(config, case, session)
+    game = suite.fly(config, case, opened)
     host = {"host_wall_s": (clock.now_ns() - start_ns) / NS_PER_S, "load": os.getloadavg()[0]}
-    return Flown(row, arrays, host)
+    return Flown(game.row, game.arrays, {**host, **game.host})

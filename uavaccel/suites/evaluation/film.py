@@ -12,9 +12,10 @@ from uavaccel.draw.film import Film
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.lane_client import LaneSample
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.rl.agents import agent_task, make_agent
+from uavaccel.rl.agents import make_agent
 from uavaccel.suites.dp2.scores import count_events
-from uavaccel.suites.evaluation.flights import EvaluateConfig, fly_lane
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.flights import fly_lane
 from uavaccel.wire.image_api import lane_layout
 
 
@@ -41,7 +42,7 @@ def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def film_lane(config: EvaluateConfig, lane: int) -> Film:
     """The game of that lane once more: the same one in `virtual` and `lockstep`, a new one in `wall`."""
-    task = agent_task(config.agent, config.task)
+    task = config.task
     pictures = task if task.observation == "dvs" else task.model_copy(update={"observation": "dvs"})
     environment = FilmedLane(**pictures.model_dump(mode="json"))
     try:

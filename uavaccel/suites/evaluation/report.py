@@ -1,31 +1,56 @@
-"""Figure 8: how far the games of evaluations got, several side by side."""
+"""An evaluation's report: summary.json, Figure 8, report.md and report.html; several evaluations in one Figure 8."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from uavaccel.config import validate
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.survival import draw_survival
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.summary import headline, summarise
+from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.suite import Summary
+
+FIGURE = "figures/figure8_survival.png"
+COMPARISON = "figures/figure8_survival_compared.png"
 
 
-def report_evaluations(runs: Sequence[RunDirectory]) -> Path:
-    """Figure 8 with a line an evaluation, in the first one's folder."""
+def write_report(run: RunDirectory) -> Summary:
+    """Write them into an evaluation's folder; the summary. Raises UserError if it has no finished game."""
+    rows = finished_rows(run, "evaluate")
+    summary = summarise(validate(EvaluateConfig, run.config(), str(run.path / "config.yaml")), rows)
+    run.write_json("summary.json", summary)
+    path = draw_evaluations([run], run.file(FIGURE))
+    picture = Picture(
+        path, f"Figure 8. Share of the games that got at least so far north. Source: {_source([run])}."
+    )
+    blocks: list[Block] = [
+        Paragraph(headline(summary) + "."),
+        Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json"),
+        picture,
+    ]
+    write_pages(run, f"Evaluation of {summary['agent']}", blocks)
+    return summary
+
+
+def draw_evaluations(runs: Sequence[RunDirectory], path: Path) -> Path:
+    """Figure 8 with a line for each evaluation; returns `path`."""
     distances = {_name(run, runs): [row["distance_m"] for row in run.rows()] for run in runs}
+    return draw_survival(distances, path, _source(runs))
+
+
+def _source(runs: Sequence[RunDirectory]) -> str:
     timings = {timing_provenance(run.config()["task"]["timing"]) for run in runs}
-    games = {len(rows) for rows in distances.values()}
+    games = sorted({len(run.rows()) for run in runs})
     seeds = sorted({run.config()["seed"] for run in runs})
-    source = f"{' and '.join(sorted(timings))} · {_listed(sorted(games))} games each · seed {_listed(seeds)}"
-    return draw_survival(distances, runs[0].file("figures/figure8_survival.png"), source)
+    return f"{' and '.join(sorted(timings))} · {listed(games)} games each · seed {listed(seeds)}"
 
 
 def _name(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:
     agent = str(run.config()["agent"])
     alike = [other for other in runs if other.config()["agent"] == agent]
     return agent if len(alike) == 1 else f"{agent} ({run.path.name})"
-
-
-def _listed(numbers: Sequence[Any]) -> str:
-    return ", ".join(str(number) for number in numbers)

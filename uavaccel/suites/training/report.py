@@ -1,4 +1,4 @@
-"""Figure 9: where the time of trainings went, several side by side."""
+"""A training's report: summary.json, Figure 9, report.md and report.html; several trainings in one Figure 9."""
 
 from __future__ import annotations
 
@@ -6,21 +6,51 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
+from uavaccel.config import validate
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.phases import PhaseTimes, draw_phases
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
+from uavaccel.rl.policy import trained_with
+from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.suite import Summary
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.summary import headline, summarise
+
+FIGURE = "figures/figure9_phases.png"
+COMPARISON = "figures/figure9_phases_compared.png"
 
 
-def report_trainings(runs: Sequence[RunDirectory]) -> Path:
-    """Figure 9 with a bar a training, in the first one's folder."""
-    games = _listed(sorted({len(run.rows()) for run in runs}))
-    seeds = _listed(sorted({run.config()["seed"] for run in runs}))
-    clocks = {_clock(run) for run in runs}
-    source = f"{' and '.join(sorted(clocks))} · {games} games · seed {seeds}"
-    return draw_phases([phase_times(run) for run in runs], runs[0].file("figures/figure9_phases.png"), source)
+def write_report(run: RunDirectory) -> Summary:
+    """Write them into a training's folder; the summary. Raises UserError if it has no finished game."""
+    rows = finished_rows(run, "train")
+    config = validate(TrainConfig, run.config(), str(run.path / "config.yaml"))
+    trained = trained_with(run.path)
+    over = trained.get("games") == len(rows)
+    summary = summarise(config, rows, trained["weights_sha256"] if over else None)
+    run.write_json("summary.json", summary)
+    path = draw_trainings([run], run.file(FIGURE))
+    picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
+    blocks: list[Block] = [
+        Paragraph(headline(summary) + "."),
+        Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json"),
+        picture,
+    ]
+    write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
+    return summary
+
+
+def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
+    """Figure 9 with a bar for each training; returns `path`."""
+    return draw_phases([phase_times(run) for run in runs], path, _source(runs))
+
+
+def _source(runs: Sequence[RunDirectory]) -> str:
+    games = listed(sorted({len(run.rows()) for run in runs}))
+    seeds = listed(sorted({run.config()["seed"] for run in runs}))
+    return f"{' and '.join(sorted({_clock(run) for run in runs}))} · {games} games · seed {seeds}"
 
 
 def phase_times(run: RunDirectory) -> PhaseTimes:
@@ -54,7 +84,3 @@ def _clock(run: RunDirectory) -> str:
     if run.config()["task"]["timing"] == "virtual":
         return "modelled"
     return "measured, learning beside the flight"
-
-
-def _listed(numbers: Sequence[Any]) -> str:
-    return ", ".join(str(number) for number in numbers)

@@ -1,0 +1,68 @@
+"""DP1's configuration: which squares are flown, how fast, how often and against what."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import field_validator, model_validator
+
+from uavaccel.commands.paths import PATHS
+from uavaccel.commands.slices import samples_due
+from uavaccel.sim.profile import PROFILES
+from uavaccel.suites.experiment import FlightExperiment, Timing, positive
+from uavaccel.units import NS_PER_S
+
+Path = Literal["square", "two_forward_one_back"]
+
+
+class Dp1Config(FlightExperiment):
+    """`suite: dp1`."""
+
+    suite: Literal["dp1"]
+    path: Path | tuple[tuple[float, float, float], ...] = "square"
+    """A named path, or velocities of one's own: one command each, NED in m/s."""
+    speed_m_s: float = 1.0
+    """Of a named path."""
+    height_m: float | None = None
+    """NED z to hold, as moveByVelocityZ does; none: plain moveByVelocity, as in the paper."""
+    rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
+    t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
+    t_sample_s: float | None = None
+    """How often the client gathers the state itself; none: once a command, the server's recorder samples."""
+    games: int = 20
+    """A cell: command, ClockSpeed, T_move and rounds."""
+    reference_games: int = 20
+    """Real-time ADSC games of each T_move and rounds, unless the run flies that cell anyway."""
+    reference_timing: Timing = "virtual"
+
+    @field_validator("rounds", "t_move_s")
+    @classmethod
+    def _above_zero(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        return positive(values)
+
+    @field_validator("games", "reference_games", "speed_m_s", "t_sample_s")
+    @classmethod
+    def _one_above_zero(cls, value: float | None) -> float | None:
+        return None if value is None else positive((value,))[0]
+
+    @field_validator("path")
+    @classmethod
+    def _not_empty(cls, path: Any) -> Any:
+        if not path:
+            raise ValueError(f"needs at least one velocity, or one of {', '.join(PATHS)}")
+        return path
+
+    @model_validator(mode="after")
+    def _times_fit(self) -> Dp1Config:
+        for t_move_s in self.t_move_s:
+            PROFILES[self.profile].command_ticks(t_move_s, "t_move_s")
+            if self.t_sample_s is not None:
+                check_samples(self.profile, t_move_s, self.t_sample_s)
+        return self
+
+
+def check_samples(profile: str, t_move_s: float, t_sample_s: float) -> None:
+    """Raise UserError where a sample's slice is no whole number of ticks and the profile refuses that."""
+    if PROFILES[profile].exact_times:
+        for due_ns in samples_due(t_move_s, t_sample_s):
+            PROFILES[profile].command_ticks(due_ns / NS_PER_S, "t_sample_s")

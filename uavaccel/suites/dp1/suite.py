@@ -1,0 +1,55 @@
+"""DP1 as a suite: square paths flown on a session, compared with the real-time ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+from uavaccel.bench.traces import record_trace
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1 import report
+from uavaccel.suites.dp1.cases import Case, cases
+from uavaccel.suites.dp1.config import Dp1Config
+from uavaccel.suites.dp1.flights import SCENE, fly_game
+from uavaccel.suites.dp1.table import OVERVIEW_HEADER, overview
+from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable, flying_s
+from uavaccel.wire.session import Session, open_session
+
+CALL_S = 150e-6  # wall time of a call on a loopback socket, about
+CALLS = 6  # of a command
+RECORDER_BYTES_PER_S = 20 * 14 * 8  # of simulated time
+
+
+class Dp1(Suite[Dp1Config, Case]):
+    """`uavaccel run dp1`."""
+
+    name = "dp1"
+    config = Dp1Config
+    quick: ClassVar[Mapping[str, Any]] = {"games": 3, "reference_games": 3}
+
+    def cases(self, config: Dp1Config) -> Iterator[Case]:
+        return cases(config)
+
+    def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> Session:
+        return open_session(timing, config.profile, SCENE, config.latency)
+
+    def fly(self, config: Dp1Config, case: Case, opened: Session) -> Flown:
+        row, arrays = fly_game(config, case, opened)
+        return Flown(row, arrays)
+
+    def finish(self, config: Dp1Config, run: RunDirectory) -> None:
+        """One trace of each command, for Figure 4."""
+        with self.open(config, config.timing, run) as session:
+            for command in config.command:
+                trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))
+                run.write_json(f"traces/{command}.json", trace)
+
+    def cost(self, config: Dp1Config, case: Case) -> Cost:
+        calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
+        return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
+
+    def report(self, run: RunDirectory) -> dict[str, Any]:
+        return report.write_report(run.path)
+
+    def overview(self, summary: Summary) -> SummaryTable:
+        return SummaryTable(OVERVIEW_HEADER, overview(summary))

@@ -1,0 +1,104 @@
+"""DP2's configuration: which lane, which path, which camera, and what may go wrong with its images."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from uavaccel.config import Config
+from uavaccel.sim.lane.file import LaneFile, lane_written_out
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
+from uavaccel.sim.profile import PROFILES
+from uavaccel.suites.dp1.config import check_samples
+from uavaccel.suites.experiment import FlightExperiment, Timing, positive
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.vision.perturb import Kind
+from uavaccel.wire.image_api import lane_layout
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+Velocity = tuple[float, float]
+
+
+class DrawnLane(Config):
+    """A lane drawn from a seed."""
+
+    seed: Annotated[int, Field(ge=0)]
+    difficulty: Difficulty = Difficulty()
+
+
+class GuardConfig(Config):
+    """Limits of the image guard (uavaccel.vision.guard); `max_retries: 0` switches it off."""
+
+    max_change: NotNegative = 0.10
+    """Of the last image's mean brightness."""
+    min_brightness: NotNegative = 10.0
+    """Mean of 0 to 255 below which an image is too dark."""
+    max_retries: Annotated[int, Field(ge=0)] = 3
+    accept_identical: bool = True
+    """An image asked for again that comes out identical is accepted."""
+
+    def settings(self) -> GuardSettings:
+        return GuardSettings(**self.model_dump())
+
+
+class PerturbationConfig(Config):
+    """A MODEL of images gone wrong on their way (uavaccel.vision.perturb); share 0 is off."""
+
+    share: Share = 0.0
+    """Of the images that are received, those asked for again included."""
+    kinds: Annotated[tuple[Kind, ...], Field(min_length=1)] = tuple(Kind)
+
+
+class Dp2Config(FlightExperiment):
+    """`suite: dp2`."""
+
+    suite: Literal["dp2"]
+    lane: Annotated[int, Field(ge=0)] | DrawnLane | LaneFile = 3
+    """A seed; a seed with a difficulty; a lane of one's own, written out or the name of its YAML file."""
+    path: Literal["planned"] | tuple[Velocity, ...] = "planned"
+    """planned: a collision-free path to the lane's end; or velocities of one's own: north, east, m/s."""
+    height_m: Annotated[float, Field(lt=0.0)] = -10.0
+    """NED z of the start, and held: -10 is 10 m up."""
+    t_move_s: float = 1.0
+    t_sample_s: float = 0.33
+    reference_timing: Timing = "virtual"
+    """Of the run at 1x that each command is compared with, unless the run flies that one anyway."""
+    guard: GuardConfig = GuardConfig()
+    perturbation: PerturbationConfig = PerturbationConfig()
+    """Of the games alone; what they are compared with stays clean."""
+    dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
+    """v2e's parameters of the DVS by which the report looks at the images."""
+    sensor_seed: Annotated[int, Field(ge=0)] = 0
+    """Of the DVS's thresholds: one sensor for all ClockSpeeds."""
+
+    @field_validator("lane", mode="before")
+    @classmethod
+    def _written_out(cls, lane: Any) -> Any:
+        return lane_written_out(lane)
+
+    @field_validator("path")
+    @classmethod
+    def _not_empty(cls, path: Any) -> Any:
+        if not path:
+            raise ValueError("needs at least one velocity, or: planned")
+        return path
+
+    @field_validator("t_move_s", "t_sample_s")
+    @classmethod
+    def _above_zero(cls, value: float) -> float:
+        return positive((value,))[0]
+
+    @model_validator(mode="after")
+    def _times_fit(self) -> Dp2Config:
+        PROFILES[self.profile].command_ticks(self.t_move_s, "t_move_s")
+        check_samples(self.profile, self.t_move_s, self.t_sample_s)
+        return self
+
+    def wire_lane(self) -> Any:
+        """The lane as Client.set_lane takes it."""
+        return self.lane if isinstance(self.lane, int) else self.lane.model_dump(mode="json")
+
+    def layout(self) -> LaneLayout:
+        """Where the obstacles stand. Raises UserError where one stands on the start."""
+        return lane_layout(self.wire_lane())

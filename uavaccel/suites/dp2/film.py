@@ -1,0 +1,41 @@
+"""A game of DP2 as a film, from the images that the run kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from uavaccel.config import validate
+from uavaccel.draw.film import Film
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.errors import UserError
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.dp2.scores import count_events
+from uavaccel.suites.suite import Row, choose_row
+
+
+def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
+    """The case's film, by default of the fastest game, TCSC before ADSC. Raises UserError without images."""
+    row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
+    config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
+    arrays = run.load_arrays(row["arrays"])
+    if "image" not in arrays:
+        raise UserError(f"{run.path / row['arrays']}: holds no images")
+    on, off = count_events(arrays["image"], arrays["time_s"], config.dvs_preset, config.sensor_seed)
+    images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
+    film = Film(_title(row), arrays["time_s"], images, on, off, arrays["position_m"], config.layout())
+    return row["case"], film
+
+
+def _interest(row: Row) -> Any:
+    return row["role"] == "game", row["command"] == "tcsc", row["clock_speed"]
+
+
+def _title(row: Row) -> str:
+    if row["timing"] == "lockstep":
+        return f"{command_name(row['command'])} in lockstep, without latency"
+    clock = f"{command_name(row['command'])} at ClockSpeed {clock_label(row['clock_speed'])}"
+    achieved = f"achieved {row['real_time_factor']:.1f}x, {timing_provenance(row['timing'])}"
+    end = f", hit {row['collision']['object']}" if row["collision"] else ""
+    return f"{clock} ({achieved}{end})"

@@ -1,0 +1,36 @@
+"""Configuration of an evaluation: who flies, which lanes, under which clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from uavaccel.envs.task import LaneTask, NotNegative
+from uavaccel.rl.agents import DEFAULT, trained_keys
+from uavaccel.suites.experiment import Experiment
+
+
+class EvaluateConfig(Experiment):
+    """`suite: evaluate`."""
+
+    suite: Literal["evaluate"] = "evaluate"
+    agent: str = DEFAULT
+    """Folder of a policy (a training's run directory), default (the one that ships), or a baseline: straight,
+    offset:METRES."""
+    games: Annotated[int, Field(ge=1)] = 300
+    first_lane: Annotated[int, Field(ge=0)] = 0
+    inference_s: NotNegative = 0.0005
+    """What a decision costs the simulated wall clock of `virtual`."""
+    task: LaneTask = LaneTask(split="evaluation", timing="virtual")
+    """Keys left out are those that the agent was trained with; those that its network cannot take are refused."""
+
+
+def completed(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """The mapping with what its agent was trained with where it says nothing. Raises UserError if there is no agent."""
+    agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
+    if not isinstance(agent, str) or not isinstance(given, Mapping):
+        return dict(mapping)  # which validation refuses
+    flown = {"split": "evaluation", "timing": "virtual", **trained_keys(agent), **given}
+    return {**mapping, "agent": agent, "task": flown}

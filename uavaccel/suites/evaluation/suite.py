@@ -1,0 +1,75 @@
+"""Evaluation as a suite: lanes flown in an environment by an agent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch as th
+
+from uavaccel.config import validate
+from uavaccel.draw.film import Film
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import Agent, make_agent, policy_sha256
+from uavaccel.suites.evaluation import report
+from uavaccel.suites.evaluation.config import EvaluateConfig, completed
+from uavaccel.suites.evaluation.film import best_first, film_lane
+from uavaccel.suites.evaluation.flights import Case, cases, fly_game
+from uavaccel.suites.evaluation.summary import headline
+from uavaccel.suites.suite import Flown, Row, Suite, Summary, choose_row
+
+Opened = tuple[ObstacleLane, Agent]
+
+
+class Evaluation(Suite[EvaluateConfig, Case]):
+    """`uavaccel evaluate`."""
+
+    name = "evaluate"
+    config = EvaluateConfig
+
+    def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+        return completed(mapping)
+
+    def cases(self, config: EvaluateConfig) -> Iterator[Case]:
+        return cases(config)
+
+    @contextmanager
+    def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
+        """An environment, and the agent."""
+        th.set_num_threads(1)
+        environment = ObstacleLane(**config.task.model_dump(mode="json"))
+        try:
+            yield environment, make_agent(config.agent, config.task)
+        finally:
+            environment.close()
+
+    def fly(self, config: EvaluateConfig, case: Case, opened: Opened) -> Flown:
+        environment, agent = opened
+        return Flown(fly_game(config, environment, agent, case.lane))
+
+    def renders(self, config: EvaluateConfig) -> bool:
+        return config.task.observation != "state"
+
+    def provenance(self, config: EvaluateConfig) -> Mapping[str, Any]:
+        return {"policy_sha256": policy_sha256(config.agent)}
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
+
+    def headline(self, summary: Summary) -> str:
+        return headline(summary)
+
+    def report(self, run: RunDirectory) -> Summary:
+        return report.write_report(run)
+
+    def compare(self, runs: Sequence[RunDirectory]) -> Path:
+        return report.draw_evaluations(runs, runs[0].file(report.COMPARISON))
+
+    def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
+        """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""
+        row = choose_row(run, case, best_first(run.rows()))
+        config = validate(EvaluateConfig, run.config(), str(run.path / "config.yaml"))
+        return row["case"], film_lane(config, int(row["lane"]))

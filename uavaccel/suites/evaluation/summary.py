@@ -1,0 +1,65 @@
+"""An evaluation in numbers: success with its interval, and how far the agent got; paired with another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from uavaccel.errors import UserError
+from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.suite import Row, Summary
+
+
+def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
+    """Success ratio with its 95 % Wilson interval, and how far the agent got."""
+    successes = sum(row["is_success"] for row in rows)
+    low, high = wilson_interval(successes, len(rows))
+    task = config.task
+    sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
+    return {
+        "suite": "evaluate",
+        "agent": config.agent,
+        "profile": task.profile,
+        "command": task.command,
+        "clock_speed": task.clock_speed,
+        "timing": task.timing,
+        "seed": config.seed,
+        "games": len(rows),
+        "successes": successes,
+        "success_ratio": successes / len(rows),
+        "wilson_low": low,
+        "wilson_high": high,
+        "sim_time_s": sim_time_s,
+        "wall_s": wall_s,
+        "simulated_s_per_wall_s": sim_time_s / wall_s,
+        "distance_m_median": float(np.median([row["distance_m"] for row in rows])),
+    }
+
+
+def headline(summary: Summary) -> str:
+    """The result in a sentence, with its interval, its clock and its seed."""
+    return (
+        f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
+        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {timing_provenance(summary['timing'])}, "
+        f"{summary['command']} at {summary['clock_speed']:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
+        f"seconds per wall second, seed {summary['seed']}"
+    )
+
+
+def compare(rows: Sequence[Row], other: RunDirectory) -> str:
+    """McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
+    theirs = {row["lane"]: row["is_success"] for row in other.rows() if row.get("suite") == "evaluate"}
+    paired = [(row["is_success"], theirs[row["lane"]]) for row in rows if row["lane"] in theirs]
+    if not paired:
+        raise UserError(f"{other.path}: is no evaluation of the same lanes")
+    first, second = np.array(paired).T
+    test = mcnemar_exact(first, second)
+    return (
+        f"against {other.path} on the same {len(paired)} lanes: {int(first.sum())} v {int(second.sum())} successes, "
+        f"exact McNemar p = {test.p_value:.3g}"
+    )

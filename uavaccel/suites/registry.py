@@ -1,0 +1,57 @@
+"""The suites by the key `suite` of their YAML: those below, and anybody's own as "module:name"."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from uavaccel.errors import UserError
+from uavaccel.suites.suite import AnySuite, Suite
+
+# A line a suite; its module is imported when it is asked for.
+SUITES = {
+    "dp1": "uavaccel.suites.dp1.suite:Dp1",
+    "dp2": "uavaccel.suites.dp2.suite:Dp2",
+    "train": "uavaccel.suites.training.suite:Training",
+    "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
+}
+
+
+def find_suite(name: Any, source: str, folder: Path | None = None) -> AnySuite:
+    """The suite of that name. One of one's own, "module:name", is looked for in `folder` and the working directory.
+
+    Raises UserError, naming `source`, if there is none.
+    """
+    if isinstance(name, str) and ":" in name:
+        return _own_suite(name, source, folder)
+    if not isinstance(name, str) or name not in SUITES:
+        found = "key 'suite' is missing" if name is None else f"suite = {name!r} is unknown"
+        close = difflib.get_close_matches(str(name), SUITES, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SUITES)}, and module:name"
+        raise UserError(f"{source}: {found}; {hint}")
+    return _load(SUITES[name])
+
+
+def _own_suite(name: str, source: str, folder: Path | None) -> AnySuite:
+    for path in (Path.cwd(), folder):
+        if path is not None and str(path.resolve()) not in sys.path:
+            sys.path.insert(0, str(path.resolve()))
+    try:
+        return _load(name)
+    except ImportError as error:
+        raise UserError(f"{source}: suite = {name!r}: {error}") from error
+    except (AttributeError, TypeError) as error:
+        raise UserError(
+            f"{source}: suite = {name!r}: names no uavaccel.suites.suite.Suite: {error}"
+        ) from error
+
+
+def _load(place: str) -> AnySuite:
+    module, _, name = place.partition(":")
+    suite = getattr(import_module(module), name)()
+    if not isinstance(suite, Suite):
+        raise TypeError(f"{name} is a {type(suite).__name__}")
+    return suite

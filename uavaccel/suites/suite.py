@@ -1,0 +1,169 @@
+"""What an experiment is: one protocol, which the runner flies, the command line shows and `report` reports.
+
+A suite lives in one folder and is registered in one line of suites/registry.py; one of one's own lives anywhere, and
+its YAML names it: `suite: my_module:MySuite`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from uavaccel.draw.film import Film
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import Experiment
+
+Row = Mapping[str, Any]
+Summary = Mapping[str, Any]
+
+
+class Case(Protocol):
+    """One game of a run."""
+
+    @property
+    def id(self) -> str:
+        """Its name: that of its row and of its arrays' file, the same in any subset of a run."""
+        ...
+
+    @property
+    def timing(self) -> str:
+        """The clock that it is flown by: wall, virtual or lockstep."""
+        ...
+
+    def simulated_s(self) -> float:
+        """Simulated seconds that it takes, about."""
+        ...
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A finished game: its row, its raw samples, and what is never the same twice, for timing.jsonl."""
+
+    row: dict[str, Any]
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    host: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Cost(NamedTuple):
+    """About what a game takes on this machine."""
+
+    wall_s: float
+    disk_bytes: float
+
+
+class SummaryTable(NamedTuple):
+    """A header, and the rows of text below it."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+ConfigType = TypeVar("ConfigType", bound=Experiment)
+CaseType = TypeVar("CaseType", bound=Case)
+
+
+class Suite(ABC, Generic[ConfigType, CaseType]):
+    """An experiment. A game is flown by `fly`, in whatever `open` opened: a session, an environment, a training."""
+
+    name: ClassVar[str]
+    """The key `suite` of its YAML."""
+    config: type[ConfigType]
+    serial: ClassVar[str] = ""
+    """Why its games must be flown one after another in one process; empty where they need not."""
+    quick: ClassVar[Mapping[str, Any] | None] = None
+    """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
+
+    @abstractmethod
+    def cases(self, config: ConfigType) -> Iterator[CaseType]:
+        """Every game of a run, in canonical order."""
+
+    @abstractmethod
+    def open(self, config: ConfigType, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
+        """What games of that timing are flown in, one process at a time; closed when they are done."""
+
+    @abstractmethod
+    def fly(self, config: ConfigType, case: CaseType, opened: Any) -> Flown:
+        """Fly one game. Its row has the keys `suite` and `case`; the runner adds the arrays' path."""
+
+    @abstractmethod
+    def report(self, run: RunDirectory) -> Summary:
+        """Write summary.json, report.md, report.html and figures/ from rows and arrays alone: no game is flown.
+
+        Raises UserError if the run has no finished game or damaged files.
+        """
+
+    def prepare(self, config: ConfigType, run: RunDirectory) -> None:
+        """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
+
+    def finish(self, config: ConfigType, run: RunDirectory) -> None:
+        """Once all games are flown: record what else the report needs."""
+
+    def cost(self, config: ConfigType, case: CaseType) -> Cost:
+        """What a game takes, about; by default its simulated time over a usual speed, and a row."""
+        return Cost(flying_s(case), ROW_BYTES)
+
+    def renders(self, config: ConfigType) -> bool:
+        """Whether games need OpenGL."""
+        return False
+
+    def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A YAML with the keys that it leaves out and that are known from elsewhere. Raises UserError."""
+        return mapping
+
+    def provenance(self, config: ConfigType) -> Mapping[str, Any]:
+        """What the manifest has to say beside versions, host and renderer."""
+        return {}
+
+    def status(self, rows: Sequence[Row]) -> str:
+        """How it goes, in a few words for the progress display."""
+        return ""
+
+    def headline(self, summary: Summary) -> str:
+        """The result in a sentence."""
+        return ""
+
+    def overview(self, summary: Summary) -> SummaryTable | None:
+        """The result in a small table."""
+        return None
+
+    def compare(self, runs: Sequence[RunDirectory]) -> Path | None:
+        """Draw several runs side by side, into the first one's folder, beside its own figures; the picture's path."""
+        return None
+
+    def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
+        """A game's name and film; without `case` the most interesting. Raises UserError where nothing can be shown."""
+        raise UserError(f"{run.path}: a run of {self.name} keeps no images to show")
+
+
+AnySuite = Suite[Any, Any]
+OnFlown = Callable[[Case, Row], None]
+
+VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
+ROW_BYTES = 1_000
+
+
+def flying_s(case: Case, clock_speed: float = 1.0) -> float:
+    """Wall time of a game without calls and images, about."""
+    return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
+
+
+def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[Row]) -> Row:
+    """The row of a case, or without one the most interesting. Raises UserError if there is no such game."""
+    if not by_interest:
+        raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
+    if case is None:
+        return by_interest[0]
+    by_name = {row["case"]: row for row in by_interest}
+    if case not in by_name:
+        close = difflib.get_close_matches(case, by_name, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(by_name))}"
+        raise UserError(f"--case {case}: not in {run.path}; {hint}")
+    return by_name[case]

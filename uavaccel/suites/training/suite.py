@@ -1,0 +1,66 @@
+"""Training as a suite: its games are flown, one after another, by a learner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from uavaccel.records import RunDirectory
+from uavaccel.rl.policy import trained_with
+from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
+from uavaccel.suites.training import report
+from uavaccel.suites.training.callback import RECENT
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.flights import Case, Trainer, cases, drop_games_after_checkpoint, open_trainer
+from uavaccel.suites.training.summary import headline
+
+LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
+
+
+class Training(Suite[TrainConfig, Case]):
+    """`uavaccel train`."""
+
+    name = "train"
+    config = TrainConfig
+    serial = "its games learn from each other; --set environments=N flies N lanes side by side"
+
+    def cases(self, config: TrainConfig) -> Iterator[Case]:
+        return cases(config)
+
+    def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
+        """A finished training stays as it is; another one goes on from its last checkpoint."""
+        if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
+            drop_games_after_checkpoint(run)
+
+    def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
+        return open_trainer(config, run)
+
+    def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> Flown:
+        return opened.next_game()
+
+    def renders(self, config: TrainConfig) -> bool:
+        return config.task.observation != "state"
+
+    def provenance(self, config: TrainConfig) -> Mapping[str, Any]:
+        return {"torch_threads": config.torch_threads}
+
+    def cost(self, config: TrainConfig, case: Case) -> Cost:
+        commands = case.simulated_s() / config.task.t_move_s
+        return Cost(flying_s(case, config.task.clock_speed) + commands * LEARNING_S, ROW_BYTES)
+
+    def status(self, rows: Sequence[Row]) -> str:
+        recent = rows[-RECENT:]
+        return (
+            f"success of the last {len(recent)}: {sum(row['is_success'] for row in recent) / len(recent):.0%}"
+        )
+
+    def headline(self, summary: Summary) -> str:
+        return headline(summary)
+
+    def report(self, run: RunDirectory) -> Summary:
+        return report.write_report(run)
+
+    def compare(self, runs: Sequence[RunDirectory]) -> Path:
+        return report.draw_trainings(runs, runs[0].file(report.COMPARISON))

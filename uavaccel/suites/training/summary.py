@@ -1,0 +1,38 @@
+"""A training in numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.suites.suite import Row, Summary
+from uavaccel.suites.training.config import TrainConfig
+
+
+def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | None) -> dict[str, Any]:
+    """The sums over all games, and the hash of what came out."""
+    task = config.task
+    return {
+        "suite": "train",
+        "profile": task.profile,
+        "command": task.command,
+        "clock_speed": task.clock_speed,
+        "timing": task.timing,
+        "seed": config.seed,
+        "games": len(rows),
+        "successes": sum(row["is_success"] for row in rows),
+        "commands": sum(row["commands"] for row in rows),
+        "sim_time_s": sum(row["sim_time_s"] for row in rows),
+        "phase_s": {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES},
+        "weights_sha256": weights_sha256,
+    }
+
+
+def headline(summary: Summary) -> str:
+    """The result in a sentence."""
+    weights = summary["weights_sha256"]
+    return (
+        f"{summary['successes']} of {summary['games']} training games succeeded, "
+        f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
+    )
