@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tests.running import run_into
 from uavaccel.config import validate
-from uavaccel.records import RunDirectory
-from uavaccel.rl.config import TrainConfig
-from uavaccel.suites.training.flights import train
+from uavaccel.suites.suite import Summary
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.suite import Training
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 
@@ -19,6 +20,6 @@ def tiny_config(task: dict[str, Any] | None = None, **keys: Any) -> TrainConfig:
     return validate(TrainConfig, {**tiny, "task": {"max_commands": 12, **(task or {})}}, "test")
 
 
-def train_into(out: Path, config: TrainConfig, resume: bool = False) -> dict[str, Any]:
+def train_into(out: Path, config: TrainConfig, resume: bool = False) -> Summary:
     """Train; the summary."""
-    return train(config, RunDirectory.create(out, config, {}, resume))
+    return run_into(out, Training(), config, resume)

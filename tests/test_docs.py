@@ -10,11 +10,11 @@ import pytest
 import typer
 
 from tests.opengl import needs_opengl
-from uavaccel.cli import evaluate, train
 from uavaccel.cli.main import app
+from uavaccel.cli.run import RunRequest, configure
 from uavaccel.envs.task import LaneTask
-from uavaccel.rl.config import TrainConfig
 from uavaccel.sim.lane.layout import Difficulty
+from uavaccel.suites.training.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "learning.md"
@@ -50,16 +50,9 @@ def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     given = command.make_context(name, options).params
     if name == "view":  # sets no keys
         return
-    task = {key: given[key] for key in ("command", "timing", "profile")} | {"clock_speed": given["clock"]}
-    shared = (given["games"], given["seed"], task)
-    overrides, out, resume = given["overrides"] or [], given["out"], given["resume"]
-    if name == "train":
-        train.configure(train.Request(given["experiment"], *shared, overrides, out, resume))
-    else:
-        request = evaluate.Request(
-            given["agent"], *shared, given["jobs"], overrides, out, resume, given["against"], given["films"]
-        )
-        evaluate.configure(request)
+    options = {key: given[key] for key in ("command", "timing", "profile", "games", "seed")}
+    options |= {"clock_speed": given["clock"], "agent": given.get("agent")}
+    configure(RunRequest(given.get("experiment", name), options, given["overrides"] or []))
 
 
 def test_other_programs_come_with_the_package() -> None:

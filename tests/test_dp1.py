@@ -13,25 +13,28 @@ import pytest
 
 from uavaccel.cli import main as cli
 from uavaccel.cli.progress import Progress
-from uavaccel.cli.run import Request, run_experiment
+from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import flights as dp1
 from uavaccel.suites.dp1 import report as dp1_report
+from uavaccel.suites.dp1.cases import Case
+from uavaccel.suites.dp1.cases import cases as cases_of
+from uavaccel.suites.dp1.config import Dp1Config
+from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 
 SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}
 
 
-def paper_config(**options: Any) -> dp1.Dp1Config:
+def paper_config(**options: Any) -> Dp1Config:
     mapping, source = read_mapping("dp1")
-    return resolve(dp1.Dp1Config, mapping, source, options)
+    return resolve(Dp1Config, mapping, source, options)
 
 
-def request(out: Path, timing: str = "virtual", **changes: Any) -> Request:
+def request(out: Path, timing: str = "virtual", **changes: Any) -> RunRequest:
     options = {**SMALL, "timing": timing}
-    return replace(Request("dp1", options, ["reference_games=2"], 1, out, False, False), **changes)
+    return replace(RunRequest("dp1", options, ["reference_games=2"], out=out), **changes)
 
 
 def contents(run: Path) -> dict[str, bytes]:
@@ -41,13 +44,13 @@ def contents(run: Path) -> dict[str, bytes]:
     return {name: (run / name).read_bytes() for name in [*names, *arrays]}
 
 
-def fly_case(config: dp1.Dp1Config, case: dp1.Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    with open_session(case.timing, config.profile, dp1.SCENE, config.latency) as session:
-        return dp1.run_case(config, case, session)
+def fly_case(config: Dp1Config, case: Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    with open_session(case.timing, config.profile, SCENE, config.latency) as session:
+        return fly_game(config, case, session)
 
 
-def case_of(config: dp1.Dp1Config, case_id: str) -> dp1.Case:
-    return next(case for case in dp1.cases(config) if case.id == case_id)
+def case_of(config: Dp1Config, case_id: str) -> Case:
+    return next(case for case in cases_of(config) if case.id == case_id)
 
 
 def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
@@ -58,7 +61,7 @@ def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
 
 
 def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
-    cases = list(dp1.cases(paper_config()))
+    cases = list(cases_of(paper_config()))
     grid = [case for case in cases if case.role in ("game", "reference")]
     assert len(grid) == 4_800
     assert sum(case.simulated_s() for case in grid) == pytest.approx(79_200)
@@ -70,14 +73,14 @@ def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
 
 
 def test_a_single_clock_brings_references_of_its_own() -> None:
-    cases = list(dp1.cases(paper_config(clock_speed=[50.0], games=3, timing="wall")))
+    cases = list(cases_of(paper_config(clock_speed=[50.0], games=3, timing="wall")))
     assert {case.timing for case in cases if case.role == "game"} == {"wall"}
     assert {case.timing for case in cases if case.role == "reference"} == {"virtual"}
     assert {case.clock_speed for case in cases if case.role == "reference"} == {1.0}
 
 
 def test_seeds_belong_to_games_alone() -> None:
-    cases = list(dp1.cases(paper_config()))
+    cases = list(cases_of(paper_config()))
     keys = {case.seed(0).spawn_key for case in cases if case.role != "lockstep"}
     assert len(keys) == sum(case.role != "lockstep" for case in cases)
     of_two_runs = {tuple(cases[0].seed(run_seed).generate_state(4)) for run_seed in (0, 1)}
@@ -94,10 +97,10 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
         clock_speed=[case.clock_speed], t_move_s=[case.t_move_s], rounds=[case.rounds], command=[case.command]
     )
     expected_row, expected = fly_case(full, case)
-    with open_session("virtual", "native", dp1.SCENE, subset.latency) as session:
-        for earlier in list(dp1.cases(subset))[-3:]:
-            dp1.run_case(subset, earlier, session)  # whatever the session has flown before
-        row, arrays = dp1.run_case(subset, case_of(subset, case_id), session)
+    with open_session("virtual", "native", SCENE, subset.latency) as session:
+        for earlier in list(cases_of(subset))[-3:]:
+            fly_game(subset, earlier, session)  # whatever the session has flown before
+        row, arrays = fly_game(subset, case_of(subset, case_id), session)
     assert row == expected_row
     assert same_arrays(arrays, expected)
 
@@ -143,7 +146,7 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
     run_experiment(request(broken, jobs=2, resume=True))
     assert contents(broken) == contents(whole)
     assert [row["case"] for row in RunDirectory(whole).rows()] == [
-        case.id for case in dp1.cases(paper_config(**SMALL, reference_games=2, timing="virtual"))
+        case.id for case in cases_of(paper_config(**SMALL, reference_games=2, timing="virtual"))
     ]
 
 
@@ -173,8 +176,8 @@ def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch
 # --- what a game is -------------------------------------------------------------------------------------------
 
 
-def game(config: dp1.Dp1Config, command: str, **changes: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    cases = [case for case in dp1.cases(config) if case.role == "game" and case.command == command]
+def game(config: Dp1Config, command: str, **changes: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    cases = [case for case in cases_of(config) if case.role == "game" and case.command == command]
     return fly_case(config, replace(cases[0], **changes))
 
 
@@ -228,7 +231,7 @@ def test_sampling_through_the_client_costs_time_and_no_accuracy() -> None:
 
 def test_airsims_profile_flies_both_commands() -> None:
     config = paper_config(clock_speed=[1.0, 100.0], t_move_s=[0.1], rounds=[1], games=1, profile="airsim")
-    for case in dp1.cases(config):
+    for case in cases_of(config):
         if case.role != "figure2":
             row, arrays = fly_case(config, case)
             assert row["error"] is None
@@ -243,14 +246,14 @@ def test_a_flight_that_diverges_is_a_row_with_an_error(
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     config = paper_config(clock_speed=[100.0], t_move_s=[0.1], rounds=[1], games=1)
-    with VirtualSession(dp1.SCENE, "native", config.latency) as session:
+    with VirtualSession(SCENE, "native", config.latency) as session:
         for command in ("adsc", "tcsc"):
             session._world.state["wind"] = 1e200
             case = case_of(config, f"{command}-k100-t0.1-r1-g00")
-            row, _ = dp1.run_case(config, case, session)
+            row, _ = fly_game(config, case, session)
             assert "mjWARN_BAD" in row["error"]
             session._world.state["wind"] = 0.0
-            row, arrays = dp1.run_case(config, case, session)
+            row, arrays = fly_game(config, case, session)
             assert row["error"] is None
             assert np.isfinite(arrays["position_m"]).all()
 

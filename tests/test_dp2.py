@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.opengl import needs_opengl
-from uavaccel.cli.run import Request, report_run, run_experiment
+from uavaccel.cli.run import RunRequest, report_run, run_experiment
 from uavaccel.cli.view import view_game
 from uavaccel.draw.film import Film, dvs_picture, frames
 from uavaccel.draw.image_errors import ImageCloud, draw_images
@@ -21,8 +21,11 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M, draw_layout
-from uavaccel.suites.dp2 import flights as dp2
 from uavaccel.suites.dp2 import guard as dp2_guard
+from uavaccel.suites.dp2.cases import Case, velocities
+from uavaccel.suites.dp2.cases import cases as cases_of
+from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.dp2.flights import SCENE, fly_game
 from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import table
@@ -35,13 +38,13 @@ SAMPLES = 13  # the start, and three of each command
 FIGURE = "figures/figure7_images.png"
 
 
-def config_of(*overrides: str, **options: Any) -> dp2.Dp2Config:
+def config_of(*overrides: str, **options: Any) -> Dp2Config:
     mapping, source = read_mapping("dp2")
-    return resolve(dp2.Dp2Config, mapping, source, options, overrides)
+    return resolve(Dp2Config, mapping, source, options, overrides)
 
 
-def request(out: Path, **options: Any) -> Request:
-    return Request("dp2", {"clock_speed": [1.0, 100.0], **options}, [SHORT_PATH], 1, out, False, False)
+def request(out: Path, **options: Any) -> RunRequest:
+    return RunRequest("dp2", {"clock_speed": [1.0, 100.0], **options}, [SHORT_PATH], out=out)
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +75,18 @@ def contents(run_dir: Path) -> dict[str, bytes]:
 
 def test_the_papers_dp2_flies_each_clock_speed_once_to_the_lanes_end() -> None:
     config = config_of()
-    names = [case.id for case in dp2.cases(config)]
+    names = [case.id for case in cases_of(config)]
     games = [f"{command}-k{clock}" for command in ("tcsc", "adsc") for clock in (1, 5, 10, 50, 100)]
     flown = [f"reference-{name}" if name.endswith("k1") else name for name in games]
     assert names == ["lockstep-tcsc-k1", *flown]
-    reach_m = sum(north for north, _ in dp2.velocities(config)) * config.t_move_s
+    reach_m = sum(north for north, _ in velocities(config)) * config.t_move_s
     assert LENGTH_M < reach_m < LENGTH_M + 5
-    assert {case.simulated_s() for case in dp2.cases(config)} == {float(len(dp2.velocities(config)))}
+    assert {case.simulated_s() for case in cases_of(config)} == {float(len(velocities(config)))}
 
 
 def test_a_measured_run_is_compared_with_modelled_ones_at_1x() -> None:
     config = config_of(SHORT_PATH, clock_speed=[1.0, 50.0], timing="wall", command=["tcsc"])
-    assert [(case.id, case.timing) for case in dp2.cases(config)] == [
+    assert [(case.id, case.timing) for case in cases_of(config)] == [
         ("reference-tcsc-k1", "virtual"),
         ("lockstep-tcsc-k1", "lockstep"),
         ("tcsc-k1", "wall"),
@@ -93,7 +96,7 @@ def test_a_measured_run_is_compared_with_modelled_ones_at_1x() -> None:
 
 def test_perturbed_games_are_compared_with_a_clean_one() -> None:
     config = config_of(SHORT_PATH, "perturbation.share=0.1", clock_speed=[1.0], command=["tcsc"])
-    assert [case.id for case in dp2.cases(config)] == ["reference-tcsc-k1", "lockstep-tcsc-k1", "tcsc-k1"]
+    assert [case.id for case in cases_of(config)] == ["reference-tcsc-k1", "lockstep-tcsc-k1", "tcsc-k1"]
 
 
 # --- flights ------------------------------------------------------------------------------------------------
@@ -160,7 +163,7 @@ def test_the_same_bytes_every_time_and_for_any_jobs(run_dir: Path, tmp_path: Pat
 def test_the_guard_asks_again_for_perturbed_images() -> None:
     overrides = [SHORT_PATH, "perturbation.share=0.5", "perturbation.kinds=[empty, brightness]"]
     config = config_of(*overrides, clock_speed=[100.0], command=["tcsc"])
-    flown = {case.role: fly(config, case) for case in dp2.cases(config)}
+    flown = {case.role: fly(config, case) for case in cases_of(config)}
     row, arrays = flown["game"]
     assert row["guard_retries"] == arrays["retries"].sum() > 3
     clean = flown["lockstep"][1]
@@ -170,9 +173,9 @@ def test_the_guard_asks_again_for_perturbed_images() -> None:
     assert flown["reference"][0]["guard_retries"] == flown["lockstep"][0]["guard_retries"]
 
 
-def fly(config: dp2.Dp2Config, case: dp2.Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    with open_session(case.timing, config.profile, dp2.SCENE, config.latency) as session:
-        return dp2.run_case(config, case, session)
+def fly(config: Dp2Config, case: Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    with open_session(case.timing, config.profile, SCENE, config.latency) as session:
+        return fly_game(config, case, session)
 
 
 @needs_opengl
@@ -181,7 +184,7 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
     lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}]}"
     straight = f"path={[[1.0, 0.0]] * 12}"
     config = config_of(lane, straight, clock_speed=[100.0], command=[command])
-    case = next(case for case in dp2.cases(config) if case.role == "game")
+    case = next(case for case in cases_of(config) if case.role == "game")
     row, arrays = fly(config, case)
     assert row["collision"]["object"].startswith("obstacle")
     assert row["distance_m"] == pytest.approx(2.5 - 0.34, abs=0.02)

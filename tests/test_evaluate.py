@@ -13,8 +13,10 @@ import torch as th
 
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
-from uavaccel.cli.evaluate import Request, compare, configure, evaluate_agent
+from tests.running import configured, run_into
+from uavaccel.cli.evaluate import evaluate_agent
 from uavaccel.cli.report import report_runs
+from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
 from uavaccel.errors import UsageError, UserError
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
@@ -25,31 +27,30 @@ from uavaccel.rl.algorithms import make_model
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
 from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
-from uavaccel.suites.evaluation.flights import evaluate, summarise
+from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluation.summary import compare, summarise
+from uavaccel.suites.suite import Summary
 
 LANES = 4
-FIGURE = "figures/figure8_survival.png"
+FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"
 
 
-def request(agent: str, out: Path, *overrides: str, **options: Any) -> Request:
-    return Request(
-        agent,
-        games=options.get("games", LANES),
-        seed=options.get("seed"),
-        task=options.get("task", {}),
-        jobs=options.get("jobs", 1),
-        overrides=overrides,
-        out=out,
-        resume=options.get("resume", False),
-        against=options.get("against"),
-        films=options.get("films", False),
-    )
+def evaluated(agent: str, out: Path, *overrides: str, **options: Any) -> Summary:
+    """Evaluate on a few lanes; the summary."""
+    config = configured("evaluate", *overrides, **{"agent": agent, "games": LANES, **options})
+    return run_into(out, Evaluation(), config)
+
+
+def request(agent: str, out: Path, *overrides: str, **options: Any) -> RunRequest:
+    """What the command line asks for."""
+    shell = {key: options.pop(key) for key in ("jobs", "resume") if key in options}
+    return RunRequest("evaluate", {"agent": agent, "games": LANES, **options}, overrides, out=out, **shell)
 
 
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     out = tmp_path_factory.mktemp("evaluate") / "straight"
-    evaluate_agent(request("straight", out))
+    evaluate_agent(request("straight", out), None, False)
     return RunDirectory(out)
 
 
@@ -70,8 +71,7 @@ def test_straight_flight_gets_as_far_as_the_lane_is_free(straight: RunDirectory)
 
 
 def test_an_offset_is_reached_and_kept(tmp_path: Path) -> None:
-    config = configure(request("offset:-1.5", tmp_path))
-    evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    evaluated("offset:-1.5", tmp_path / "run")
     for row in RunDirectory(tmp_path / "run").rows():
         near = [free_m(row["lane"], -1.5 + off) for off in np.linspace(-0.35, 0.35, 15)]
         assert min(near) - 0.1 <= row["distance_m"] <= max(near) + 0.1
@@ -79,7 +79,7 @@ def test_an_offset_is_reached_and_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("y_m", "heading_deg"), [(0.0, 60.0), (1.9, 0.0), (2.0, 0.0), (4.0, -60.0)])
 def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float) -> None:
-    task = configure(request("straight", Path())).task
+    task = configured("evaluate", agent="straight").task
     action = OffsetAgent(2.0, task).act(np.zeros(0), {"position_m": [0.0, y_m, -2.0]})
     assert task.headings_deg[action] == heading_deg
 
@@ -93,7 +93,7 @@ def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> No
     assert (summary["wilson_low"], summary["wilson_high"]) == wilson_interval(0, LANES)
     assert summary["distance_m_median"] == pytest.approx(np.median([row["distance_m"] for row in rows]))
     won = [{**row, "is_success": row["lane"] < 3} for row in rows]
-    summary = summarise(configure(request("straight", Path())), won)
+    summary = summarise(configured("evaluate", agent="straight"), won)
     assert summary["success_ratio"] == 0.75
     # Wilson's score interval of 3 in 4.
     assert [summary["wilson_low"], summary["wilson_high"]] == pytest.approx([0.3006, 0.9544], abs=1e-4)
@@ -101,16 +101,16 @@ def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> No
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory, jobs: int) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", jobs=jobs))
+    evaluate_agent(request("straight", tmp_path / "run", jobs=jobs), None, False)
     for name in ("rows.jsonl", "summary.json", "config.yaml", FIGURE):
         assert (tmp_path / "run" / name).read_bytes() == (straight.path / name).read_bytes()
 
 
 def test_a_resumed_evaluation_flies_what_is_missing(tmp_path: Path, straight: RunDirectory) -> None:
-    evaluate_agent(request("straight", tmp_path / "run"))
+    evaluate_agent(request("straight", tmp_path / "run"), None, False)
     rows = (tmp_path / "run/rows.jsonl").read_bytes().splitlines(keepends=True)
     (tmp_path / "run/rows.jsonl").write_bytes(b"".join(rows[:2]))
-    evaluate_agent(request("straight", tmp_path / "run", resume=True))
+    evaluate_agent(request("straight", tmp_path / "run", resume=True), None, False)
     assert (tmp_path / "run/rows.jsonl").read_bytes() == (straight.path / "rows.jsonl").read_bytes()
 
 
@@ -127,7 +127,7 @@ def test_the_paired_comparison_is_mcnemars(tmp_path: Path, straight: RunDirector
 def test_against_another_run_on_the_command_line(
     tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    evaluate_agent(request("offset:1", tmp_path / "run", against=straight.path, games=2))
+    evaluate_agent(request("offset:1", tmp_path / "run", games=2), straight.path, False)
     said = capsys.readouterr().out
     assert "on the same 2 lanes: 0 v 0 successes, exact McNemar p = 1" in said
     assert re.search(r"0 of 2 lanes \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
@@ -136,7 +136,7 @@ def test_against_another_run_on_the_command_line(
 
 @needs_opengl
 def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", "first_lane=2", games=2, films=True))
+    evaluate_agent(request("straight", tmp_path / "run", "first_lane=2", games=2), None, True)
     made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
 
@@ -145,18 +145,18 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
 def test_the_speed_is_that_of_the_games_own_clock(
     tmp_path: Path, clock_speed: float, least: float, most: float
 ) -> None:
-    config = configure(request("straight", tmp_path, task={"clock_speed": clock_speed}, games=1))
-    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    summary = evaluated("straight", tmp_path / "run", clock_speed=clock_speed, games=1)
     speed = summary["sim_time_s"] / summary["wall_s"]
     assert summary["simulated_s_per_wall_s"] == speed
     assert least < speed < most
 
 
 def test_evaluations_are_reported_side_by_side(tmp_path: Path, straight: RunDirectory) -> None:
-    evaluate_agent(request("offset:1", tmp_path / "run", games=2))
+    evaluated("offset:1", tmp_path / "run", games=2)
     alone = (tmp_path / "run" / FIGURE).read_bytes()
     report_runs([tmp_path / "run", straight.path])
-    assert (tmp_path / "run" / FIGURE).read_bytes() != alone
+    assert (tmp_path / "run" / FIGURE).read_bytes() == alone
+    assert (tmp_path / "run" / COMPARISON).read_bytes() != alone
 
 
 @needs_opengl
@@ -217,8 +217,7 @@ def test_reading_a_policy_runs_no_code(tmp_path: Path, monkeypatch: pytest.Monke
 def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
     manifest = json.loads((asset("policies/default") / MANIFEST).read_text())
     assert manifest["preprocessing"]
-    config = configure(request("default", tmp_path, games=1))
-    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    summary = evaluated("default", tmp_path / "run", games=1)
     assert summary["games"] == 1
     assert summary["distance_m_median"] > 50.0
 
@@ -248,8 +247,7 @@ def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
 @needs_opengl
 def test_a_trainings_run_directory_is_an_agent(tmp_path: Path) -> None:
     train_into(tmp_path / "training", tiny_config(games=1))
-    config = configure(request(str(tmp_path / "training"), tmp_path, "task.max_commands=3", games=1))
-    summary = evaluate(config, RunDirectory.create(tmp_path / "run", config, {}))
+    summary = evaluated(str(tmp_path / "training"), tmp_path / "run", "task.max_commands=3", games=1)
     assert summary["games"] == 1
 
 
@@ -262,10 +260,52 @@ def test_a_trainings_run_directory_is_an_agent(tmp_path: Path) -> None:
 )
 def test_an_agent_that_is_none_is_one_clear_line(tmp_path: Path, agent: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
-        evaluate_agent(request(agent, tmp_path / "run", games=1))
+        evaluate_agent(request(agent, tmp_path / "run", games=1), None, False)
     assert "\n" not in str(caught.value)
 
 
 def test_jobs_with_wall_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--jobs must be 1 with timing wall"):
-        evaluate_agent(request("straight", tmp_path / "run", task={"timing": "wall"}, jobs=2))
+        evaluate_agent(request("straight", tmp_path / "run", timing="wall", jobs=2), None, False)
+
+
+# --- keys of the task -------------------------------------------------------------------------------------------
+
+
+def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() -> None:
+    trained = load_policy(asset("policies/default")).config.task
+    task = configured("evaluate", "task.dvs_preset=noisy", "task.speed_m_s=1.5").task
+    assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
+    kept = ("observation", "history", "dvs_seed", "t_move_s", "t_sample_s", "headings_deg", "altitude_m")
+    assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
+
+
+@needs_opengl
+def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
+    """What is recorded as flown was flown: another sensor leads to other actions."""
+    runs = []
+    for preset in ("clean", "noisy"):
+        evaluated("default", tmp_path / preset, f"task.dvs_preset={preset}", "task.max_commands=12", games=1)
+        runs.append(RunDirectory(tmp_path / preset))
+    assert runs[1].config()["task"]["dvs_preset"] == "noisy"
+    assert runs[0].rows()[0]["actions"] != runs[1].rows()[0]["actions"]
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("task.history=2", "task.history = 2: default was trained with 1"),
+        ("task.observation=depth", "task.observation = 'depth': default was trained with 'dvs'"),
+        (
+            "task.t_sample_s=0.5",
+            "task.t_sample_s = 0.5: 2 frames per observation, but default was trained with 3",
+        ),
+        ("task.headings_deg=[-30, 0, 30]", "task.headings_deg: 3 actions, but default was trained with 5"),
+    ],
+)
+def test_what_a_network_cannot_take_is_refused_before_anything_is_written(
+    tmp_path: Path, override: str, said: str
+) -> None:
+    with pytest.raises(UserError, match=f"^{re.escape(said)}$"):
+        evaluate_agent(request("default", tmp_path / "run", override, games=1), None, False)
+    assert not (tmp_path / "run").exists()

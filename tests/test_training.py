@@ -15,10 +15,10 @@ import pytest
 import torch as th
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
-from uavaccel.cli.train import Request, configure
 
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
+from tests.running import configured
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.task import LaneTask
@@ -38,18 +38,19 @@ PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_siz
 # Trains as the command line does, but dies without a word as soon as it has flown some games.
 KILLED = """
 import os, signal, sys
+from pathlib import Path
 from uavaccel.config import validate
-from uavaccel.records import RunDirectory
-from uavaccel.rl.config import TrainConfig
-from uavaccel.suites.training.flights import train
+from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.suite import Training
 from uavaccel.yaml_io import load_yaml
 
-def report(status):
-    if status["games"] == int(sys.argv[3]):
+def die(case, row):
+    if row["game"] + 1 == int(sys.argv[3]):
         os.kill(os.getpid(), signal.SIGKILL)
 
 config = validate(TrainConfig, load_yaml(sys.argv[1]), sys.argv[1])
-train(config, RunDirectory.create(sys.argv[2], config, {}), report)
+run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {}), on_flown=die)
 """
 
 
@@ -361,6 +362,6 @@ def test_an_algorithm_that_cannot_be_is_one_clear_line(
 )
 def test_a_configuration_that_cannot_be_is_one_clear_line(overrides: list[str], said: str) -> None:
     with pytest.raises(UserError) as caught:
-        configure(Request("train", None, None, {}, overrides, None, False))
+        configured("train", *overrides)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -22,7 +22,7 @@ from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, resolve, timing_of
 from uavaccel.suites.registry import find_suite
-from uavaccel.suites.runner import check_jobs, run_cases
+from uavaccel.suites.runner import begin_run, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
@@ -55,7 +55,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     console.print(plan(suite, config, cases, request.jobs, out))
     if request.dry_run:
         return None
-    run = RunDirectory.create(out, config, manifest_of(suite, config), request.resume)
+    run = begin_run(suite, config, out, manifest_of(suite, config), request.resume)
     with resumable(out):
         fly(suite, config, cases, run, request.jobs)
     report_run(run)
@@ -73,7 +73,9 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
         given.setdefault("timing", "wall")
     options = {key: value for name in given for key, value in [place(suite, name, given[name])]}
     complete = suite.complete(merged(mapping, options, request.overrides))
-    return suite, resolve(suite.config, complete, source)
+    config = resolve(suite.config, complete, source)
+    suite.check(config)
+    return suite, config
 
 
 def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
@@ -149,9 +151,8 @@ def duration(seconds: float) -> str:
 
 def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int) -> None:
     """Fly what has no row yet."""
-    suite.prepare(config, run)
     with Progress(cases, run.rows(), suite.status, console) as progress:
-        run_cases(suite, config, cases, run, jobs, progress.flown)
+        run_suite(suite, config, run, jobs, progress.flown)
 
 
 @contextmanager

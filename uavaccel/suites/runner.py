@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +31,30 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
         raise UsageError(f"--jobs must be 1 with {suite.name}: {suite.serial}")
 
 
-def run_cases(
+def begin_run(
+    suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, Any], resume: bool = False
+) -> RunDirectory:
+    """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
+    run = RunDirectory.create(out, config, manifest, resume)
+    suite.prepare(config, run)
+    return run
+
+
+def run_suite(
     suite: AnySuite,
     config: Experiment,
-    cases: Sequence[Case],
     run: RunDirectory,
-    jobs: int,
-    on_flown: OnFlown,
+    jobs: int = 1,
+    on_flown: OnFlown = lambda case, row: None,
 ) -> None:
-    """Fly the cases that have no row yet, append their rows in the order of `cases`, then let the suite finish.
+    """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
 
     Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them.
+    `on_flown` is told of each game. Raises UserError, and UsageError as `check_jobs`.
     """
+    check_jobs(suite, config, jobs)
     done = run.done_cases()
-    left = [case for case in cases if case.id not in done]
+    left = [case for case in suite.cases(config) if case.id not in done]
     for timing, group in _by_timing(left):
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
         for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):

@@ -118,6 +118,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """A YAML with the keys that it leaves out and that are known from elsewhere. Raises UserError."""
         return mapping
 
+    def check(self, config: ConfigType) -> None:
+        """Before anything is written: raises UserError for what only looking at other files or classes can tell."""
+
     def provenance(self, config: ConfigType) -> Mapping[str, Any]:
         """What the manifest has to say beside versions, host and renderer."""
         return {}

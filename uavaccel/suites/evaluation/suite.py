@@ -33,6 +33,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
         return completed(mapping)
 
+    def check(self, config: EvaluateConfig) -> None:
+        make_agent(config.agent, config.task)
+
     def cases(self, config: EvaluateConfig) -> Iterator[Case]:
         return cases(config)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.records import RunDirectory
+from uavaccel.rl.algorithms import algorithm_class
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
 from uavaccel.suites.training import report
@@ -25,6 +26,9 @@ class Training(Suite[TrainConfig, Case]):
     name = "train"
     config = TrainConfig
     serial = "its games learn from each other; --set environments=N flies N lanes side by side"
+
+    def check(self, config: TrainConfig) -> None:
+        algorithm_class(config.algorithm)
 
     def cases(self, config: TrainConfig) -> Iterator[Case]:
         return cases(config)

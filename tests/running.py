@@ -1,0 +1,23 @@
+"""Runs of suites, for tests that do not need the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from uavaccel.cli.run import RunRequest, configure
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.suite import AnySuite, Summary
+
+
+def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> Summary:
+    """Fly and report; the summary."""
+    run = begin_run(suite, config, out, {}, resume)
+    run_suite(suite, config, run, jobs)
+    return suite.report(run)
+
+
+def configured(experiment: str, *overrides: str, **options: Any) -> Any:
+    """The configuration of an experiment as the command line puts it together."""
+    return configure(RunRequest(experiment, options, overrides))[1]
