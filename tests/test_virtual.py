@@ -46,7 +46,7 @@ def start(
     """A game on a simulated wall clock, as a session starts one."""
     draws = Latency(latency, np.random.SeedSequence(seed))
     simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
-    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws), clock_speed, alone=True)
+    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True), clock_speed)
     client.start_game(clock_speed)
     return client
 

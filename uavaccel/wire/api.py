@@ -13,7 +13,7 @@ from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import START_M
 from uavaccel.wire import rpc, types
 from uavaccel.wire.image_api import ImageApi
@@ -57,7 +57,7 @@ class Api:
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
-        """The result of a call handled at `wall_ns`, or a `Pending` one. Raises rpc.RpcError.
+        """The result of a call handled at `wall_ns`, or a `DeferredReply` one. Raises rpc.RpcError.
 
         The simulation has to be advanced to `wall_ns` before.
         """
@@ -166,7 +166,7 @@ class Api:
         else:
             self.simulation.run(self._wall_ns)
 
-    def _continue_for_time(self, seconds: Any) -> Pending:
+    def _continue_for_time(self, seconds: Any) -> DeferredReply:
         reply = self.simulation.continue_for_wall(self._duration(seconds, "seconds"), self._wall_ns)
         reply.encode = lambda _: None
         return reply
@@ -195,7 +195,7 @@ class Api:
 
     def _move_by_velocity(
         self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Pending | bool:
+    ) -> DeferredReply | bool:
         self._check_vehicle(vehicle)
         velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
         seconds = types.number(duration, "duration")
@@ -207,7 +207,7 @@ class Api:
 
     def _move_by_velocity_z(
         self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Pending | bool:
+    ) -> DeferredReply | bool:
         self._check_vehicle(vehicle)
         velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
         seconds = types.number(duration, "duration")
@@ -217,7 +217,7 @@ class Api:
             return False
         return self._fly(goal, seconds)
 
-    def _fly(self, goal: VelocityGoal, seconds: float) -> Pending:
+    def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
         self.recorder.keep()  # the first command starts the simulation's recorder anew
         return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
 
@@ -233,7 +233,7 @@ class Api:
 
     # --- our own ----------------------------------------------------------------------------------
 
-    def _continue_for(self, duration_ns: Any) -> Pending:
+    def _continue_for(self, duration_ns: Any) -> DeferredReply:
         """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
         if isinstance(duration_ns, bool) or not isinstance(duration_ns, int) or duration_ns < 0:
             raise ValueError(

@@ -72,7 +72,7 @@ class WallSession:
             raise RuntimeError(
                 f"the server process ended with status {self._process.wait()} before it listened"
             )
-        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]), alone=True)
+        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"], exclusive=True))
         if core is not None:
             os.sched_setaffinity(0, self._cores - {core})
 
@@ -134,8 +134,8 @@ class VirtualSession:
     ) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed or np.random.SeedSequence(0))
         simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
-        transport: Any = VirtualTransport(Api(simulation), clock, latency)
-        return _start(Client(transport, clock_speed, alone=True), clock_speed, lane, height_m)
+        transport: Any = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
+        return _start(Client(transport, clock_speed), clock_speed, lane, height_m)
 
     def close(self) -> None:
         self._world.close()
