@@ -138,6 +138,7 @@ class Simulation:
                 break
             self._end_at_tick(self.pacer.wall_due(end_tick))
         if (timer := self.wall_timer_ns()) is not None and wall_ns >= timer:
+            self.note("timer", timer)  # when it was due; the pause that follows is when it ended
             self.pause(wall_ns)
         self._account(wall_ns)
 
@@ -201,8 +202,7 @@ class Simulation:
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
-        self.pacer.set_clock_speed(clock_speed)
-        self.pacer.anchor(wall_ns, self.world.tick)
+        self.pacer.set_clock_speed(clock_speed, wall_ns)
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""

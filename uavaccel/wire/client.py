@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.api import decode_state
+from uavaccel.wire.game_api import decode_state
 from uavaccel.wire.image_api import decode_image
 from uavaccel.wire.transport import Call, Transport
 

@@ -156,7 +156,7 @@ LatencyModel = Annotated[
 
 
 class Latency:
-    """Draws latencies in nanoseconds; one generator a channel, so the order on one never disturbs another."""
+    """Draws latencies in nanoseconds; one generator per channel, so the order on one never disturbs another."""
 
     def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
         self._config = config

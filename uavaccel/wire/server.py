@@ -40,7 +40,7 @@ class Connection:
 
 
 class Answer(NamedTuple):
-    """What a client is to be told; a `DeferredReply` result is due by now."""
+    """What a client is to be told; a `DeferredReply` is due by now."""
 
     connection: Connection
     message_id: int
@@ -178,7 +178,7 @@ class Server:
         except (rpc.ProtocolError, OSError):
             self._drop(connection)
 
-    def _handle(self, connection: Connection, request: rpc.Request) -> None:
+    def _handle(self, connection: Connection, request: rpc.RpcRequest) -> None:
         wall_ns = self.clock.now_ns()
         self.api.simulation.advance_to(wall_ns)
         try:
@@ -194,7 +194,7 @@ class Server:
             self._answers.append(answer)
 
     def _flush(self) -> None:
-        """Send what this turn has answered, in one packet a client.
+        """Send what this turn has answered, in one packet per client.
 
         The last answer first: where a command and its continue-for end together, the client waits for the latter.
         """

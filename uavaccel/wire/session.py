@@ -60,7 +60,7 @@ class WallSession:
         core = max(self._cores) if len(self._cores) > 1 else None
         options = json.dumps({"scene": scene, "profile": profile, "core": core})
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.wire.host", options],
+            [sys.executable, "-m", "uavaccel.wire.server_process", options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on that core too
