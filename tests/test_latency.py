@@ -232,7 +232,7 @@ def test_what_is_wrong_is_one_line_in_a_block_and_in_a_file(
 
 
 def test_what_is_no_model_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="^task: latency = 5: should be a mapping$"):
+    with pytest.raises(UserError, match=r"^task: latency = 5: should be a mapping$"):
         validate(Task, {"latency": 5}, "task")
     with pytest.raises(UserError, match=r"^task: latency: none\.yaml: No such file or directory$"):
         validate(Task, {"latency": "none.yaml"}, "task")
