@@ -37,7 +37,7 @@ class CameraClient(Client):
         guard: GuardSettings | None = None,
         perturbation: PerturbationSettings | None = None,
     ) -> None:
-        super().__init__(inner.transport, inner.clock_speed, alone=True)
+        super().__init__(inner.transport, inner.clock_speed)
         self._kind = kind
         self._guard, self._guard_state = guard or GuardSettings(), GuardState()
         self._perturbation = perturbation

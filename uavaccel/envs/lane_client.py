@@ -43,9 +43,9 @@ class LaneClient(CameraClient):
 
     def _latched_collision(self) -> dict[str, Any]:
         """As `collision`, but the state stays known: asking moves nothing."""
-        ticket = self.transport.send("uavaccelCollision", (), joined=True)
-        self.transport.wait(ticket)
-        latched: dict[str, Any] = ticket.result()
+        call = self.transport.send("uavaccelCollision", (), blocking=True)
+        self.transport.wait(call)
+        latched: dict[str, Any] = call.result()
         return latched
 
     def _switch(self, phase: str) -> None:

@@ -1,0 +1,216 @@
+"""The server's loop turn by turn on a clock that the test moves: when it wakes, what it has flown, what it answers."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import pytest
+
+from tests.simulating import simulate
+from uavaccel.clock import MonotonicClock, VirtualClock
+from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.server import Connection, Server
+from uavaccel.wire.server_process import ready_simulation
+
+MS = 1_000_000
+MOVE = ("moveByVelocity", [1.0, 0.0, 0.0, 0.1, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""])
+
+
+class SteppedClock(VirtualClock):
+    """Goes on by itself by `step_ns` whenever it is looked at."""
+
+    step_ns = 0
+
+    def now_ns(self) -> int:
+        self.charge(self.step_ns)
+        return super().now_ns()
+
+
+@pytest.fixture
+def stepped() -> Iterator[tuple[Server, SteppedClock]]:
+    """A server at wall time 0, its simulation running at 10x: a tick takes 200 us."""
+    server, clock = Server(Api(simulate(10.0), render=False), port=0), SteppedClock()
+    server.clock = clock  # type: ignore[assignment]
+    yield server, clock
+    server.close()
+
+
+def connected(server: Server) -> tuple[Connection, socket.socket]:
+    """A connection of the server's, and its client's end."""
+    client = socket.create_connection(server.address)
+    server._listener.setblocking(True)
+    server._accept()
+    [connection] = server._connections
+    return connection, client
+
+
+def replies(client: socket.socket) -> list[Any]:
+    """What the server has sent, without waiting for more: messages [1, id, error, result]."""
+    unpacker = msgpack.Unpacker()
+    client.setblocking(False)
+    try:
+        while data := client.recv(1 << 16):
+            unpacker.feed(data)
+    except BlockingIOError:
+        pass
+    return list(unpacker)
+
+
+# --- when it wakes ------------------------------------------------------------------------------------------
+
+
+def test_it_never_stands_still_for_long(stepped: tuple[Server, SteppedClock]) -> None:
+    """Paused or not it wakes within 5 ms, which `airsim` makes good, and while it flies about every 30 ticks."""
+    server, clock = stepped
+    simulation = server.api.simulation
+    simulation.pause(0)
+    clock.charge(7 * MS)
+    assert 0 < server._wake_ns(simulation) - clock.now_ns() <= AIRSIM.catch_up_wall_ns
+    simulation.run(clock.now_ns())
+    assert 0 < server._wake_ns(simulation) - clock.now_ns() <= AIRSIM.catch_up_wall_ns
+    simulation.set_clock_speed(100.0, clock.now_ns())
+    assert server._wake_ns(simulation) - clock.now_ns() == 30 * NATIVE.tick_ns // 100
+
+
+def test_it_is_awake_before_something_ends_and_after_a_message(stepped: tuple[Server, SteppedClock]) -> None:
+    server, clock = stepped
+    simulation = server.api.simulation
+    simulation.continue_for(20 * MS, 0)  # ends at 2 ms
+    assert server._wake_ns(simulation) == 1 * MS
+    connection, client = connected(server)
+    with client:
+        client.sendall(rpc.pack_request(1, "ping", []))
+        clock.charge(MS // 2)
+        server._read(connection)
+        assert server._wake_ns(simulation) == clock.now_ns(), "the next one may come at once"
+        clock.charge(MS // 4)
+        assert server._wake_ns(simulation) == 1 * MS
+
+
+def test_what_ends_soon_is_flown_up_to_without_looking_at_sockets(
+    stepped: tuple[Server, SteppedClock],
+) -> None:
+    server, clock = stepped
+    simulation = server.api.simulation
+    reply = simulation.continue_for(20 * MS, 0)
+    clock.charge(1 * MS)
+    server._wait_for_end(simulation)
+    assert simulation.world.tick == 0, "there is time to look at sockets"
+    clock.charge(940_000)
+    clock.step_ns = 1_000
+    server._wait_for_end(simulation)
+    assert simulation.world.tick == 9
+    assert reply.due_wall_ns is None
+    assert clock.now_ns() >= 2 * MS
+
+
+# --- what it answers ----------------------------------------------------------------------------------------
+
+
+def test_a_message_sees_what_is_due_when_it_is_handled(stepped: tuple[Server, SteppedClock]) -> None:
+    server, clock = stepped
+    connection, client = connected(server)
+    with client:
+        start_ns = server.api.simulation.time_ns
+        clock.charge(1_050_000)
+        client.sendall(rpc.pack_request(7, "uavaccelState", []))
+        server._read(connection)
+        assert replies(client) == [], "all answers of a turn go together"
+        server._flush()
+        [[kind, message_id, error, state]] = replies(client)
+    assert (kind, message_id, error) == (rpc.RESPONSE, 7, None)
+    assert state[0] - start_ns == 1_050_000 // 200_000 * 2 * MS
+
+
+def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
+    stepped: tuple[Server, SteppedClock],
+) -> None:
+    """Where a command and its continue-for end together, the client waits for the latter."""
+    server, clock = stepped
+    simulation = server.api.simulation
+    simulation.pause(0)
+    connection, client = connected(server)
+    with client:
+        requests = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
+        client.sendall(b"".join(rpc.pack_request(*request) for request in requests))
+        server._read(connection)
+        server._flush()
+        assert replies(client) == [[rpc.RESPONSE, 3, None, True]]
+        clock.charge(10 * MS - 1)
+        simulation.advance_to(clock.now_ns())
+        server._flush()
+        assert replies(client) == []
+        clock.charge(1)
+        simulation.advance_to(clock.now_ns())
+        server._flush()
+        assert [(message_id, error) for _, message_id, error, _ in replies(client)] == [(2, None), (1, None)]
+
+
+def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(
+    stepped: tuple[Server, SteppedClock],
+) -> None:
+    server, _ = stepped
+    connection, client = connected(server)
+    with client:
+        client.sendall(rpc.pack_request(1, "uavaccelContinueFor", [0]) + rpc.pack_request(2, "fly", []))
+        server._read(connection)
+        server._flush()
+        second, first = replies(client)
+    assert first[1:3] == [1, None]
+    assert len(first[3]) == 20
+    assert second[1:] == [2, "rpclib: server could not find function 'fly' with argument count 0.", None]
+
+
+def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Server, SteppedClock]) -> None:
+    server, _ = stepped
+    text = "x" * (1 << 20)
+    server.api.methods["ping"].handler = lambda: text
+    connection, client = connected(server)
+    received = b""
+    with client:
+        client.sendall(rpc.pack_request(1, "ping", []) * 8)
+        server._read(connection)
+        server._flush()
+        assert connection.unsent, "the buffers of both ends hold less"
+        client.settimeout(60)
+        while connection.unsent:
+            received += client.recv(1 << 20)
+            server._send(connection)
+        while len(received) < 8 * len(rpc.pack_response(1, None, text)):
+            received += client.recv(1 << 20)
+    assert received == rpc.pack_response(1, None, text) * 8
+
+
+def test_each_turn_reads_flies_and_answers() -> None:
+    """`serve` on the machine's clock, ended by what is called after every turn."""
+    simulation = simulate(10.0, wall_ns=MonotonicClock().now_ns())
+    simulation.reset(MonotonicClock().now_ns())
+    server = Server(Api(simulation, render=False), port=0)
+    turns = 0
+    with socket.create_connection(server.address) as client:
+        client.sendall(rpc.pack_request(1, "ping", []))
+
+        def count() -> None:
+            nonlocal turns
+            turns += 1
+            if simulation.world.tick >= 5 and turns >= 20:
+                server.stop()
+
+        server.serve(count)
+        assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
+        assert client.recv(1) == b"", "it hung up when it ended"
+
+
+def test_a_server_process_starts_settled_and_running_on_the_machines_clock() -> None:
+    before_ns = MonotonicClock().now_ns()
+    simulation = ready_simulation("blocks", AIRSIM, 3.0)
+    assert (simulation.world.tick, simulation.paused, simulation.clock_speed) == (0, False, 3)
+    assert simulation.catch_up_wall_ns == AIRSIM.catch_up_wall_ns
+    assert simulation.pacer.wall_due(0) >= before_ns
+    assert simulation.kinematics().position_m == (0.0, 0.0, -10.0)
+    simulation.world.close()

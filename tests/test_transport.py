@@ -1,0 +1,275 @@
+"""The two transports to the nanosecond and to the byte: when a modelled message arrives, what a socket is given."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+
+from tests.simulating import world_of
+from uavaccel.clock import VirtualClock
+from uavaccel.commands import COMMANDS
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.simulation import Simulation
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import QUANTILES, Latency, LatencyConfig
+from uavaccel.wire.transport import SocketTransport, VirtualTransport
+
+US, MS = 1_000, 1_000_000
+NORTH = VelocityGoal((1.0, 0.0, 0.0))
+
+
+def always(microseconds: float) -> tuple[float, ...]:
+    return (microseconds,) * len(QUANTILES)
+
+
+# Every latency is another number, so that each of them shows in the sums below.
+REQUEST_US = {"move": 101, "pause": 203, "pause@10ms": 907, "continue": 307, "continue@10ms": 811,
+              "continue_for": 409, "state": 503, "state@10ms": 557, "call": 601}  # fmt: skip
+REPLY_US = {"move": 113, "pause": 211, "pause@10ms": 919, "continue": 311, "continue@10ms": 821,
+            "continue_for": 419, "continue_for@10ms": 499, "state": 509, "state@10ms": 563, "call": 607,
+            "move@10ms": 149}  # fmt: skip
+ISSUE_US, TIMER_US = 71, 709
+FIXED = LatencyConfig(
+    request_us={name: always(value) for name, value in REQUEST_US.items()},
+    reply_us={name: always(value) for name, value in REPLY_US.items()},
+    issue_us=always(ISSUE_US),
+    timer_us=always(TIMER_US),
+)
+
+
+def new_client(clock_speed: float, profile: Profile = NATIVE) -> Client:
+    """A game on a simulated wall clock whose latencies are FIXED; its trace is on."""
+    world_of(profile).reset()
+    draws = Latency(FIXED, np.random.SeedSequence(0))
+    simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
+    transport = VirtualTransport(Api(simulation, render=False), VirtualClock(), draws, exclusive=True)
+    client = Client(transport)
+    client.start_game(clock_speed)
+    client.trace(True)
+    return client
+
+
+def server_events(client: Client, wall0_ns: int) -> list[tuple[str, float]]:
+    """The trace so far: event and microseconds after `wall0_ns`."""
+    return [(event, (wall_ns - wall0_ns) / US) for event, wall_ns, _ in client.trace(False)[:-1]]
+
+
+# --- a simulated wall clock ---------------------------------------------------------------------------------
+
+
+def test_one_adsc_is_charged_with_every_latency_once() -> None:
+    """At 10x a tick of 2 ms takes 200 us. The callback of the join is a reply like any other."""
+    client = new_client(10.0)
+    start_ns, wall0_ns = client.kinematics().time_ns, client.now_ns()
+    COMMANDS["adsc"].begin(client)
+    assert client.now_ns() - wall0_ns == (307 + 311) * US
+    [sample] = COMMANDS["adsc"].fly(client, NORTH, 0.1, 0.1)
+    accepted_us = 307 + 311 + 101  # on the 2nd tick after the clock began to run at 307
+    end_us = 307 + (2 + 50) * 200  # after 9.988 ms, so that the messages are those of a wait of 10 ms
+    paused_us = end_us + 149 + 907
+    state_us = paused_us + 919 + 557
+    running_us = state_us + 563 + 811
+    assert client.now_ns() - wall0_ns == (running_us + 821) * US
+    assert sample.time_ns - start_ns == (paused_us - 307) // 200 * 2 * MS
+    assert [each for each in server_events(client, wall0_ns) if each[1] > 0] == [
+        ("handle simPause", 307),
+        ("run", 307),
+        ("handle moveByVelocity", accepted_us),
+        ("accept", accepted_us),
+        ("end", end_us),
+        ("handle simPause", paused_us),
+        ("pause", paused_us),
+        ("handle uavaccelState", state_us),
+        ("handle simPause", running_us),
+        ("run", running_us),
+    ]
+
+
+def test_two_tcscs_are_charged_with_every_latency_once() -> None:
+    """The first asks for the state; the second knows it, and its command is overtaken by nothing."""
+    client = new_client(10.0)
+    COMMANDS["tcsc"].begin(client)
+    wall0_ns, t_start = client.now_ns(), client.transport._api.simulation.time_ns  # type: ignore[attr-defined]
+    samples = [sample for _ in range(2) for sample in COMMANDS["tcsc"].fly(client, NORTH, 0.1, 0.1)]
+    assert [sample.time_ns - t_start for sample in samples] == [100 * MS, 200 * MS]
+    first_us = 503 + 509 + ISSUE_US + 409  # continue-for, from when the command has been issued
+    second_us = first_us + 10_000 + 499 + ISSUE_US + 409
+    assert client.now_ns() - wall0_ns == (second_us + 10_000 + 499) * US
+    assert [each for each in server_events(client, wall0_ns) if each[1] > 0] == [
+        ("handle uavaccelState", 503),
+        ("handle moveByVelocity", 503 + 509 + 101),
+        ("accept", 503 + 509 + 101),
+        ("handle uavaccelContinueFor", first_us),
+        ("run", first_us),
+        ("end", first_us + 10_000),
+        ("pause", first_us + 10_000),
+        ("handle moveByVelocity", first_us + 10_000 + 499 + 101),
+        ("accept", first_us + 10_000 + 499 + 101),
+        ("handle uavaccelContinueFor", second_us),
+        ("run", second_us),
+        ("end", second_us + 10_000),
+        ("pause", second_us + 10_000),
+    ]
+
+
+def test_a_deadline_may_fall_before_the_end_or_before_the_callback() -> None:
+    client = new_client(10.0)
+    client.run()
+    future = client.move_async(NORTH, 0.1)
+    [_, accepted_ns] = next(event[:2] for event in client.trace(True) if event[0] == "accept")
+    earliest_ns = accepted_ns + 49 * 200 * US
+    assert not client.join(future, earliest_ns), "the command has not ended"
+    assert client.now_ns() == earliest_ns
+    end_ns = next(wall_ns for event, wall_ns, _ in _after(client, future) if event == "end")
+    assert client.now_ns() == end_ns + 50 * US, "it has ended, but its callback is under way"
+    assert client.join(future, end_ns + 149 * US)
+    assert client.now_ns() == end_ns + 149 * US
+    assert future.result() is True
+    assert client.join(future), "a second join costs nothing"
+    assert client.now_ns() == end_ns + 149 * US
+
+
+def _after(client: Client, future: Any) -> list[tuple[str, int, int]]:
+    """Wait for 50 us more than the command's end; the simulation's events until then."""
+    simulation = client.transport._api.simulation  # type: ignore[attr-defined]
+    end_ns = simulation.next_event_wall_ns()
+    assert not client.join(future, end_ns + 50 * US)
+    return list(simulation.trace.events)
+
+
+def test_a_wall_timer_is_late_by_what_is_drawn_and_says_when_it_was_due() -> None:
+    """AirSim's continue-for: 30 ms of wall time and 709 us; at 10x a tick of 3 ms takes 300 us."""
+    client = new_client(10.0, AIRSIM)
+    t_start, wall0_ns = client.kinematics().time_ns, client.now_ns()
+    client.call("simContinueForTime", 0.03)
+    end_us = 601 + 30_000 + TIMER_US
+    assert client.now_ns() - wall0_ns == (end_us + 607) * US
+    assert client.kinematics().time_ns - t_start == (30_000 + TIMER_US) // 300 * 3 * MS
+    events = [event for event in client.trace(False) if event[0] in ("timer", "pause")]
+    assert [(event, wall_ns - wall0_ns) for event, wall_ns, _ in events] == [
+        ("timer", end_us * US),
+        ("pause", end_us * US),
+    ]
+
+
+# --- a socket -----------------------------------------------------------------------------------------------
+
+
+class Peer:
+    """The other end of a SocketTransport: reads requests, sends what it is told to."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection = connection
+        self._unpacker = msgpack.Unpacker()
+
+    def requests(self) -> list[Any]:
+        """What has arrived, without waiting for more."""
+        self.connection.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while data := self.connection.recv(1 << 16):
+                self._unpacker.feed(data)
+        return list(self._unpacker)
+
+    def answer(self, message_id: int, value: Any, error: str | None = None) -> None:
+        self.connection.sendall(rpc.pack_response(message_id, error, value))
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[SocketTransport, Peer]]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        transport = SocketTransport(*listener.getsockname()[:2])
+        connection, _ = listener.accept()
+        with connection:
+            yield transport, Peer(connection)
+            transport.close()
+
+
+def test_a_coalesced_call_travels_with_the_next(ends: tuple[SocketTransport, Peer]) -> None:
+    transport, peer = ends
+    transport.send("moveByVelocity", (1.0,), blocking=False, coalesced=True)
+    assert peer.requests() == []
+    transport.send("ping", (), blocking=True)
+    assert peer.requests() == [[0, 1, "moveByVelocity", [1.0]], [0, 2, "ping", []]]
+
+
+@pytest.mark.parametrize("leave", ["wait", "close"])
+def test_a_coalesced_call_is_sent_before_its_caller_waits_or_leaves(
+    ends: tuple[SocketTransport, Peer], leave: str
+) -> None:
+    transport, peer = ends
+    call = transport.send("ping", (), blocking=False, coalesced=True)
+    if leave == "wait":
+        peer.answer(1, True)
+        assert transport.wait(call)
+    else:
+        transport.close()
+    assert peer.requests() == [[0, 1, "ping", []]]
+
+
+def test_replies_find_their_calls_in_any_order(ends: tuple[SocketTransport, Peer]) -> None:
+    transport, peer = ends
+    calls = [transport.send("ping", (), blocking=False) for _ in range(3)]
+    ids = [message_id for _, message_id, *_ in peer.requests()]
+    peer.answer(99, "nobody's")
+    for message_id, value in reversed(list(zip(ids, ("first", "second", "third"), strict=True))):
+        peer.answer(message_id, value, "no" if value == "second" else None)
+    assert all(transport.wait(call) for call in calls)
+    assert (calls[0].result(), calls[2].result()) == ("first", "third")
+    with pytest.raises(rpc.RpcError, match=r"^no$"):
+        calls[1].result()
+
+
+@pytest.mark.parametrize("expected_in_ns", [None, 0, 5 * MS, 10**12])
+def test_a_deadline_ends_a_wait_and_not_the_call(
+    ends: tuple[SocketTransport, Peer], expected_in_ns: int | None
+) -> None:
+    """Whenever the answer was expected; a deadline in the past only looks."""
+    transport, peer = ends
+    call = transport.send("ping", (), blocking=False)
+    for later_ns in (-1, 3 * MS):
+        deadline_ns = transport.clock.now_ns() + later_ns
+        if expected_in_ns is not None:
+            call.expected_ns = transport.clock.now_ns() + expected_in_ns
+        assert not transport.wait(call, deadline_ns)
+        assert transport.clock.now_ns() >= deadline_ns
+        assert not call.done
+    peer.answer(1, "late")
+    assert transport.wait(call, transport.clock.now_ns() + 10**12)
+    assert call.result() == "late"
+
+
+def test_an_answer_comes_before_the_moment_it_was_expected_at(ends: tuple[SocketTransport, Peer]) -> None:
+    transport, peer = ends
+    call = transport.send("ping", (), blocking=False)
+    call.expected_ns = transport.clock.now_ns() + 10**15
+    peer.answer(1, True)
+    assert transport.wait(call)
+
+
+def test_a_server_that_has_gone_is_an_error(ends: tuple[SocketTransport, Peer]) -> None:
+    transport, peer = ends
+    call = transport.send("ping", (), blocking=True)
+    peer.connection.close()
+    with pytest.raises(ConnectionError):
+        transport.wait(call)
+
+
+def test_what_a_socket_may_change_is_not_known_any_more(ends: tuple[SocketTransport, Peer]) -> None:
+    transport, _ = ends
+    state = Simulation(world_of(NATIVE)).kinematics()
+    transport.known.stands_at(state)
+    assert transport.known.state is None, "others may fly too"
+    transport.known.exclusive = True
+    transport.known.stands_at(state)
+    for method, known in (("uavaccelImage", state), ("uavaccelCollision", state), ("simPause", None)):
+        transport.send(method, (), blocking=False)
+        assert transport.known.state is known
