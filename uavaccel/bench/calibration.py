@@ -34,6 +34,7 @@ class Latencies:
         self.request: Samples = defaultdict(list)
         self.reply: Samples = defaultdict(list)
         self.issue: list[int] = []
+        self.timer: list[int] = []
 
     def add(self, samples: Samples, channel: str, wait_ns: int | None, latency_ns: int) -> None:
         """Count a latency for its channel, and for its channel after such a wait."""
@@ -48,6 +49,7 @@ class Latencies:
             "request_us": {name: microseconds(self.request[name]) for name in sorted(self.request)},
             "reply_us": {name: microseconds(self.reply[name]) for name in sorted(self.reply)},
             "issue_us": microseconds(self.issue),
+            **({"timer_us": microseconds(self.timer)} if self.timer else {}),
         }
 
 
@@ -73,7 +75,7 @@ def calibrate(
             _ping(client, latencies)
             on_batch(done, len(batches))
     if images:
-        _look(profile, commands, latencies)
+        _take_pictures(profile, commands, latencies)
     return latencies
 
 
@@ -88,7 +90,7 @@ def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: La
     _gather(tracing, client.trace(False), latencies)
 
 
-def _look(profile: str, pictures: int, latencies: Latencies) -> None:
+def _take_pictures(profile: str, pictures: int, latencies: Latencies) -> None:
     with WallSession("lane", profile) as session:
         client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
         client.image("gray")  # makes the GL context
@@ -111,7 +113,8 @@ def _ping(client: Client, latencies: Latencies) -> None:
 
 def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], latencies: Latencies) -> None:
     """Match the two ends' events; the first call of a batch has no moment at which the client became ready."""
-    handled, ended, paused = _server_times(server)
+    handled, ended, paused, late = _server_times(server)
+    latencies.timer += late
     deferred = {"move": ended, "continue_for": paused}
     arrived: dict[str, int] = {}
     ready: int | None = None
@@ -136,16 +139,23 @@ def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], l
 
 def _server_times(
     server: Iterable[tuple[str, int, int]],
-) -> tuple[dict[str, list[int]], list[int], list[int]]:
-    """When each method was handled, commands ended and continue-fors paused, in order."""
+) -> tuple[dict[str, list[int]], list[int], list[int], list[int]]:
+    """When each method was handled, commands ended and continue-fors paused, in order; how late wall timers ended."""
     handled: dict[str, list[int]] = defaultdict(list)
     ended: list[int] = []
     paused: list[int] = []
+    late: list[int] = []
+    timer_due_ns: int | None = None
     for event, wall_ns, _ in server:
         if event == "end":
             ended.append(wall_ns)
+        elif event == "timer":
+            timer_due_ns = wall_ns
         elif event == "pause":
             paused.append(wall_ns)
+            if timer_due_ns is not None:
+                late.append(wall_ns - timer_due_ns)
+            timer_due_ns = None
         elif event.startswith("handle "):
             handled[event.removeprefix("handle ")].append(wall_ns)
-    return handled, ended, paused
+    return handled, ended, paused, late

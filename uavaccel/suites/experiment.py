@@ -9,17 +9,14 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import Field, field_validator
 
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
-from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
-from uavaccel.wire.latency import LatencyConfig
+from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]
 ProfileName = Literal["native", "airsim"]
 CommandName = Literal["adsc", "tcsc"]
-
-SHIPPED_LATENCY = "latency.yaml"
 
 
 class Experiment(Config):
@@ -39,8 +36,8 @@ class FlightExperiment(Experiment):
     profile: ProfileName = "native"
     t_th_wall_s: float = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
-    latency: LatencyConfig
-    """The latency model that `virtual` draws from; `uavaccel calibrate` writes this block."""
+    latency: LatencyModel
+    """The latency model that `virtual` draws from, or the name of its file; `uavaccel calibrate` writes one."""
 
     @field_validator("clock_speed")
     @classmethod
@@ -124,17 +121,8 @@ def resolve(
     options: Mapping[str, Any] | None = None,
     overrides: Iterable[str] = (),
 ) -> ExperimentType:
-    """The configuration: YAML, then options by dotted key, then --set. Raises UserError.
-
-    `latency` may name a YAML file, as `uavaccel calibrate` writes it; without one the shipped model is taken.
-    """
-    whole = merged(mapping, options or {}, overrides)
-    holder = whole.get("task") if "task" in cls.model_fields else whole
-    if "latency" in cls.model_fields:
-        whole.setdefault("latency", str(experiment(SHIPPED_LATENCY)))
-    if isinstance(holder, dict) and isinstance(holder.get("latency"), str):
-        holder["latency"] = read_latency(Path(holder["latency"]))
-    return validate(cls, whole, source)
+    """The configuration: YAML, then options by dotted key, then --set. Raises UserError."""
+    return validate(cls, merged(mapping, options or {}, overrides), source)
 
 
 def _put(mapping: dict[str, Any], parts: list[str], value: Any) -> None:
@@ -142,11 +130,3 @@ def _put(mapping: dict[str, Any], parts: list[str], value: Any) -> None:
         mapping[part] = dict(mapping.get(part) or {})
         mapping = mapping[part]
     mapping[parts[-1]] = value
-
-
-def read_latency(path: Path) -> Any:
-    """The `latency` block of a YAML file. Raises UserError if there is none."""
-    block = load_yaml(path)
-    if "latency" not in block:
-        raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
-    return block["latency"]

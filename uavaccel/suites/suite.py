@@ -12,14 +12,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from uavaccel.draw.film import Film
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
+
+if TYPE_CHECKING:
+    from uavaccel.draw.film import Film
 
 Row = Mapping[str, Any]
 Summary = Mapping[str, Any]
