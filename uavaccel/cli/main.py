@@ -115,6 +115,22 @@ def calibrate(
 
 
 @app.command()
+def advise(
+    t_move: Annotated[float, typer.Option("--t-move", help="Seconds of a command.")] = 1.0,
+    error: Annotated[float, typer.Option(help="Metres that a trajectory may be off.")] = 0.1,
+    rounds: Annotated[int, typer.Option(help="Rounds of the square path.")] = 4,
+    latency: Annotated[
+        Path | None, typer.Option(help="Latency model; `calibrate` writes one. Without it the shipped one.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+) -> None:
+    """Say how fast ADSC may fly within an error, and what TCSC would gain."""
+    from uavaccel.cli.advise import AdviceRequest, show_advice
+
+    show_advice(AdviceRequest(t_move, error, rounds, latency, profile))
+
+
+@app.command()
 def train(
     experiment: Annotated[str, typer.Argument(help="An experiment's YAML file.")] = "train",
     clock: OneClock = None,
