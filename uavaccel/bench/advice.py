@@ -66,12 +66,12 @@ def sentence(advice: Sequence[Advice], error_m: float, t_move_s: float) -> str:
     adsc = _fastest([each for each in advice if each.adsc_error_m <= error_m], "adsc_speedup")
     tcsc = _fastest([each for each in advice if each.tcsc_error_m <= error_m], "tcsc_speedup")
     slow = (
-        f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.adsc_speedup:.1f} times real time"
+        f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.adsc_speedup:.1f}x real time"
         if adsc
         else f"ADSC leaves {error_m:g} m at any ClockSpeed"
     )
     fast = (
-        f"TCSC up to {tcsc.clock_speed:g}, {tcsc.tcsc_speedup:.1f} times"
+        f"TCSC up to {tcsc.clock_speed:g}, {tcsc.tcsc_speedup:.1f}x"
         if tcsc
         else "so does TCSC: its own timer is too coarse"
     )
