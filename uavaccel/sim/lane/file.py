@@ -77,11 +77,6 @@ def lane_written_out(lane: Any) -> Any:
     return written
 
 
-def load_layout(path: Path) -> LaneLayout:
-    """The layout in a YAML file. Raises UserError that names the file and the key."""
-    return layout_from(load_yaml(path), str(path))
-
-
 def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
     """The layout in a mapping; `source` names it in errors.
 
