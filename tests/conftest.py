@@ -7,14 +7,13 @@ from collections.abc import Iterator
 import mujoco
 import pytest
 
+from tests.scenes import Scene
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim import gl
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
-
-Scene = tuple[mujoco.MjModel, mujoco.MjData]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.conftest import Scene
 from tests.opengl import needs_opengl
+from tests.scenes import Scene
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera import HEIGHT, WIDTH, Camera

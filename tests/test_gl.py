@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from tests.conftest import Scene
 from tests.opengl import needs_opengl
+from tests.scenes import Scene
 from uavaccel.bench.camera import bench_camera
 from uavaccel.errors import UserError
 from uavaccel.sim import gl
@@ -92,6 +92,7 @@ def look(index):
 """
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_workers_end_without_noise(tmp_path: os.PathLike[str]) -> None:
     folder = os.fspath(tmp_path)

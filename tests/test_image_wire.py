@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.raycasting import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
+from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Pending, Simulation
 from uavaccel.sim.world import World

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.conftest import Scene
-from tests.raycasting import COLUMNS, ROWS, Pose, cast_rays
+from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane.file import layout_from

@@ -1,4 +1,4 @@
-"""What a camera 90 degrees wide must see of boxes, by rays cast in a few lines of numpy.
+"""Scenes of known measures, and what a camera 90 degrees wide must see of them, by rays cast in numpy.
 
 A ray through a pixel is (forward 1, right, down), so the distance at which it ends is the depth along the optical
 axis, and that times its length the depth along the ray.
@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+Scene = tuple[mujoco.MjModel, mujoco.MjData]
 ROWS, COLUMNS = 144, 256
 
 # Name: middle and half sizes of a box, north, east, down, in metres; as in blocks.xml, whose second axis is west.
