@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.file import LaneFile, lane_written_out, layout_from
+from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
+    LENGTH_M,
     MAX_OBSTACLES,
     WIDTH_M,
     Difficulty,
     LaneLayout,
     Split,
-    blocked,
     draw_layout,
+    free_distance_m,
     lane_seed,
 )
 from uavaccel.wire.image_api import lane_layout
@@ -43,8 +44,10 @@ def equal(a: LaneLayout, b: LaneLayout) -> bool:
 def test_straight_flight_fails() -> None:
     """Straight ahead at most 5 % of 300 evaluation lanes are free, at the best lateral offset at most 10 %."""
     offsets = np.arange(-4.65, 4.66, 0.05)
-    free = np.array([[not blocked(layout, y) for y in offsets] for layout in EVALUATION_LANES])
-    assert np.mean([not blocked(layout, 0.0) for layout in EVALUATION_LANES]) <= 0.05
+    free = np.array(
+        [[free_distance_m(layout, y) == LENGTH_M for y in offsets] for layout in EVALUATION_LANES]
+    )
+    assert np.mean([free_distance_m(layout, 0.0) == LENGTH_M for layout in EVALUATION_LANES]) <= 0.05
     assert free.mean(axis=0).max() <= 0.10
 
 
@@ -176,13 +179,13 @@ def test_a_lane_of_ones_own(tmp_path: Path) -> None:
         light=0.8, sun_azimuth_rad=-0.3, wind_m_s=(1.0, -2.0, 0.5),
     )  # fmt: skip
     assert equal(layout_from(load_yaml(path), str(path)), expected)
-    lane = lane_written_out(str(path))
+    lane = parse_lane(str(path))
     assert isinstance(lane, LaneFile)
     assert equal(lane_layout(lane.model_dump()), expected)
-    assert lane_written_out(load_yaml(path)) == lane
+    assert parse_lane(load_yaml(path)) == lane
     path.write_text(WRITTEN.replace("radius_m", "radius"))
     with pytest.raises(UserError, match=r"lane\.yaml: .*obstacles.1.radius"):
-        lane_written_out(str(path))
+        parse_lane(str(path))
 
 
 def test_a_lane_that_says_little_is_bright_calm_and_plain() -> None:
@@ -196,8 +199,8 @@ def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
     assert equal(lane_layout({"seed": 5}), draw_layout(5))
     windy = {"seed": 5, "difficulty": {"wind_m_s": 3.0}}
     assert equal(lane_layout(windy), draw_layout(5, Difficulty(wind_m_s=3.0)))
-    assert lane_written_out(windy) is windy
-    assert lane_written_out(5) == 5
+    assert parse_lane(windy) is windy
+    assert parse_lane(5) == 5
     for wrong in (True, 1.5, {"seed": "a"}):
         with pytest.raises(ValueError, match="a lane is a seed"):
             lane_layout(wrong)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study
-from uavaccel.vision.perturb import Kind, PerturbationSettings, perturb, perturb_share
+from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb, perturb_share
 
 
 def flight(images: int, seed: int = 0) -> list[NDArray[np.uint8]]:
@@ -34,12 +34,12 @@ def test_share_and_kinds_are_met_and_follow_the_seed() -> None:
     kinds = [perturb_share(image, settings, i)[1] for i in range(2000)]
     assert kinds == [perturb_share(image, settings, i)[1] for i in range(2000)]
     assert 2000 - kinds.count(None) == pytest.approx(400, abs=4 * 320**0.5)
-    for kind in Kind:
+    for kind in PerturbationKind:
         assert kinds.count(kind) == pytest.approx(100, abs=40)
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_a_perturbed_image_is_a_changed_copy(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", PerturbationKind)
+def test_a_perturbed_image_is_a_changed_copy(kind: PerturbationKind) -> None:
     image = flight(1)[0]
     before = image.copy()
     changed = perturb(image, kind, np.random.default_rng(1))
@@ -49,7 +49,7 @@ def test_a_perturbed_image_is_a_changed_copy(kind: Kind) -> None:
 
 
 def test_a_changed_image_follows_its_index_and_its_seed() -> None:
-    image, salt = flight(1)[0], (Kind.SALT_AND_PEPPER,)
+    image, salt = flight(1)[0], (PerturbationKind.SALT_AND_PEPPER,)
     settings = PerturbationSettings(share=1.0, kinds=salt, seed=3)
     [once, again, next_, other] = [
         perturb_share(image, changed, index)
@@ -67,7 +67,7 @@ def test_brightness_is_a_gain_that_darkens_as_often_as_it_brightens() -> None:
     """0.4 to 0.8 or 1.25 to 2, evenly, and clipped."""
     rng, image = np.random.default_rng(2), np.zeros((2, 2, 3), np.uint8)
     image[0, 0], image[1, 1] = 100, 250
-    changed = np.array([perturb(image, Kind.BRIGHTNESS, rng) for _ in range(4000)], float)
+    changed = np.array([perturb(image, PerturbationKind.BRIGHTNESS, rng) for _ in range(4000)], float)
     gains = changed[:, 0, 0, 0] / 100
     assert not changed[:, 0, 1].any()
     np.testing.assert_allclose(changed[:, 1, 1, 1], np.minimum(250 * gains, 255), atol=2.0)
@@ -81,18 +81,18 @@ def test_brightness_is_a_gain_that_darkens_as_often_as_it_brightens() -> None:
 def test_colours_are_every_wrong_order_of_the_channels_equally_often() -> None:
     rng = np.random.default_rng(2)
     image = np.array([[[10, 20, 30]]], np.uint8)
-    orders = Counter(tuple(perturb(image, Kind.COLOURS, rng)[0, 0].tolist()) for _ in range(2000))
+    orders = Counter(tuple(perturb(image, PerturbationKind.COLOURS, rng)[0, 0].tolist()) for _ in range(2000))
     assert set(orders) == set(permutations((10, 20, 30))) - {(10, 20, 30)}
     assert min(orders.values()) > 400 - 4 * 320**0.5
 
 
 def test_an_empty_image_is_black() -> None:
-    assert not perturb(flight(1)[0], Kind.EMPTY, np.random.default_rng(0)).any()
+    assert not perturb(flight(1)[0], PerturbationKind.EMPTY, np.random.default_rng(0)).any()
 
 
 def test_salt_and_pepper_hit_their_share_of_the_pixels() -> None:
     grey = np.full((400, 400, 3), 90, np.uint8)
-    noisy = perturb(grey, Kind.SALT_AND_PEPPER, np.random.default_rng(1))
+    noisy = perturb(grey, PerturbationKind.SALT_AND_PEPPER, np.random.default_rng(1))
     for level in (0, 255):  # all three channels of a pixel, black as often as white
         assert (noisy == level).all(axis=2).mean() == pytest.approx(0.05 / 2, rel=0.1)
     assert (noisy == 90).all(axis=2).mean() == pytest.approx(0.95, rel=0.01)
@@ -104,9 +104,9 @@ def brightness(image: NDArray[np.uint8]) -> float:
 
 def fly(images: list[NDArray[np.uint8]], share: float, retries: int) -> dict[str, Any]:
     """The study's numbers by a loop of its own; no scene of `images` is ever as bright as another."""
-    perturbed = PerturbationSettings(share, tuple(Kind), seed=1)
-    sent: Counter[Kind | None] = Counter()
-    passed: Counter[Kind | None] = Counter()
+    perturbed = PerturbationSettings(share, tuple(PerturbationKind), seed=1)
+    sent: Counter[PerturbationKind | None] = Counter()
+    passed: Counter[PerturbationKind | None] = Counter()
     repeats = exhausted = requests = 0
     reference = None
     for scene in images:
@@ -127,7 +127,7 @@ def fly(images: list[NDArray[np.uint8]], share: float, retries: int) -> dict[str
         "by_kind": {
             kind: {"sent": sent[kind], "passed": passed[kind],
                    "share_passed": passed[kind] / sent[kind] if sent[kind] else None}
-            for kind in Kind
+            for kind in PerturbationKind
         },
         "perturbed_share_handed_on": 1 - passed[None] / len(images),
         "retries": repeats,
@@ -167,4 +167,4 @@ def test_a_share_outside_0_to_1_is_refused(share: float) -> None:
 
 def test_grey_images_are_refused() -> None:
     with pytest.raises(ValueError, match="H, W, 3"):
-        perturb(np.zeros((4, 4), np.uint8), Kind.EMPTY, np.random.default_rng(0))
+        perturb(np.zeros((4, 4), np.uint8), PerturbationKind.EMPTY, np.random.default_rng(0))

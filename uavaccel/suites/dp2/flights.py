@@ -15,7 +15,7 @@ from uavaccel.commands.slices import samples_due
 from uavaccel.config import Config
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.file import LaneFile, lane_written_out
+from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
@@ -24,7 +24,7 @@ from uavaccel.suites.experiment import CommandName, Experiment, Timing, positive
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
 from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.perturb import Kind, PerturbationSettings
+from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings
 from uavaccel.wire.image_api import lane_layout
 from uavaccel.wire.session import Session
 
@@ -61,7 +61,7 @@ class PerturbationConfig(Config):
 
     share: Share = 0.0
     """Of the images that are received, those asked for again included."""
-    kinds: Annotated[tuple[Kind, ...], Field(min_length=1)] = tuple(Kind)
+    kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
 
 
 class Dp2Config(Experiment):
@@ -89,7 +89,7 @@ class Dp2Config(Experiment):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        return lane_written_out(lane)
+        return parse_lane(lane)
 
     @field_validator("path")
     @classmethod
