@@ -33,6 +33,7 @@ def test_programs_have_thirty_lines_at_most() -> None:
     assert max(len(code.splitlines()) for code in PYTHON) <= 30
 
 
+@pytest.mark.slow
 @needs_opengl
 @pytest.mark.parametrize("code", PYTHON)
 def test_programs_run(code: str) -> None:

@@ -128,6 +128,7 @@ def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Progress, "flown", counting)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
 def test_the_same_bytes_whatever_jobs_and_interruptions(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
