@@ -298,7 +298,7 @@ MISTAKES = {
     "--profile px4": "'native' or 'airsim'",
     "--rounds 0": "must be above 0",
     "--games 0": "must be above 0",
-    "--seed -1": "must be 0 or more",
+    "--seed -1": "should be greater than or equal to 0",
     "--set path=triangle": "path",
     "--set path=[]": "path",
     "--set path=[[1,0]]": "path",

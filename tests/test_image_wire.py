@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -52,7 +52,7 @@ class Wire:
 
     def call(self, method: str, *params: Any) -> Any:
         result = self.api.call(method, params, self.wall_ns)
-        if isinstance(result, Pending):  # a command that flies on
+        if isinstance(result, DeferredReply):  # a command that flies on
             return None
         return msgpack.unpackb(rpc.pack_response(1, None, result))[3]
 
