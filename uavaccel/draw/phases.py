@@ -1,4 +1,4 @@
-"""Figure 9: where the time of a training goes, and how fast it was (paper, section IV-D)."""
+"""Where the time of a training goes, and how fast it was (the paper's Figure 9, section IV-D)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from uavaccel.draw import style
 
@@ -23,8 +24,13 @@ class PhaseTimes:
 
 
 def draw_phases(trainings: Sequence[PhaseTimes], path: Path, source: str) -> Path:
-    """Draw a bar a training, its phases on top of each other, and the speeds as points; returns `path`."""
-    with style.look():
+    """Write `plot_phases` as a PNG; returns `path`."""
+    return style.save(plot_phases(trainings, source), path)
+
+
+def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
+    """A bar per training, its phases on top of each other, and the speeds as points on an axis of their own."""
+    with style.project_style():
         figure = style.new_figure(3.2 + 1.5 * len(trainings), 4.2, "Time of training by phase", source)
         axes = figure.subplots()
         longest_s = max(sum(training.phase_s.values()) for training in trainings)
@@ -39,7 +45,7 @@ def draw_phases(trainings: Sequence[PhaseTimes], path: Path, source: str) -> Pat
         speed = axes.twinx()
         speeds = [training.simulated_s_per_wall_s for training in trainings]
         speed.plot(places, speeds, "o", color=style.BLACK, label="speed (right)")
-        speed.set(ylabel="simulated seconds a wall second", ylim=(0, 1.2 * max(speeds)))
+        speed.set(ylabel="simulated seconds per wall second", ylim=(0, 1.2 * max(speeds)))
         speed.grid(visible=False)
         figure.legend(loc="outside right upper")
-        return style.save(figure, path)
+        return figure
