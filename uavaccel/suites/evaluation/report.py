@@ -24,7 +24,7 @@ def report_evaluations(runs: Sequence[RunDirectory]) -> Path:
 def _name(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:
     agent = str(run.config()["agent"])
     alike = [other for other in runs if other.config()["agent"] == agent]
-    return agent if len(alike) == 1 else f"{agent} ({run.path.name})"
+    return agent if len(alike) == 1 else f"{agent} ({run.path})"  # folders may share their last name
 
 
 def _listed(numbers: Sequence[Any]) -> str:

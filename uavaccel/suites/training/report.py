@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,17 @@ def report_trainings(runs: Sequence[RunDirectory]) -> Path:
     seeds = _listed(sorted({run.config()["seed"] for run in runs}))
     clocks = {_clock(run) for run in runs}
     source = f"{' and '.join(sorted(clocks))} · {games} games · seed {seeds}"
-    return draw_phases([phase_times(run) for run in runs], runs[0].file("figures/figure9_phases.png"), source)
+    return draw_phases(_told_apart(runs), runs[0].file("figures/figure9_phases.png"), source)
+
+
+def _told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
+    """Times of the trainings; where labels are alike, each has its folder below."""
+    trainings = [phase_times(run) for run in runs]
+    named = Counter(training.label for training in trainings)
+    return [
+        replace(training, label=f"{training.label}\n{run.path}") if named[training.label] > 1 else training
+        for training, run in zip(trainings, runs, strict=True)
+    ]
 
 
 def phase_times(run: RunDirectory) -> PhaseTimes:
