@@ -64,6 +64,6 @@ def _scale(axes: Any, lines: Sequence[TrajectoryLine]) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """At most five round numbers, none next to the corner, where two axes would write over each other."""
-    ticks = MaxNLocator(4, steps=(1, 2, 5, 10)).tick_values(low, high)
+    """Two to six round numbers, none next to the corner, where two axes would write over each other."""
+    ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
     return [float(tick) for tick in ticks if low + 0.08 * (high - low) <= tick <= high]
