@@ -64,11 +64,13 @@ def boxes(axes: Any) -> dict[float, dict[str, Any]]:
         place = float(x.min() + x.max()) / 2
         found[round(place, 9)] = {"box": (y.min(), y.max()), "colour": to_hex(patch.get_facecolor())}
     for line in axes.lines[1:]:  # the first is the line across
-        (x0, *_, x1), y = line.get_xdata()[[0, -1]] if len(line.get_xdata()) else (0, 0), line.get_ydata()
-        if not len(y):
+        x, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+        if not x.size:
             continue
-        box = found[round(float(x0 + x1) / 2, 9)]
-        if x0 == x1:
+        box = found[round(float(x[0] + x[-1]) / 2, 9)]
+        if line.get_marker() == ".":
+            box["outliers"] = y.tolist()
+        elif x[0] == x[-1]:
             box.setdefault("whiskers", []).append(float(y[1]))
         elif line.get_linewidth() > 2:
             box["median"] = float(y[0])

@@ -26,7 +26,7 @@ BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 
 
 def test_boxes_stand_by_command_clock_speed_and_rounds() -> None:
-    drawn = plot_accuracy(
+    drawn: Any = plot_accuracy(
         {
             ("adsc", 5.0, 2): [1.7, 1.99, 1.8, 1.95],
             ("adsc", 50.0, 1): [1.6],
@@ -70,7 +70,7 @@ def test_boxes_of_good_flights_keep_the_line_of_similarity_in_view() -> None:
 
 def test_speedups_stand_at_their_clock_speed_with_their_interval() -> None:
     clocks = np.array([1.0, 2.5, 100.0])
-    drawn = plot_speedup(
+    drawn: Any = plot_speedup(
         [
             SpeedupCurve(
                 "tcsc", 0.1, clocks[1:], np.array([2.0, 70.0]), np.array([1.5, 69.0]), np.array([2.1, 90.0])
@@ -127,7 +127,7 @@ def flight(title: str, fastest: tuple[float, float, float]) -> VelocityPanel:
 
 
 def test_velocities_are_drawn_over_time_with_the_commands_ends() -> None:
-    drawn = plot_velocity(
+    drawn: Any = plot_velocity(
         [flight("slow", (0.02, 0.0, 0.01)), flight("fast", (1.0, 0.04, -0.2))], "from", "A title"
     )
     assert headline(drawn) == ("A title", "from")
@@ -155,7 +155,7 @@ def test_velocities_are_drawn_over_time_with_the_commands_ends() -> None:
 def test_trajectories_are_drawn_with_height_upwards() -> None:
     first = np.array([[0.0, 1.0, -10.0], [2.0, 1.5, -10.1]])
     second = np.array([[0.5, 4.0, -10.2], [1.0, 2.0, -10.0], [0.0, 2.0, -10.0]])
-    drawn = plot_trajectories(
+    drawn: Any = plot_trajectories(
         [TrajectoryLine("first", first), TrajectoryLine("second", second)], "from", "A title"
     )
     assert headline(drawn) == ("A title", "from")
@@ -192,7 +192,7 @@ def test_ticks_of_trajectories_keep_clear_of_the_common_corner(size_m: float) ->
 
 
 def test_phases_are_stacked_and_speeds_stand_on_their_own_axis() -> None:
-    drawn = plot_phases(
+    drawn: Any = plot_phases(
         [
             PhaseTimes("one", {"simulation": 120.0, "image_processing": 30.0}, 40.0),
             PhaseTimes("two", {"simulation": 60.0, "image_processing": 90.0}, 10.0),
@@ -224,7 +224,7 @@ def test_phases_have_the_unit_of_the_longest(longest_s: float, unit: str, height
 
 
 def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:
-    drawn = plot_survival({"one": [30.0, 151.0, 10.0, 150.0], "two": [20.0]}, "where from")
+    drawn: Any = plot_survival({"one": [30.0, 151.0, 10.0, 150.0], "two": [20.0]}, "where from")
     assert headline(drawn) == ("Distance travelled", "where from")
     (axes,) = drawn.axes
     one, two, end = (labelled(axes)[name] for name in ("one", "two", "end of the lane"))

@@ -68,8 +68,8 @@ def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Pat
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
             _encode(frames(film, frames_per_s), file.name, frames_per_s)
-    except OSError as error:  # FFmpeg's errors too
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+    except (OSError, av.FFmpegError, av.codec.codec.UnknownCodecError) as error:
+        raise UserError(f"{path}: cannot be written: {error}") from error
     return path
 
 

@@ -105,7 +105,7 @@ def _count(at_zero: NDArray[np.bool_]) -> str:
         return f"all {at_zero.size} at 0, 0"
     if at_zero.any():
         return f"{np.count_nonzero(at_zero)} of {at_zero.size} at 0, 0"
-    return f"{at_zero.size} images"
+    return f"{at_zero.size} image{'s' if at_zero.size > 1 else ''}"
 
 
 def _set_scales(axes: Axes) -> None:
