@@ -223,6 +223,16 @@ def test_phases_have_the_unit_of_the_longest(longest_s: float, unit: str, height
     assert (axes.get_ylabel(), labelled(axes)["learning"][1].get_height()) == (unit, pytest.approx(height))
 
 
+def test_labels_of_phases_do_not_run_into_each_other() -> None:
+    trainings = [
+        PhaseTimes(f"TCSC 100x\nruns/a-training-with-a-long-name-{i}", {"learning": 1.0}, 1.0) for i in (1, 2)
+    ]
+    drawn: Any = plot_phases(trainings, "")
+    drawn.draw_without_rendering()
+    left, right = (label.get_window_extent() for label in drawn.axes[0].get_xticklabels())
+    assert left.x1 < right.x0
+
+
 def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:
     drawn: Any = plot_survival({"one": [30.0, 151.0, 10.0, 150.0], "two": [20.0]}, "where from")
     assert headline(drawn) == ("Distance travelled", "where from")

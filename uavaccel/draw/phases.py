@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from uavaccel.draw import style
 
 UNITS = (("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0))
+LETTER_IN = 0.085  # width of a label's letter
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,9 @@ def draw_phases(trainings: Sequence[PhaseTimes], path: Path, source: str) -> Pat
 def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
     """A bar per training, its phases on top of each other, and the speeds as points on an axis of their own."""
     with style.project_style():
-        figure = style.new_figure(3.2 + 1.5 * len(trainings), 4.2, "Time of training by phase", source)
+        longest = max(len(line) for training in trainings for line in training.label.splitlines())
+        bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
+        figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
         axes = figure.subplots()
         longest_s = max(sum(training.phase_s.values()) for training in trainings)
         unit, unit_s = next((name, size) for name, size in UNITS if longest_s >= size or size == 1.0)
