@@ -11,11 +11,8 @@ import pytest
 
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.serving import running_server
-from uavaccel.errors import UserError
 from uavaccel.wire import rpc, server, transport
-from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
-from uavaccel.wire.transport import SocketTransport
 
 PING = rpc.pack_request(1, "ping", [])
 PONG = rpc.pack_response(1, None, True)
@@ -288,23 +285,3 @@ def test_both_ends_set_both_options(running: Server) -> None:
         assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         if hasattr(socket, "TCP_QUICKACK"):
             assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK)
-
-
-def test_a_port_in_use_is_one_line(running: Server) -> None:
-    with pytest.raises(
-        UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"
-    ):
-        Server(Api(running.api.simulation), port=running.address[1])
-
-
-@pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_that_there_cannot_be_is_one_line(running: Server, port: int) -> None:
-    with pytest.raises(UserError, match=f"port must be 0 to 65535, not {port}"):
-        Server(Api(running.api.simulation), port=port)
-
-
-def test_no_server_is_one_line(running: Server) -> None:
-    unused = Server(Api(running.api.simulation), port=0)
-    unused.close()
-    with pytest.raises(UserError, match="start one with `uavaccel serve`"):
-        SocketTransport(*unused.address)

@@ -11,11 +11,13 @@ import pytest
 
 from tests.simulating import simulate
 from uavaccel.clock import MonotonicClock, VirtualClock
+from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Connection, Server
 from uavaccel.wire.server_process import ready_simulation
+from uavaccel.wire.transport import SocketTransport
 
 MS = 1_000_000
 MOVE = ("moveByVelocity", [1.0, 0.0, 0.0, 0.1, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""])
@@ -136,7 +138,7 @@ def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
     simulation.pause(0)
     connection, client = connected(server)
     with client:
-        requests = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
+        requests: list[Any] = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
         client.sendall(b"".join(rpc.pack_request(*request) for request in requests))
         server._read(connection)
         server._flush()
@@ -209,8 +211,31 @@ def test_each_turn_reads_flies_and_answers() -> None:
 def test_a_server_process_starts_settled_and_running_on_the_machines_clock() -> None:
     before_ns = MonotonicClock().now_ns()
     simulation = ready_simulation("blocks", AIRSIM, 3.0)
-    assert (simulation.world.tick, simulation.paused, simulation.clock_speed) == (0, False, 3)
+    assert (simulation.world.tick, simulation.paused, float(simulation.clock_speed)) == (0, False, 3.0)
     assert simulation.catch_up_wall_ns == AIRSIM.catch_up_wall_ns
     assert simulation.pacer.wall_due(0) >= before_ns
     assert simulation.kinematics().position_m == (0.0, 0.0, -10.0)
     simulation.world.close()
+
+
+# --- addresses ----------------------------------------------------------------------------------------------
+
+
+def test_a_port_in_use_is_one_line(stepped: tuple[Server, SteppedClock]) -> None:
+    with pytest.raises(
+        UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"
+    ):
+        Server(Api(simulate()), port=stepped[0].address[1])
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_there_cannot_be_is_one_line(port: int) -> None:
+    with pytest.raises(UserError, match=f"port must be 0 to 65535, not {port}"):
+        Server(Api(simulate()), port=port)
+
+
+def test_no_server_is_one_line() -> None:
+    unused = Server(Api(simulate()), port=0)
+    unused.close()
+    with pytest.raises(UserError, match="start one with `uavaccel serve`"):
+        SocketTransport(*unused.address)
