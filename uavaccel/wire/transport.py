@@ -22,7 +22,7 @@ _READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next tick
-    {"moveByVelocity", "moveByVelocityZ", "uavaccelImage", "uavaccelCollision"}
+    {"moveByVelocity", "moveByVelocityZ", "uavaccelImage", "uavaccelCollision", "uavaccelTrace"}
 )
 
 
