@@ -258,9 +258,10 @@ def test_an_answer_comes_before_the_moment_it_was_expected_at(ends: tuple[Socket
 def test_a_server_that_has_gone_is_an_error(ends: tuple[SocketTransport, Peer]) -> None:
     transport, peer = ends
     call = transport.send("ping", (), blocking=True)
+    assert len(peer.requests()) == 1  # with nothing unread it ends politely
     peer.connection.close()
-    with pytest.raises(ConnectionError):
-        transport.wait(call)
+    with pytest.raises(ConnectionError, match="the server closed the connection"):
+        transport.wait(call, transport.clock.now_ns() + 10**9)
 
 
 def test_what_a_socket_may_change_is_not_known_any_more(ends: tuple[SocketTransport, Peer]) -> None:
