@@ -164,14 +164,6 @@ def test_extreme_goals_are_flown_within_the_drones_limits(witness: MultirotorCli
     assert forever.get() is False
 
 
-def test_a_notification_gets_no_answer(running: Server, witness: MultirotorClient) -> None:
-    with stranger(running) as connection:
-        connection.sendall(
-            msgpack.packb([rpc.NOTIFY, "ping", []]) + msgpack.packb([rpc.NOTIFY, "fly", []]) + PING
-        )
-        assert receive(connection, len(PONG)) == PONG
-
-
 def test_a_pause_releases_another_clients_continue_for(running: Server, witness: MultirotorClient) -> None:
     witness.simPause(True)
     with MultirotorClient(port=running.address[1]) as other:

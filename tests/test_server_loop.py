@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import selectors
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -168,6 +169,20 @@ def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(
     assert second[1:] == [2, "rpclib: server could not find function 'fly' with argument count 0.", None]
 
 
+def test_a_notification_gets_no_answer(stepped: tuple[Server, SteppedClock]) -> None:
+    server, _ = stepped
+    server.api.simulation.pause(0)
+    connection, client = connected(server)
+    with client:
+        for method in ("simPause", "fly"):
+            client.sendall(msgpack.packb([rpc.NOTIFY, method, [False]]))
+        client.sendall(rpc.pack_request(1, "ping", []))
+        server._read(connection)
+        server._flush()
+        assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
+    assert not server.api.simulation.paused, "it was heeded"
+
+
 def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Server, SteppedClock]) -> None:
     server, _ = stepped
     text = "x" * (1 << 20)
@@ -179,10 +194,12 @@ def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Serve
         server._read(connection)
         server._flush()
         assert connection.unsent, "the buffers of both ends hold less"
+        assert server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         client.settimeout(60)
         while connection.unsent:
             received += client.recv(1 << 20)
             server._send(connection)
+        assert not server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         while len(received) < 8 * len(rpc.pack_response(1, None, text)):
             received += client.recv(1 << 20)
     assert received == rpc.pack_response(1, None, text) * 8

@@ -161,6 +161,15 @@ def test_a_wall_timer_is_late_by_what_is_drawn_and_says_when_it_was_due() -> Non
     ]
 
 
+def test_a_wall_timer_ends_on_the_dot_whoever_asks_next() -> None:
+    """A message that comes long after it does not let the simulation run until then."""
+    client = new_client(10.0, AIRSIM)
+    t_start = client.kinematics().time_ns
+    client.transport.send("simContinueForTime", (0.03,), blocking=False)
+    client.transport.clock.sleep_until(client.now_ns() + 100 * MS)
+    assert client.kinematics().time_ns - t_start == (30_000 + TIMER_US) // 300 * 3 * MS
+
+
 # --- a socket -----------------------------------------------------------------------------------------------
 
 
