@@ -210,19 +210,19 @@ def test_each_turn_reads_flies_and_answers() -> None:
     simulation = simulate(10.0, wall_ns=MonotonicClock().now_ns())
     simulation.reset(MonotonicClock().now_ns())
     server = Server(Api(simulation, render=False), port=0)
-    turns = 0
+    ticks: list[int] = []
     with socket.create_connection(server.address) as client:
         client.sendall(rpc.pack_request(1, "ping", []))
 
         def count() -> None:
-            nonlocal turns
-            turns += 1
-            if simulation.world.tick >= 5 and turns >= 20:
+            ticks.append(simulation.world.tick)
+            if len(ticks) == 150:
                 server.stop()
 
         server.serve(count)
         assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
         assert client.recv(1) == b"", "it hung up when it ended"
+    assert ticks[-1] > ticks[100], "no message has come for long, and it flies on"
 
 
 def test_a_server_process_starts_settled_and_running_on_the_machines_clock() -> None:
