@@ -12,7 +12,7 @@ import typer
 from tests.opengl import needs_opengl
 from uavaccel.cli import evaluate, train
 from uavaccel.cli.main import app
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.rl.config import TrainConfig
 from uavaccel.sim.lane.layout import Difficulty
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.commands import COMMANDS
-from uavaccel.commands.slices import samples_due
+from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
@@ -19,7 +19,6 @@ from uavaccel.sim.lane.file import LaneFile, lane_written_out
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.dp1.flights import check_samples
 from uavaccel.suites.experiment import CommandName, Experiment, Timing, positive, t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
@@ -105,8 +104,8 @@ class Dp2Config(Experiment):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
-        PROFILES[self.profile].command_ticks(self.t_move_s, "t_move_s")
-        check_samples(self.profile, self.t_move_s, self.t_sample_s)
+        profile = PROFILES[self.profile]
+        check_times(self.t_move_s, self.t_sample_s, profile.tick_ns, profile.exact_times)
         return self
 
     def wire_lane(self) -> Any:
@@ -233,10 +232,10 @@ def fly(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:
         # The last sample is always that of the command's end; ADSC may come too late for one before it.
         indices += [*range(first, first + len(flown) - 1), first + slots - 1]
         samples += flown
-        if _stands_still(samples) and camera.collision():
+        if _stands_still(samples) and camera.client.collision():
             break
     wall_s = (camera.now_ns() - start_ns) / NS_PER_S
-    collision = camera.collision()
+    collision = camera.client.collision()
     kept = _before(collision, samples)
     return Flight(samples[:kept], indices[:kept], commands, wall_s, collision)
 

@@ -12,8 +12,7 @@ import torch as th
 from pydantic import Field
 
 from uavaccel.config import Config, validate
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import Agent, agent_task, make_agent

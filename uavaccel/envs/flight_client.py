@@ -1,4 +1,4 @@
-"""The mission computer of the obstacle lane: its samples are state, picture and whether something has been hit."""
+"""The mission computer of an environment: its samples are state, picture and whether something has been hit."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from uavaccel.envs.camera_client import CameraClient
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import Kinematics
+from uavaccel.vision.guard import GuardState
 from uavaccel.wire.client import Client
 
 NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 
-class LaneSample(NamedTuple):
+class FlightSample(NamedTuple):
     """One gathered sample; `collision` as Client.collision has it, empty without one."""
 
     state: Kinematics
@@ -24,30 +25,30 @@ class LaneSample(NamedTuple):
     collision: dict[str, Any]
 
 
-class LaneClient(CameraClient):
-    """Gathers lane samples, with pictures of `kind` unless that is None, and tells the stopwatches when it renders."""
+class FlightClient(CameraClient):
+    """Gathers flight samples, with pictures of `kind` unless that is None, and tells the stopwatches when it renders."""
 
-    def __init__(self, inner: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
-        super().__init__(inner, kind or "")
+    def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
+        super().__init__(client, kind or "")
         self._wants_image = kind is not None
         self._stopwatches = stopwatches
 
-    def gather(self, state: Kinematics) -> Any:
-        collision = self._latched_collision()
+    def gather(self, state: Kinematics) -> FlightSample:
+        collision = self.client.collision()
         image = NO_IMAGE
         if self._wants_image and not collision:
             self._switch("rendering")
             image = super().gather(state).image
             self._switch("simulation")
-        return LaneSample(state, image, collision)
-
-    def _latched_collision(self) -> dict[str, Any]:
-        """As `collision`, but the state stays known: asking moves nothing."""
-        ticket = self.transport.send("uavaccelCollision", (), joined=True)
-        self.transport.wait(ticket)
-        latched: dict[str, Any] = ticket.result()
-        return latched
+        return FlightSample(state, image, collision)
 
     def _switch(self, phase: str) -> None:
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
+
+    def get_state(self) -> list[Any]:
+        """What the guard remembers: plain values and arrays."""
+        return list(self._guard_state)
+
+    def set_state(self, state: list[Any]) -> None:
+        self._guard_state = GuardState(*state)
