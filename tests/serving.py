@@ -7,8 +7,8 @@ from typing import Any
 
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.api import Api
-from uavaccel.wire.host import ready_simulation
 from uavaccel.wire.server import Server
+from uavaccel.wire.server_process import ready_simulation
 
 
 @contextmanager

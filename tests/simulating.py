@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE, Profile
-from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
@@ -40,6 +40,6 @@ def position(simulation: Simulation) -> NDArray[np.float64]:
     return np.array(simulation.world.state["position"])
 
 
-def answer(reply: Pending) -> Any:
+def answer(reply: DeferredReply) -> Any:
     assert reply.due_wall_ns is not None, "the reply is not due yet"
     return reply.value

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -72,7 +72,7 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
             result = result_of(api, *call, wall_ns)
         except rpc.RpcError:
             continue
-        if isinstance(result, Pending):
+        if isinstance(result, DeferredReply):
             api.simulation.pause(wall_ns)
             api.simulation.cancel(wall_ns)
             result = result.encode(result.value)

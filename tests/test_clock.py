@@ -78,11 +78,17 @@ def test_a_speed_is_the_decimal_that_was_written() -> None:
     assert positive_clock_speed(np.float64(0.1)) == Fraction(1, 10)
 
 
-def test_a_new_speed_goes_on_from_its_anchor() -> None:
+def test_a_new_speed_goes_on_from_where_the_old_one_came_to() -> None:
+    """Nothing is to be anchored by hand, and what was due by then stays so."""
     pacer = Pacer(1, 2_000_000)
-    pacer.set_clock_speed(10)
-    pacer.anchor(5_000_000, 2)
-    assert pacer.ticks_due(5_000_000 + 1_000_000) == 2 + 5
+    pacer.anchor(1_000_000, 7)
+    pacer.set_clock_speed(10, 6_000_000)
+    assert pacer.clock_speed == 10
+    assert (pacer.ticks_due(6_000_000), pacer.wall_due(9)) == (9, 6_000_000)
+    assert pacer.ticks_due(6_000_000 + 1_000_000) == 9 + 5
+    with pytest.raises(UserError, match="clock_speed"):
+        pacer.set_clock_speed(0, 7_000_000)
+    assert pacer.ticks_due(7_000_000) == 9 + 5, "a refused speed changes nothing"
 
 
 @pytest.mark.parametrize("speed", [0, 0.0, -1, -0.5, float("nan"), float("inf"), -float("inf")])

@@ -37,7 +37,7 @@ def decode(chunks: Iterator[bytes], decoder: rpc.Decoder | None = None) -> list[
     return [message for chunk in chunks for message in decoder.messages(chunk)]
 
 
-def understand(data: bytes) -> list[rpc.Request]:
+def understand(data: bytes) -> list[rpc.RpcRequest]:
     return [rpc.parse_request(message) for message in decode(iter([data]))]
 
 
@@ -45,7 +45,7 @@ def understand(data: bytes) -> list[rpc.Request]:
 def test_requests_survive_any_cutting(calls: list[tuple[int, str, list[Any]]], cuts: list[int]) -> None:
     stream = b"".join(rpc.pack_request(*call) for call in calls)
     decoded = [rpc.parse_request(message) for message in decode(pieces(stream, cuts))]
-    assert decoded == [rpc.Request(*call) for call in calls]
+    assert decoded == [rpc.RpcRequest(*call) for call in calls]
 
 
 @given(message_ids, st.none() | st.text(st.characters(exclude_categories=["Cs"])), values)
@@ -96,7 +96,7 @@ def test_what_is_no_request_is_refused(message: Any) -> None:
 
 def test_a_notification_has_no_id() -> None:
     [message] = decode(iter([msgpack.packb([rpc.NOTIFY, "ping", []])]))
-    assert rpc.parse_request(message) == rpc.Request(None, "ping", [])
+    assert rpc.parse_request(message) == rpc.RpcRequest(None, "ping", [])
 
 
 def test_a_message_is_bounded_and_so_is_what_it_announces() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.airsim_client import MultirotorClient
-from uavaccel.cli.serve import Request, address_of, clock_speed_of, recordings_of, serve, simulation_of
+from uavaccel.cli.serve import ServeOptions, address_of, clock_speed_of, recordings_of, serve, simulation_of
 from uavaccel.errors import UserError
 from uavaccel.wire.recorder import FILE_NAME
 from uavaccel.wire.settings import Settings
@@ -90,38 +90,38 @@ def test_a_mistake_is_one_line() -> None:
     assert done.stderr == "uavaccel: error: port must be 0 to 65535, not 65536\n"
 
 
-@pytest.mark.parametrize(("request_", "text"), [
-    (Request(clock_speed=0.0), "clock_speed must be a finite number above 0"),
-    (Request(clock_speed=1e9), "ClockSpeed must be at most 10000"),
-    (Request(profile="unreal"), "--profile unreal: there are native, airsim"),
-    (Request(scene="city"), "no 'mjcf/city.xml' among the assets"),
-    (Request(settings=Path("none.json")), "none.json: cannot be read"),
+@pytest.mark.parametrize(("options", "text"), [
+    (ServeOptions(clock_speed=0.0), "clock_speed must be a finite number above 0"),
+    (ServeOptions(clock_speed=1e9), "ClockSpeed must be at most 10000"),
+    (ServeOptions(profile="unreal"), "--profile unreal: there are native, airsim"),
+    (ServeOptions(scene="city"), "no 'mjcf/city.xml' among the assets"),
+    (ServeOptions(settings=Path("none.json")), "none.json: cannot be read"),
 ])  # fmt: skip
-def test_mistakes_are_refused(request_: Request, text: str) -> None:
+def test_mistakes_are_refused(options: ServeOptions, text: str) -> None:
     with pytest.raises(UserError, match=f"^{text}"):
-        serve(request_)
+        serve(options)
 
 
 def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
     everywhere = Settings.model_validate({"LocalHostIp": "0.0.0.0"})
     with pytest.raises(UserError, match=r"add --host 0\.0\.0\.0"):
-        address_of(Request(), everywhere)
-    assert address_of(Request(), Settings()) == "127.0.0.1"
-    assert address_of(Request(host="0.0.0.0"), Settings()) == "0.0.0.0"
-    assert address_of(Request(host="127.0.0.2"), everywhere) == "127.0.0.2"
+        address_of(ServeOptions(), everywhere)
+    assert address_of(ServeOptions(), Settings()) == "127.0.0.1"
+    assert address_of(ServeOptions(host="0.0.0.0"), Settings()) == "0.0.0.0"
+    assert address_of(ServeOptions(host="127.0.0.2"), everywhere) == "127.0.0.2"
 
 
 def test_options_go_before_settings(tmp_path: Path) -> None:
     settings = Settings.model_validate({"ClockSpeed": 5, "Recording": {"Folder": "there"}})
-    assert clock_speed_of(Request(), settings) == 5.0
-    assert clock_speed_of(Request(clock_speed=2.0), settings) == 2.0
-    assert recordings_of(Request(), settings) == Path("there")
-    assert recordings_of(Request(recordings=tmp_path), settings) == tmp_path
-    assert recordings_of(Request(), Settings()) is None
+    assert clock_speed_of(ServeOptions(), settings) == 5.0
+    assert clock_speed_of(ServeOptions(clock_speed=2.0), settings) == 2.0
+    assert recordings_of(ServeOptions(), settings) == Path("there")
+    assert recordings_of(ServeOptions(recordings=tmp_path), settings) == tmp_path
+    assert recordings_of(ServeOptions(), Settings()) is None
 
 
 def test_wind_and_recorder_reach_the_simulation() -> None:
     settings = Settings.model_validate({"Wind": {"X": 2}, "Recording": {"RecordInterval": 0.2}})
-    simulation = simulation_of(Request(), settings, 1.0)
+    simulation = simulation_of(ServeOptions(), settings, 1.0)
     assert simulation.world.state["wind"].tolist() == [2.0, 0.0, 0.0]
     assert simulation.profile.recorder_ticks == 100

@@ -32,7 +32,7 @@ def read(folder: Path, content: Any) -> Settings:
 
 def test_what_is_honoured(tmp_path: Path) -> None:
     settings = read(tmp_path, USUAL)
-    assert (settings.clock_speed, settings.api_server_port, settings.host) == (10.0, 41452, "127.0.0.1")
+    assert (settings.clock_speed, settings.api_server_port, settings.address) == (10.0, 41452, "127.0.0.1")
     assert settings.vehicle == "Drone1"
     assert (settings.wind.x, settings.wind.y, settings.wind.z) == (1.0, -2.5, 0.0)
     assert (settings.recording.folder, settings.recording.enabled) == ("records", True)
@@ -55,7 +55,7 @@ def test_what_clients_are_told_is_the_file_and_the_speed_that_holds(tmp_path: Pa
 def test_defaults_are_airsims(tmp_path: Path) -> None:
     settings = read(tmp_path, "\ufeff{}")  # Windows editors begin a file with a mark
     assert settings == Settings()
-    assert (settings.clock_speed, settings.api_server_port, settings.host) == (1.0, 41451, "127.0.0.1")
+    assert (settings.clock_speed, settings.api_server_port, settings.address) == (1.0, 41451, "127.0.0.1")
     assert settings.vehicle == "SimpleFlight"
     for profile in (NATIVE, AIRSIM):
         assert settings.recorder_of(profile).recorder_ticks == profile.recorder_ticks

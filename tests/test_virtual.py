@@ -20,7 +20,7 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import Client
-from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig, channel_of
+from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.transport import VirtualTransport
 
@@ -46,7 +46,7 @@ def start(
     """A game on a simulated wall clock, as a session starts one."""
     draws = Latency(latency, np.random.SeedSequence(seed))
     simulation = Simulation(world_of(profile), clock_speed, timer_lateness_ns=draws.timer_ns)
-    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws), clock_speed, alone=True)
+    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True), clock_speed)
     client.start_game(clock_speed)
     return client
 
@@ -174,46 +174,6 @@ def test_the_same_seed_gives_the_same_bytes(command: str) -> None:
     flown(2)  # what happens in between leaves no trace
     assert flown(1) == first
     assert flown(2)[1] != first[1]
-
-
-def draws(latency: Latency, channel: str, count: int) -> list[int]:
-    return [latency.request_ns(channel) for _ in range(count)]
-
-
-@given(st.lists(st.sampled_from(CHANNELS), max_size=60), st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_channels_are_independent(others: list[str], seed: int) -> None:
-    """What is drawn on other channels, for replies, timers and issues, leaves a channel's own draws as they are."""
-    alone, among = (Latency(NASTY, np.random.SeedSequence(seed)) for _ in range(2))
-    expected = draws(alone, "move", 20)
-    found = []
-    for index in range(20):
-        for other in others[3 * index : 3 * index + 3]:
-            among.reply_ns(other)
-            among.timer_ns()
-            among.issue_ns()
-            if other != "move":
-                among.request_ns(other)
-        found.append(among.request_ns("move"))
-    assert found == expected
-
-
-def test_latencies_follow_their_quantiles() -> None:
-    latency = Latency(LOOPBACK, np.random.SeedSequence(3))
-    sample_us = np.array(draws(latency, "move", 20_000)) / 1e3
-    assert LOOPBACK_US[0] <= sample_us.min()
-    assert sample_us.max() <= LOOPBACK_US[-1]
-    middle = slice(QUANTILES.index(0.05), QUANTILES.index(0.95) + 1)
-    np.testing.assert_allclose(
-        np.quantile(sample_us, QUANTILES)[middle], LOOPBACK_US[middle], rtol=0.05, atol=0.5
-    )
-    assert draws(Latency(ZERO_LATENCY, np.random.SeedSequence(3)), "move", 3) == [0, 0, 0]
-
-
-def test_calls_have_channels() -> None:
-    assert [channel_of("simPause", [flag]) for flag in (True, False)] == ["pause", "continue"]
-    assert channel_of("moveByVelocityZ", []) == channel_of("moveByVelocity", []) == "move"
-    assert channel_of("ping", []) == "call"
 
 
 # --- no end-less waits ------------------------------------------------------------------------------------

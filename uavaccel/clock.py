@@ -76,13 +76,21 @@ class Pacer:
         self.tick_ns = tick_ns
         self._wall0_ns = 0
         self._tick0 = 0
-        self.set_clock_speed(clock_speed)
+        self._set_rate(positive_clock_speed(clock_speed))
 
-    def set_clock_speed(self, clock_speed: float) -> None:
-        """Change the speed; anchor again before the next use."""
-        self.clock_speed = positive_clock_speed(clock_speed)
-        self._numerator, denominator = self.clock_speed.as_integer_ratio()
+    def _set_rate(self, clock_speed: Fraction) -> None:
+        self.clock_speed = clock_speed
+        self._numerator, denominator = clock_speed.as_integer_ratio()
         self._tick_wall = self.tick_ns * denominator  # wall ns of `numerator` ticks
+
+    def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
+        """Go on at another speed from `wall_ns`: the tick last due then is due at that moment.
+
+        Raises UserError unless the speed is a finite number above 0.
+        """
+        rate = positive_clock_speed(clock_speed)
+        self.anchor(wall_ns, self.ticks_due(wall_ns))
+        self._set_rate(rate)
 
     def anchor(self, wall_ns: int, tick: int) -> None:
         """Let `tick` be due at `wall_ns`."""

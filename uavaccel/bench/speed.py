@@ -95,7 +95,7 @@ def _calls_a_command(session: Session, t_move_s: float) -> float:
     """Messages that the client sends in one TCSC."""
     client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
     tracing = TracingTransport(client.transport)
-    counted = Client(tracing, CLOCK_SPEED, alone=True)
+    counted = Client(tracing, CLOCK_SPEED)
     commands = 10
     for _ in range(commands):
         for _ in COMMANDS["tcsc"].fly(counted, VelocityGoal((0.0, 0.0, 0.0)), t_move_s, t_move_s):

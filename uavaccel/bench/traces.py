@@ -12,7 +12,7 @@ from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
-from uavaccel.wire.transport import Ticket, Transport
+from uavaccel.wire.transport import Call, Transport
 
 Event = dict[str, Any]
 
@@ -31,21 +31,22 @@ class TracingTransport:
 
     def __init__(self, inner: Transport) -> None:
         self.clock: WallClock = inner.clock
+        self.known = inner.known
         self.events: list[ClientEvent] = []
         self._inner = inner
 
-    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
+    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         called_ns = self.clock.now_ns()
-        ticket = self._inner.send(method, params, joined, held)
-        self.events.append(ClientEvent("call", method, ticket.channel, called_ns))
-        if not joined:
-            self.events.append(ClientEvent("issued", method, ticket.channel, self.clock.now_ns()))
-        return ticket
+        call = self._inner.send(method, params, blocking, coalesced)
+        self.events.append(ClientEvent("call", method, call.channel, called_ns))
+        if not blocking:
+            self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns()))
+        return call
 
-    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
-        done = self._inner.wait(ticket, deadline_ns)
+    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+        done = self._inner.wait(call, deadline_ns)
         if done:
-            self.events.append(ClientEvent("return", ticket.method, ticket.channel, self.clock.now_ns()))
+            self.events.append(ClientEvent("return", call.method, call.channel, self.clock.now_ns()))
         return done
 
     def close(self) -> None:

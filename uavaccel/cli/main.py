@@ -187,10 +187,10 @@ def serve(
     ] = None,
 ) -> None:
     """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""
-    from uavaccel.cli.serve import Request
+    from uavaccel.cli.serve import ServeOptions
     from uavaccel.cli.serve import serve as serve_clients
 
-    serve_clients(Request(settings, clock, port, host, profile, scene, recordings))
+    serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
 
 
 @app.command()

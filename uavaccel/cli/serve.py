@@ -15,9 +15,10 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation, Speed
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.api import FASTEST, Api
-from uavaccel.wire.host import ready_simulation
+from uavaccel.wire.api import Api
+from uavaccel.wire.game_api import FASTEST
 from uavaccel.wire.server import Server
+from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.settings import Settings, read_settings
 
 PERIOD_NS = 2 * NS_PER_S  # between two looks at the achieved speed
@@ -25,7 +26,7 @@ WORTH_TELLING = 0.005  # share of the wall time that was lost
 
 
 @dataclass(frozen=True)
-class Request:
+class ServeOptions:
     """What was asked for on the command line; None leaves it to the settings."""
 
     settings: Path | None = None
@@ -37,34 +38,34 @@ class Request:
     recordings: Path | None = None
 
 
-def serve(request: Request) -> None:
+def serve(options: ServeOptions) -> None:
     """Listen, say where, and serve until SIGINT or SIGTERM. Raises UserError with one clear line."""
-    settings = read_settings(request.settings) if request.settings else Settings()
-    host, clock_speed = address_of(request, settings), clock_speed_of(request, settings)
-    simulation = simulation_of(request, settings, clock_speed)
-    api = Api(simulation, settings, recordings=recordings_of(request, settings))
-    server = Server(api, host, settings.api_server_port if request.port is None else request.port)
+    settings = read_settings(options.settings) if options.settings else Settings()
+    host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
+    simulation = simulation_of(options, settings, clock_speed)
+    api = Api(simulation, settings, recordings=recordings_of(options, settings))
+    server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
     report = Report(server)
     with stopped_by_signals(server):
-        greet(server, request, settings)
+        greet(server, options, settings)
         try:
             server.serve(report.each_turn)
         finally:
             report.finish()
 
 
-def address_of(request: Request, settings: Settings) -> str:
+def address_of(options: ServeOptions, settings: Settings) -> str:
     """Where to listen. Beyond this machine only if the command line says so. Raises UserError."""
-    if request.host is not None:
-        return request.host
-    if not is_loopback(settings.host):
+    if options.host is not None:
+        return options.host
+    if not is_loopback(settings.address):
         raise UserError(
-            f"{request.settings}: LocalHostIp = {settings.host!r} listens beyond this machine, where anybody may "
-            f"fly the drone; if that is meant, add --host {settings.host}"
+            f"{options.settings}: LocalHostIp = {settings.address!r} listens beyond this machine, where anybody may "
+            f"fly the drone; if that is meant, add --host {settings.address}"
         )
-    return settings.host
+    return settings.address
 
 
 def is_loopback(host: str) -> bool:
@@ -74,28 +75,28 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def clock_speed_of(request: Request, settings: Settings) -> float:
+def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
     """The requested ClockSpeed; the simulation refuses 0 and below. Raises UserError."""
-    speed = settings.clock_speed if request.clock_speed is None else request.clock_speed
+    speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
     if speed > FASTEST:
         raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
     return speed
 
 
-def simulation_of(request: Request, settings: Settings, clock_speed: float) -> Simulation:
+def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float) -> Simulation:
     """The scene, settled and running. Raises UserError for an unknown scene or profile."""
-    if request.profile not in PROFILES:
-        raise UserError(f"--profile {request.profile}: there are {', '.join(PROFILES)}")
-    profile = settings.recorder_of(PROFILES[request.profile])
-    simulation = ready_simulation(request.scene, profile, clock_speed)
+    if options.profile not in PROFILES:
+        raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
+    profile = settings.recorder_of(PROFILES[options.profile])
+    simulation = ready_simulation(options.scene, profile, clock_speed)
     wind = settings.wind
     simulation.world.state["wind"] = (wind.x, wind.y, wind.z)
     return simulation
 
 
-def recordings_of(request: Request, settings: Settings) -> Path | None:
+def recordings_of(options: ServeOptions, settings: Settings) -> Path | None:
     """The folder for recordings; None keeps them in memory."""
-    return request.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
+    return options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
 
 
 def start_recording(api: Api) -> None:
@@ -106,18 +107,18 @@ def start_recording(api: Api) -> None:
         raise UserError(f"the recording cannot be written: {error}") from None
 
 
-def greet(server: Server, request: Request, settings: Settings) -> None:
+def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     """Say where the server listens and how the vehicle waits for its client."""
     host, port = server.address
     speed = float(server.api.simulation.clock_speed)
-    say(f"listening on {host}:{port}: scene {request.scene}, profile {request.profile}, ClockSpeed {speed:g}")
+    say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
     say(
         f"{settings.vehicle} hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
     )
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
     if passed_over := settings.passed_over():
-        say(f"{request.settings}: without meaning here: {', '.join(passed_over)}")
+        say(f"{options.settings}: without meaning here: {', '.join(passed_over)}")
 
 
 @contextmanager
@@ -151,14 +152,14 @@ class Report:
             self._speed = self._simulation.speed
         if self._server.clock.now_ns() >= self._next_ns:
             self._next_ns = self._server.clock.now_ns() + PERIOD_NS
-            self._look()
+            self._each_period()
 
     def finish(self) -> None:
         """Close the recording; say in one line how fast it went."""
         self._upkeep(self._server.api.recorder.stop)
         say(f"stopped; {self._text()}")
 
-    def _look(self) -> None:
+    def _each_period(self) -> None:
         self._upkeep(self._server.api.recorder.keep)
         speed = add(self._total, self._speed)
         if speed.lost_wall_ns > max(2 * self._warned_of_lost_ns, speed.wall_ns * WORTH_TELLING):

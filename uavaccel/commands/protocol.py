@@ -12,7 +12,7 @@ class MissionClient(Protocol):
 
     @property
     def clock_speed(self) -> float:
-        """Simulated seconds a wall second."""
+        """Simulated seconds per wall second."""
         ...
 
     def now_ns(self) -> int:

@@ -26,7 +26,7 @@ class FlightSample(NamedTuple):
 
 
 class FlightClient(CameraClient):
-    """Gathers flight samples, with pictures of `kind` unless that is None, and tells the stopwatches when it renders."""
+    """Gathers flight samples, with pictures of `kind` unless it is None; tells the stopwatches when it renders."""
 
     def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
         super().__init__(client, kind or "")

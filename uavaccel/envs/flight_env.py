@@ -52,6 +52,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
         self._client: FlightClient | None = None
+        self._now: Moment
 
     # --- Gymnasium --------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from uavaccel.kinematics import Kinematics
 
 
 class HoverTask(Task):
-    """Observations: the way to the waypoint, attitude, velocity and body rate (13,), NED and FRD, in m, m/s and rad/s."""
+    """Observations: the way to the waypoint, attitude, velocity and body rate (13,); m, m/s and rad/s."""
 
     reset_options: ClassVar[tuple[str, ...]] = ("waypoint_m",)
     observation: Literal["state"] = "state"

@@ -27,7 +27,7 @@ Features = Callable[[Kinematics, Mapping[str, Any]], NDArray[np.float32]]
 
 
 class Sensor(Protocol):
-    """Turns samples into frames; `picture` is the kind to ask for, None for none; `blank` stands for a missing frame."""
+    """Turns samples into frames. `picture`: the kind to ask for, None for none; `blank` stands for a missing frame."""
 
     picture: str | None
     blank: NDArray[Any]
@@ -48,7 +48,7 @@ class Sensor(Protocol):
 
 
 class Memoryless(ABC):
-    """A sensor whose frames depend on their own sample alone."""
+    """A sensor whose frames depend on their own sample alone: it has no state."""
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         return self.frame(state, image, course)
@@ -61,7 +61,7 @@ class Memoryless(ABC):
         return []
 
     def set_state(self, state: list[Any]) -> None:
-        pass
+        assert not state
 
 
 class EventCamera:

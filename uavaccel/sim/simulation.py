@@ -26,14 +26,14 @@ COMMAND_LOG_LENGTH = 1 << 16
 TRACE_LENGTH = 1 << 16
 
 
-class Pending:
+class DeferredReply:
     """A reply that is not yet due: `join` of a command, or a continue-for."""
 
     def __init__(self) -> None:
         self.value: Any = None
         self.encode: Callable[[Any], Any] = lambda value: value  # as the wire wants it
         self.due_wall_ns: int | None = None
-        self.on_due: Callable[[Pending], None] | None = None
+        self.on_due: Callable[[DeferredReply], None] | None = None
 
     def resolve(self, value: Any, wall_ns: int) -> None:
         """Fix the reply and the wall time before which it may not leave."""
@@ -45,14 +45,14 @@ class Pending:
 @dataclass
 class _Command:
     end_tick: int
-    reply: Pending
+    reply: DeferredReply
 
 
 @dataclass
 class _Continue:
     """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
 
-    reply: Pending
+    reply: DeferredReply
     end_tick: int | None = None
     end_wall_ns: int | None = None
 
@@ -138,6 +138,7 @@ class Simulation:
                 break
             self._end_at_tick(self.pacer.wall_due(end_tick))
         if (timer := self.wall_timer_ns()) is not None and wall_ns >= timer:
+            self.note("timer", timer)  # when it was due; the pause that follows is when it ended
             self.pause(wall_ns)
         self._account(wall_ns)
 
@@ -201,8 +202,7 @@ class Simulation:
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
-        self.pacer.set_clock_speed(clock_speed)
-        self.pacer.anchor(wall_ns, self.world.tick)
+        self.pacer.set_clock_speed(clock_speed, wall_ns)
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""
@@ -226,14 +226,14 @@ class Simulation:
             reply, self._continue = self._continue.reply, None
             reply.resolve(self.kinematics(), wall_ns)
 
-    def continue_for(self, duration_ns: int, wall_ns: int) -> Pending:
+    def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
         """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
 
         A second one replaces the first.
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self._continue = _Continue(Pending())
+        period = self._continue = _Continue(DeferredReply())
         if self.profile.exact_times:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
@@ -246,13 +246,13 @@ class Simulation:
         self.advance_to(wall_ns)  # it may be over already
         return period.reply
 
-    def continue_for_wall(self, seconds: float, wall_ns: int) -> Pending:
+    def continue_for_wall(self, seconds: float, wall_ns: int) -> DeferredReply:
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
     # --- flight commands --------------------------------------------------------------------------
 
-    def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> Pending:
+    def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> DeferredReply:
         """Fly a velocity for a simulated time; a running command ends with False (latest wins).
 
         Raises UserError where an exact profile's tick does not divide the time. Without API control the command
@@ -268,7 +268,7 @@ class Simulation:
             self.world.hold_from(None)
         if not self.commands and self.world.recording:
             self.world.start_recording()  # t = 0 is the tick at which the first command is accepted
-        self._command = _Command(self.world.tick + ticks, Pending())
+        self._command = _Command(self.world.tick + ticks, DeferredReply())
         self.commands.append((self.world.tick, self.world.tick + ticks))
         self.note("accept", wall_ns)
         return self._command.reply

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
-from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.simulation import Pending, Simulation
-from uavaccel.sim.world import START_M
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
+from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.settings import Settings
@@ -25,7 +25,6 @@ MIN_CLIENT_VERSION = 1
 FORWARD_ONLY = 1
 MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
 LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
-FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
 Handler = Callable[..., Any]
 
@@ -53,11 +52,12 @@ class Api:
         self.settings = settings or Settings()
         self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
         self._images = ImageApi(simulation, render)
+        self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
-        """The result of a call handled at `wall_ns`, or a `Pending` one. Raises rpc.RpcError.
+        """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation has to be advanced to `wall_ns` before.
         """
@@ -117,14 +117,15 @@ class Api:
         }
 
     def _own_methods(self) -> dict[str, Method]:
+        game = self._game
         return {
-            "uavaccelContinueFor": Method(self._continue_for, 1),
-            "uavaccelState": Method(lambda: encode_state(self.simulation.kinematics()), 0),
-            "uavaccelStartGame": Method(self._start_game, 1, 1),
-            "uavaccelSetClockSpeed": Method(self._set_clock_speed, 1),
-            "uavaccelSpeed": Method(self._speed, 0),
-            "uavaccelRecording": Method(self._recording, 0),
-            "uavaccelTrace": Method(self._trace, 1),
+            "uavaccelContinueFor": Method(lambda duration: game.continue_for(duration, self._wall_ns), 1),
+            "uavaccelState": Method(game.state, 0),
+            "uavaccelStartGame": Method(lambda *params: game.start(self._wall_ns, *params), 1, 1),
+            "uavaccelSetClockSpeed": Method(lambda speed: game.set_clock_speed(speed, self._wall_ns), 1),
+            "uavaccelSpeed": Method(game.speed, 0),
+            "uavaccelRecording": Method(game.recording, 0),
+            "uavaccelTrace": Method(game.trace, 1),
         }
 
     # --- AirSim -----------------------------------------------------------------------------------
@@ -166,7 +167,7 @@ class Api:
         else:
             self.simulation.run(self._wall_ns)
 
-    def _continue_for_time(self, seconds: Any) -> Pending:
+    def _continue_for_time(self, seconds: Any) -> DeferredReply:
         reply = self.simulation.continue_for_wall(self._duration(seconds, "seconds"), self._wall_ns)
         reply.encode = lambda _: None
         return reply
@@ -195,7 +196,7 @@ class Api:
 
     def _move_by_velocity(
         self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Pending | bool:
+    ) -> DeferredReply | bool:
         self._check_vehicle(vehicle)
         velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
         seconds = types.number(duration, "duration")
@@ -207,7 +208,7 @@ class Api:
 
     def _move_by_velocity_z(
         self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Pending | bool:
+    ) -> DeferredReply | bool:
         self._check_vehicle(vehicle)
         velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
         seconds = types.number(duration, "duration")
@@ -217,7 +218,7 @@ class Api:
             return False
         return self._fly(goal, seconds)
 
-    def _fly(self, goal: VelocityGoal, seconds: float) -> Pending:
+    def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
         self.recorder.keep()  # the first command starts the simulation's recorder anew
         return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
 
@@ -231,66 +232,6 @@ class Api:
         self._check_vehicle(vehicle)
         self.simulation.cancel(self._wall_ns)
 
-    # --- our own ----------------------------------------------------------------------------------
-
-    def _continue_for(self, duration_ns: Any) -> Pending:
-        """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
-        if isinstance(duration_ns, bool) or not isinstance(duration_ns, int) or duration_ns < 0:
-            raise ValueError(
-                f"duration_ns must be a whole number of nanoseconds, 0 or more, not {duration_ns!r}"
-            )
-        reply = self.simulation.continue_for(duration_ns, self._wall_ns)
-        reply.encode = encode_state
-        return reply
-
-    def _start_game(self, clock_speed: Any, height_m: Any = START_M[2]) -> list[float | int]:
-        """A settled hover at a NED z over the origin, paused, API control on, recording; replies the state."""
-        simulation = self.simulation
-        start_m = (START_M[0], START_M[1], types.coordinate(height_m, "height_m"))
-        self._set_clock_speed(clock_speed)
-        self.recorder.keep()
-        simulation.pause(self._wall_ns)
-        simulation.reset(self._wall_ns, start_m)
-        simulation.api_control = True
-        simulation.world.start_recording()
-        return encode_state(simulation.kinematics())
-
-    def _set_clock_speed(self, clock_speed: Any) -> None:
-        speed = types.number(clock_speed, "clock_speed")
-        if speed > FASTEST:
-            raise ValueError(f"clock_speed must be at most {FASTEST:g}, not {speed:g}")
-        self.simulation.set_clock_speed(speed, self._wall_ns)
-
-    def _speed(self) -> dict[str, Any]:
-        """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
-        speed = self.simulation.speed
-        return {
-            "clock_speed": float(self.simulation.clock_speed),
-            "real_time_factor": speed.real_time_factor,
-            "simulated_ns": speed.simulated_ns,
-            "wall_ns": speed.wall_ns,
-            "lost_wall_ns": speed.lost_wall_ns,
-            "failure": self.simulation.failure,
-        }
-
-    def _recording(self) -> dict[str, Any]:
-        """The game's samples and command log since the last reset, as raw little-endian arrays."""
-        recording = self.simulation.recording()
-        return {
-            "samples": recording.samples.astype("<f8").tobytes(),
-            "commands": recording.commands.astype("<i8").tobytes(),
-            "tick_ns": recording.tick_ns,
-            "dropped": recording.dropped,
-        }
-
-    def _trace(self, enabled: Any) -> list[list[Any]]:
-        """Switch the trace on or off; replies, and forgets, the events so far: [event, wall ns, simulated ns]."""
-        trace = self.simulation.trace
-        trace.enabled = types.flag(enabled, "enabled")
-        events = [list(event) for event in trace.events]
-        trace.events.clear()
-        return events
-
 
 def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any) -> tuple[float, bool]:
     """Yaw goal and whether it is a rate, for the direction of travel (MultirotorApiBase::adjustYaw)."""
@@ -300,22 +241,3 @@ def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any)
     if math.hypot(velocity[0], velocity[1]) <= MIN_HEADING_M_S:
         return 0.0, True
     return math.remainder(yaw + math.atan2(velocity[1], velocity[0]), 2 * math.pi), False
-
-
-def encode_state(kinematics: Kinematics) -> list[float | int]:
-    """Time in ns, position, wxyz, velocity, body rate and both accelerations: 20 numbers."""
-    return [
-        kinematics.time_ns,
-        *kinematics.position_m,
-        *kinematics.orientation_wxyz,
-        *kinematics.linear_velocity_m_s,
-        *kinematics.angular_velocity_rad_s,
-        *kinematics.linear_acceleration_m_s2,
-        *kinematics.angular_acceleration_rad_s2,
-    ]
-
-
-def decode_state(numbers: Sequence[Any]) -> Kinematics:
-    """The inverse of `encode_state`."""
-    n = tuple(numbers)
-    return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])

@@ -11,40 +11,36 @@ from numpy.typing import NDArray
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.api import decode_state
+from uavaccel.wire.game_api import decode_state
 from uavaccel.wire.image_api import decode_image
-from uavaccel.wire.transport import Ticket, Transport
+from uavaccel.wire.transport import Call, Transport
 
 START_HEIGHT_M = -10.0  # NED z: 10 m up
 _MAX_DEGREE_OF_FREEDOM = 0
 
 
 class Client:
-    """One connection to a simulation. Calls raise rpc.RpcError with the server's text.
+    """The calls of one connection to a simulation. They raise rpc.RpcError with the server's text.
 
-    `alone` promises that nobody else lets the simulation run. Then the state in which a continue-for left it is still
-    the present one until this client lets it run, and need not be asked for.
+    Several clients may share a transport: what is known of the state belongs to it (transport.KnownState).
     """
 
-    def __init__(self, transport: Transport, clock_speed: float = 1.0, alone: bool = False) -> None:
+    def __init__(self, transport: Transport, clock_speed: float = 1.0) -> None:
         self.transport = transport
         self.clock_speed = float(clock_speed)
-        self._alone = alone
-        self._stopped_at: Kinematics | None = None
 
     def call(self, method: str, *params: Any) -> Any:
         """Call any method of the wire and wait for its result."""
-        self._stopped_at = None
-        ticket = self.transport.send(method, params, joined=True)
-        self.transport.wait(ticket)
-        return ticket.result()
+        call = self.transport.send(method, params, blocking=True)
+        self.transport.wait(call)
+        return call.result()
 
     def now_ns(self) -> int:
         return self.transport.clock.now_ns()
 
     # --- MissionClient ----------------------------------------------------------------------------
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Ticket:
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Call:
         vx, vy, vz = goal.velocity_m_s
         yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
@@ -52,12 +48,12 @@ class Client:
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
-        standing = self._stopped_at is not None  # then nothing is gained by sending it at once
-        ticket = self.transport.send(method, params, joined=False, held=standing)
-        ticket.expected_ns = self._wall_after(t_move_s * NS_PER_S)
-        return ticket
+        stands = self.transport.known.state is not None  # then nothing is gained by sending it at once
+        call = self.transport.send(method, params, blocking=False, coalesced=stands)
+        call.expected_ns = self._wall_after(t_move_s * NS_PER_S)
+        return call
 
-    def join(self, future: Ticket, deadline_ns: int | None = None) -> bool:
+    def join(self, future: Call, deadline_ns: int | None = None) -> bool:
         if not self.transport.wait(future, deadline_ns):
             return False
         future.result()
@@ -67,22 +63,21 @@ class Client:
         self.call("simPause", True)
 
     def run(self) -> None:
-        self._stopped_at = None
         self.call("simPause", False)
 
     def continue_for(self, duration_ns: int) -> Kinematics:
-        ticket = self.transport.send("uavaccelContinueFor", (duration_ns,), joined=True)
-        ticket.expected_ns = self._wall_after(duration_ns)
-        self.transport.wait(ticket)
-        state = decode_state(ticket.result())
-        self._stopped_at = state if self._alone else None
+        call = self.transport.send("uavaccelContinueFor", (duration_ns,), blocking=True)
+        call.expected_ns = self._wall_after(duration_ns)
+        self.transport.wait(call)
+        state = decode_state(call.result())
+        self.transport.known.stands_at(state)
         return state
 
     def _wall_after(self, simulated_ns: float) -> int:
         return self.now_ns() + round(simulated_ns / self.clock_speed)
 
     def kinematics(self) -> Kinematics:
-        return self._stopped_at or decode_state(self.call("uavaccelState"))
+        return self.transport.known.state or decode_state(self.call("uavaccelState"))
 
     def gather(self, state: Kinematics) -> Any:
         return state
@@ -92,9 +87,7 @@ class Client:
     def start_game(self, clock_speed: float, height_m: float = START_HEIGHT_M) -> Kinematics:
         """A settled hover at NED z `height_m`, paused, API control on, recording on."""
         self.clock_speed = float(clock_speed)
-        state = decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
-        self._stopped_at = state if self._alone else None
-        return state
+        return decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
 
     def set_lane(self, lane: Any) -> None:
         """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
@@ -103,14 +96,15 @@ class Client:
     def image(self, kind: str) -> NDArray[Any]:
         """The front camera's picture of this moment: gray, colour, depth or segmentation; 144 rows of 256 pixels.
 
-        Unlike other calls it leaves the state known: looking moves nothing.
+        A known state stays known.
         """
-        ticket = self.transport.send("uavaccelImage", (kind,), joined=True)
-        self.transport.wait(ticket)
-        return decode_image(ticket.result())
+        return decode_image(self.call("uavaccelImage", kind))
 
     def collision(self) -> dict[str, Any]:
-        """What the vehicle has touched since the game's start: time_ns, object, position_m; empty if nothing."""
+        """What the vehicle has touched since the game's start: time_ns, object, position_m; empty if nothing.
+
+        A known state stays known.
+        """
         collision: dict[str, Any] = self.call("uavaccelCollision")
         return collision
 

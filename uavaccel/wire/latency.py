@@ -7,17 +7,23 @@ answer depends on how long they slept before, so a channel may have quantiles fo
 
 from __future__ import annotations
 
+import difflib
 import math
 import zlib
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, validate
+from uavaccel.errors import UserError
+from uavaccel.resources import experiment
+from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 DEFAULT = "call"
@@ -33,6 +39,13 @@ CHANNELS = {
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 _BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
+SHIPPED = "latency.yaml"
+
+# Behind a validator of one's own pydantic takes no list for a tuple.
+Numbers = Annotated[
+    tuple[float, ...], BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row)
+]
+Tables = dict[str, Numbers]  # microseconds at the quantiles, by channel
 
 
 def channel_of(method: str, params: Sequence[Any]) -> str:
@@ -47,6 +60,15 @@ def after_wait(channel: str, wait_ns: int) -> str:
     return f"{channel}@{WAITS_MS[bisect_left(_BETWEEN_NS, wait_ns)]}ms"
 
 
+def _known_channels() -> list[str]:
+    """Every name that a call can have, with and without a wait."""
+    channels = [DEFAULT, "pause", "continue", *dict.fromkeys(CHANNELS.values())]
+    return channels + [f"{channel}@{wait}ms" for channel in channels for wait in WAITS_MS]
+
+
+KNOWN_CHANNELS = _known_channels()
+
+
 class LatencyConfig(Config):
     """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state, image; "call" is the rest.
 
@@ -56,17 +78,20 @@ class LatencyConfig(Config):
     server ends (it matters to the `airsim` profile's continue-for alone).
     """
 
-    quantiles: tuple[float, ...] = QUANTILES
-    request_us: dict[str, tuple[float, ...]] = Field(
-        default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)}
-    )
-    reply_us: dict[str, tuple[float, ...]] = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
-    issue_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
-    timer_us: tuple[float, ...] = (0.0,) * len(QUANTILES)
+    quantiles: Numbers = QUANTILES
+    request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
+    reply_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
+    issue_us: Numbers = (0.0,) * len(QUANTILES)
+    timer_us: Numbers = (0.0,) * len(QUANTILES)
 
     @field_validator("request_us", "reply_us")
     @classmethod
-    def _has_default(cls, tables: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+    def _of_known_channels(cls, tables: Tables) -> Tables:
+        for name in tables:
+            if name not in KNOWN_CHANNELS:
+                close = difflib.get_close_matches(name, KNOWN_CHANNELS, n=1)
+                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(KNOWN_CHANNELS)}"
+                raise ValueError(f"has an unknown channel {name!r}; {hint}")
         if DEFAULT not in tables:
             raise ValueError(f'needs quantiles under "{DEFAULT}"')
         return tables
@@ -95,8 +120,43 @@ class LatencyConfig(Config):
 ZERO_LATENCY = LatencyConfig()
 
 
+@cache
+def shipped_latency() -> LatencyConfig:
+    """The model that ships, as measured by `uavaccel calibrate`."""
+    return read_latency(experiment(SHIPPED))
+
+
+def read_latency(path: Path) -> LatencyConfig:
+    """The model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
+    block = load_yaml(path)
+    if "latency" not in block:
+        raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
+    return validate(_LatencyFile, {"latency": block["latency"]}, str(path)).latency
+
+
+class _LatencyFile(Config):
+    latency: LatencyConfig
+
+
+def _from_file(value: Any) -> Any:
+    if not isinstance(value, str | Path):
+        return value
+    try:
+        return read_latency(Path(value))
+    except UserError as error:
+        raise UserError(f"latency: {error}") from None
+
+
+LatencyModel = Annotated[
+    LatencyConfig,
+    BeforeValidator(_from_file, json_schema_input_type=LatencyConfig | str),
+    Field(default_factory=shipped_latency),
+]
+"""Type of a configuration's field `latency`: a block or a YAML file's name; the shipped model where none is given."""
+
+
 class Latency:
-    """Draws latencies in nanoseconds; one generator a channel, so the order on one never disturbs another."""
+    """Draws latencies in nanoseconds; one generator per channel, so the order on one never disturbs another."""
 
     def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
         self._config = config
@@ -120,7 +180,7 @@ class Latency:
     def timer_ns(self) -> int:
         return self._draw("timer", "", {"": self._config.timer_us})
 
-    def _draw(self, kind: str, channel: str, tables: dict[str, tuple[float, ...]]) -> int:
+    def _draw(self, kind: str, channel: str, tables: Tables) -> int:
         if self._config is ZERO_LATENCY:  # which flights by the million draw from
             return 0
         name = channel if self._wait_ns is None else after_wait(channel, self._wait_ns)
@@ -131,7 +191,7 @@ class Latency:
             stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name])
         return next(stream)
 
-    def _stream(self, name: str, table: tuple[float, ...]) -> Iterator[int]:
+    def _stream(self, name: str, table: Numbers) -> Iterator[int]:
         if not any(table):
             while True:
                 yield 0

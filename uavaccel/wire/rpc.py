@@ -25,7 +25,7 @@ class ProtocolError(Exception):
 
 
 @dataclass(frozen=True)
-class Request:
+class RpcRequest:
     """A call; `message_id` is None for a notification, which gets no answer."""
 
     message_id: int | None
@@ -58,7 +58,7 @@ class Decoder:
             raise ProtocolError(f"not msgpack: {error}") from error
 
 
-def parse_request(message: list[Any]) -> Request:
+def parse_request(message: list[Any]) -> RpcRequest:
     """The request that a message is. Raises ProtocolError if it is none."""
     if len(message) == 4 and message[0] == REQUEST and type(message[1]) is int:
         message_id, method, params = message[1], message[2], message[3]
@@ -68,7 +68,7 @@ def parse_request(message: list[Any]) -> Request:
         raise ProtocolError("not a msgpack-rpc request")
     if not isinstance(method, str) or not isinstance(params, list):
         raise ProtocolError("not a msgpack-rpc request")
-    return Request(message_id, method, params)
+    return RpcRequest(message_id, method, params)
 
 
 def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:

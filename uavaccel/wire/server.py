@@ -13,7 +13,7 @@ from typing import IO, Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.simulation import Pending, Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.transport import set_no_delay, set_quick_ack
@@ -40,7 +40,7 @@ class Connection:
 
 
 class Answer(NamedTuple):
-    """What a client is to be told; a `Pending` result is due by now."""
+    """What a client is to be told; a `DeferredReply` is due by now."""
 
     connection: Connection
     message_id: int
@@ -49,7 +49,7 @@ class Answer(NamedTuple):
 
     def pack(self) -> bytes:
         result = self.result
-        if isinstance(result, Pending):
+        if isinstance(result, DeferredReply):
             result = result.encode(result.value)
         return rpc.pack_response(self.message_id, self.error, result)
 
@@ -178,7 +178,7 @@ class Server:
         except (rpc.ProtocolError, OSError):
             self._drop(connection)
 
-    def _handle(self, connection: Connection, request: rpc.Request) -> None:
+    def _handle(self, connection: Connection, request: rpc.RpcRequest) -> None:
         wall_ns = self.clock.now_ns()
         self.api.simulation.advance_to(wall_ns)
         try:
@@ -188,13 +188,13 @@ class Server:
         if request.message_id is None:
             return
         answer = Answer(connection, request.message_id, error, result)
-        if isinstance(result, Pending) and result.due_wall_ns is None:
+        if isinstance(result, DeferredReply) and result.due_wall_ns is None:
             result.on_due = lambda _: self._answers.append(answer)
         else:
             self._answers.append(answer)
 
     def _flush(self) -> None:
-        """Send what this turn has answered, in one packet a client.
+        """Send what this turn has answered, in one packet per client.
 
         The last answer first: where a command and its continue-for end together, the client waits for the latter.
         """

@@ -60,7 +60,7 @@ class WallSession:
         core = max(self._cores) if len(self._cores) > 1 else None
         options = json.dumps({"scene": scene, "profile": profile, "core": core})
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.wire.host", options],
+            [sys.executable, "-m", "uavaccel.wire.server_process", options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on that core too
@@ -72,7 +72,7 @@ class WallSession:
             raise RuntimeError(
                 f"the server process ended with status {self._process.wait()} before it listened"
             )
-        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"]), alone=True)
+        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"], exclusive=True))
         if core is not None:
             os.sched_setaffinity(0, self._cores - {core})
 
@@ -134,8 +134,8 @@ class VirtualSession:
     ) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed or np.random.SeedSequence(0))
         simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
-        transport: Any = VirtualTransport(Api(simulation), clock, latency)
-        return _start(Client(transport, clock_speed, alone=True), clock_speed, lane, height_m)
+        transport: Any = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
+        return _start(Client(transport, clock_speed), clock_speed, lane, height_m)
 
     def close(self) -> None:
         self._world.close()

@@ -69,7 +69,8 @@ class Settings(_AirSim):
         return next(iter(self.vehicles), VEHICLE)
 
     @property
-    def host(self) -> str:
+    def address(self) -> str:
+        """Where to listen: an IP address or a host's name."""
         return self.local_host_ip or LOOPBACK
 
     def recorder_of(self, profile: Profile) -> Profile:

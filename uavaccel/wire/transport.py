@@ -10,7 +10,8 @@ from typing import Any, Protocol
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.simulation import Pending
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.latency import Latency, channel_of
@@ -20,10 +21,13 @@ POLL_NS = 1_000_000
 _READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
+LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next tick
+    {"moveByVelocity", "moveByVelocityZ", "uavaccelImage", "uavaccelCollision"}
+)
 
 
-class Ticket:
-    """A call under way."""
+class Call:
+    """A call under way, as its client sees it."""
 
     def __init__(self, method: str, channel: str) -> None:
         self.method = method
@@ -31,7 +35,7 @@ class Ticket:
         self.done = False
         self.error: str | None = None
         self.value: Any = None
-        self.pending: Pending | None = None
+        self.deferred: DeferredReply | None = None
         self.handled_ns = 0
         self.reply_wall_ns: int | None = None
         self.expected_ns: int | None = None  # when the client thinks the answer is due
@@ -43,19 +47,41 @@ class Ticket:
         return self.value
 
 
+class KnownState:
+    """The state in which the simulation stands, as far as one connection knows it; its clients share it.
+
+    `exclusive` promises that nobody else lets the simulation run. Then the state in which a continue-for left it is
+    still the present one until this connection sends what may change it, and need not be asked for.
+    """
+
+    def __init__(self, exclusive: bool = False) -> None:
+        self.exclusive = exclusive
+        self.state: Kinematics | None = None
+
+    def stands_at(self, state: Kinematics) -> None:
+        """The simulation is paused, in this state."""
+        self.state = state if self.exclusive else None
+
+    def sending(self, method: str) -> None:
+        """A call that may change the state is about to be sent."""
+        if method not in LEAVES_STATE:
+            self.state = None
+
+
 class Transport(Protocol):
-    """Sends calls in order and waits for replies in any order."""
+    """One connection: sends calls in order and waits for replies in any order."""
 
     clock: WallClock
+    known: KnownState
 
-    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
-        """Issue a call; `joined` says that the caller waits for it at once.
+    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+        """Issue a call; `blocking` says that the caller waits for it at once.
 
-        A `held` one may travel with the next: for a caller who knows that nothing happens before.
+        A `coalesced` one may travel with the next: for a caller who knows that nothing happens before.
         """
         ...
 
-    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
+    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
         """Until the reply is there, or the wall deadline: then False."""
         ...
 
@@ -81,8 +107,9 @@ def set_quick_ack(connection: socket.socket) -> None:
 class SocketTransport:
     """msgpack-rpc over TCP. Raises UserError if nobody listens there."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, exclusive: bool = False) -> None:
         self.clock: WallClock = MonotonicClock()
+        self.known = KnownState(exclusive)
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
@@ -92,41 +119,42 @@ class SocketTransport:
         self._socket.settimeout(None)
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
-        self._open: dict[int, Ticket] = {}
-        self._held = b""
+        self._open: dict[int, Call] = {}
+        self._unsent = b""
         self._next_id = 0
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
-        ticket = Ticket(method, channel_of(method, params))
+    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+        self.known.sending(method)
+        call = Call(method, channel_of(method, params))
         self._next_id = (self._next_id + 1) & 0xFFFFFFFF
-        self._open[self._next_id] = ticket
-        self._held += rpc.pack_request(self._next_id, method, params)
-        if not held:
-            self._let_go()
-        return ticket
+        self._open[self._next_id] = call
+        self._unsent += rpc.pack_request(self._next_id, method, params)
+        if not coalesced:
+            self._flush()
+        return call
 
-    def _let_go(self) -> None:
-        if self._held:
-            held, self._held = self._held, b""
-            self._socket.sendall(held)
+    def _flush(self) -> None:
+        if self._unsent:
+            unsent, self._unsent = self._unsent, b""
+            self._socket.sendall(unsent)
 
-    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
-        self._let_go()
-        if ticket.expected_ns is not None:
-            self._poll_around(ticket, ticket.expected_ns, deadline_ns)
-        while not ticket.done:
+    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+        self._flush()
+        if call.expected_ns is not None:
+            self._poll_around(call, call.expected_ns, deadline_ns)
+        while not call.done:
             if deadline_ns is not None and not wait_for_sockets(self._selector, deadline_ns):
                 return False
             self._receive()
         return True
 
-    def _poll_around(self, ticket: Ticket, expected_ns: int, deadline_ns: int | None) -> None:
+    def _poll_around(self, call: Call, expected_ns: int, deadline_ns: int | None) -> None:
         """Be awake when the answer comes: a process that sleeps wakes tens of microseconds late."""
         last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
         wake_ns = expected_ns - POLL_NS
-        while not ticket.done and self.clock.now_ns() < last_ns:
+        while not call.done and self.clock.now_ns() < last_ns:
             if wait_for_sockets(self._selector, min(wake_ns, last_ns)):
                 self._receive()
 
@@ -137,13 +165,13 @@ class SocketTransport:
         set_quick_ack(self._socket)
         for message in self._decoder.messages(data):
             _, message_id, error, value = message
-            ticket = self._open.pop(message_id, None)
-            if ticket is not None:
-                ticket.done, ticket.error, ticket.value = True, error, value
+            call = self._open.pop(message_id, None)
+            if call is not None:
+                call.done, call.error, call.value = True, error, value
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
-            self._let_go()
+            self._flush()
         self._selector.close()
         self._socket.close()
 
@@ -151,59 +179,61 @@ class SocketTransport:
 class VirtualTransport:
     """Calls an `Api` in the same process and lets its simulation's wall clock pass as the latency model says."""
 
-    def __init__(self, api: Api, clock: VirtualClock, latency: Latency) -> None:
+    def __init__(self, api: Api, clock: VirtualClock, latency: Latency, exclusive: bool = False) -> None:
         self.clock: WallClock = clock
+        self.known = KnownState(exclusive)
         self._api = api
         self._latency = latency
         self._handled_ns = clock.now_ns()
 
-    def send(self, method: str, params: Sequence[Any], joined: bool, held: bool = False) -> Ticket:
-        ticket = Ticket(method, channel_of(method, params))
-        arrival = self.clock.now_ns() + self._latency.request_ns(ticket.channel)
+    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+        self.known.sending(method)
+        call = Call(method, channel_of(method, params))
+        arrival = self.clock.now_ns() + self._latency.request_ns(call.channel)
         self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
         self._run_to(self._handled_ns)
         try:
             value = self._api.call(method, params, self._handled_ns)
         except rpc.RpcError as error:
-            ticket.error, value = str(error), None
-        ticket.handled_ns = self._handled_ns
-        if isinstance(value, Pending):
-            ticket.pending = value
+            call.error, value = str(error), None
+        call.handled_ns = self._handled_ns
+        if isinstance(value, DeferredReply):
+            call.deferred = value
         else:
-            ticket.value = value
-            ticket.reply_wall_ns = self._handled_ns + self._latency.reply_ns(ticket.channel)
-        if not joined:
+            call.value = value
+            call.reply_wall_ns = self._handled_ns + self._latency.reply_ns(call.channel)
+        if not blocking:
             self.clock.charge(self._latency.issue_ns())
-        return ticket
+        return call
 
-    def wait(self, ticket: Ticket, deadline_ns: int | None = None) -> bool:
-        if ticket.pending is not None and not self._run_until_due(ticket, ticket.pending, deadline_ns):
+    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+        if call.deferred is not None and not self._run_until_due(call, call.deferred, deadline_ns):
             return False
-        reply = ticket.reply_wall_ns or 0
+        reply = call.reply_wall_ns or 0
         if deadline_ns is not None and reply > deadline_ns:
             self.clock.sleep_until(deadline_ns)
             return False
         self.clock.sleep_until(reply)
-        ticket.done = True
+        call.done = True
         return True
 
     def close(self) -> None:
         pass
 
-    def _run_until_due(self, ticket: Ticket, pending: Pending, deadline_ns: int | None) -> bool:
+    def _run_until_due(self, call: Call, deferred: DeferredReply, deadline_ns: int | None) -> bool:
         simulation = self._api.simulation
-        while pending.due_wall_ns is None:
+        while deferred.due_wall_ns is None:
             due = simulation.next_event_wall_ns()
             if deadline_ns is not None and (due is None or due > deadline_ns):
                 self.clock.sleep_until(deadline_ns)
                 return False
             if due is None:
-                raise RuntimeError(f"{ticket.method} would wait for ever: the simulation is paused")
+                raise RuntimeError(f"{call.method} would wait for ever: the simulation is paused")
             self._run_to(due)
-        if ticket.reply_wall_ns is None:
-            self._latency.waited(pending.due_wall_ns - ticket.handled_ns)
-            ticket.value = pending.encode(pending.value)
-            ticket.reply_wall_ns = pending.due_wall_ns + self._latency.reply_ns(ticket.channel)
+        if call.reply_wall_ns is None:
+            self._latency.waited(deferred.due_wall_ns - call.handled_ns)
+            call.value = deferred.encode(deferred.value)
+            call.reply_wall_ns = deferred.due_wall_ns + self._latency.reply_ns(call.channel)
         return True
 
     def _run_to(self, wall_ns: int) -> None:

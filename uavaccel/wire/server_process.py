@@ -1,6 +1,6 @@
 """The process that a session starts: one server on a free loopback port, until standard input ends.
 
-    python -m uavaccel.wire.host '{"scene": "blocks", "profile": "native", "core": null}'
+    python -m uavaccel.wire.server_process '{"scene": "blocks", "profile": "native", "core": null}'
 
 prints one line of JSON, {"port": ...}, when it listens.
 """

@@ -1,0 +1,186 @@
+"""Our client on a connection: what it sends, what it knows without asking, and what it makes of the replies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.simulating import world_of
+from uavaccel.clock import VirtualClock
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.simulation import Simulation
+from uavaccel.wire.api import Api
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import ZERO_LATENCY, Latency
+from uavaccel.wire.transport import VirtualTransport
+
+MS = 1_000_000
+NORTH = VelocityGoal((1.0, 0.0, 0.0))
+
+
+class LoggingTransport(VirtualTransport):
+    """A virtual transport that notes what is sent: method, parameters, blocking, coalesced."""
+
+    def __init__(self, exclusive: bool) -> None:
+        world_of(NATIVE).reset()
+        simulation = Simulation(world_of(NATIVE))
+        self.sent: list[tuple[Any, ...]] = []
+        draws = Latency(ZERO_LATENCY, np.random.SeedSequence(0))
+        super().__init__(Api(simulation, render=False), VirtualClock(), draws, exclusive)
+
+    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Any:
+        self.sent.append((method, tuple(params), blocking, coalesced))
+        return super().send(method, params, blocking, coalesced)
+
+    def methods(self) -> list[str]:
+        """What was sent since the last look."""
+        methods = [method for method, *_ in self.sent]
+        self.sent.clear()
+        return methods
+
+
+def new_client(exclusive: bool = True, clock_speed: float = 1.0) -> tuple[Client, LoggingTransport]:
+    transport = LoggingTransport(exclusive)
+    client = Client(transport)
+    client.start_game(clock_speed)
+    transport.sent.clear()
+    return client, transport
+
+
+# --- the known state ----------------------------------------------------------------------------------------
+
+
+def test_two_clients_of_a_connection_know_the_same() -> None:
+    """Each believes to be alone; after the second flew, the first must not go on telling where it left off."""
+    first, transport = new_client()
+    second = Client(transport)
+    start = first.continue_for(2 * MS)
+    second.move_async(NORTH, 1.0)
+    end = second.continue_for(1000 * MS)
+    assert end.position_m[0] > start.position_m[0] + 0.1
+    assert first.kinematics() == second.kinematics() == end
+    second.run()
+    second.transport.clock.sleep_until(second.now_ns() + 500 * MS)
+    assert first.kinematics().time_ns == end.time_ns + 500 * MS
+
+
+def test_a_known_state_is_not_asked_for_and_a_command_travels_with_its_continue_for() -> None:
+    client, transport = new_client()
+    state = client.continue_for(100 * MS)
+    transport.sent.clear()
+    assert client.kinematics() == state
+    client.move_async(NORTH, 1.0)
+    assert client.kinematics() == state, "a command acts from the next tick"
+    assert client.collision() == {}
+    assert client.kinematics() == state
+    assert [(method, coalesced) for method, _, _, coalesced in transport.sent] == [
+        ("moveByVelocity", True),
+        ("uavaccelCollision", False),
+    ]
+
+
+POSE = {
+    "position": dict.fromkeys(("x_val", "y_val", "z_val"), -5.0),
+    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
+}
+
+
+@pytest.mark.parametrize("call", [
+    ("simPause", False),
+    ("simPause", True),
+    ("reset",),
+    ("uavaccelStartGame", 1.0),
+    ("simContinueForTime", 0.1),
+    ("uavaccelContinueFor", 2 * MS),
+    ("simSetVehiclePose", POSE, True),
+])  # fmt: skip
+def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> None:
+    client, transport = new_client()
+    client.continue_for(100 * MS)
+    client.call(*call)
+    transport.sent.clear()
+    state = client.kinematics()
+    assert transport.methods() == ["uavaccelState"]
+    assert state == transport._api.simulation.kinematics()
+
+
+def test_nothing_is_known_where_others_may_fly_too() -> None:
+    client, transport = new_client(exclusive=False)
+    client.continue_for(100 * MS)
+    client.kinematics()
+    client.move_async(NORTH, 1.0)
+    assert [(method, coalesced) for method, _, _, coalesced in transport.sent] == [
+        ("uavaccelContinueFor", False),
+        ("uavaccelState", False),
+        ("moveByVelocity", False),
+    ]
+
+
+# --- what is sent -------------------------------------------------------------------------------------------
+
+
+def test_goals_become_airsims_arguments() -> None:
+    client, transport = new_client()
+    client.move_async(VelocityGoal((1.0, 2.0, 3.0), None, 0.25, True), 0.5)
+    client.move_async(VelocityGoal((1.0, 2.0, 3.0), -7.0, -0.5, False), 2.0)
+    yaws = [
+        {"is_rate": True, "yaw_or_rate": math.degrees(0.25)},
+        {"is_rate": False, "yaw_or_rate": math.degrees(-0.5)},
+    ]
+    assert transport.sent == [
+        ("moveByVelocity", (1.0, 2.0, 3.0, 0.5, 0, yaws[0], ""), False, False),
+        ("moveByVelocityZ", (1.0, 2.0, -7.0, 2.0, 0, yaws[1], ""), False, False),
+    ]
+
+
+def test_the_client_expects_its_answers_when_they_are_due() -> None:
+    """It polls around that moment, on the machine's clock; simulated time passes at ClockSpeed."""
+    client, _ = new_client(clock_speed=20.0)
+    client.run()
+    now_ns = client.now_ns()
+    assert client.move_async(NORTH, 1.0).expected_ns == now_ns + 50 * MS
+    assert client.clock_speed == 20.0
+
+
+def test_a_game_starts_where_and_as_fast_as_asked() -> None:
+    client, transport = new_client()
+    state = client.start_game(2.0, -3.5)
+    assert transport.sent == [("uavaccelStartGame", (2.0, -3.5), True, False)]
+    assert (state.position_m, state.linear_velocity_m_s) == ((0.0, 0.0, -3.5), (0.0, 0.0, 0.0))
+    assert client.speed()["clock_speed"] == 2.0
+
+
+def test_a_recording_arrives_as_it_was_made() -> None:
+    client, transport = new_client()
+    client.move_async(NORTH, 0.5)
+    client.continue_for(500 * MS)
+    found, made = client.recording(), transport._api.simulation.recording()
+    np.testing.assert_array_equal(found.samples, made.samples)
+    np.testing.assert_array_equal(found.commands, [[0, 250]])
+    assert (found.tick_ns, found.dropped) == (made.tick_ns, made.dropped)
+    assert len(found.samples) == 11
+
+
+def test_a_trace_is_told_once_and_only_while_switched_on() -> None:
+    client, _ = new_client()
+    client.continue_for(2 * MS)
+    assert client.trace(True) == []
+    client.continue_for(2 * MS)
+    events = client.trace(False)
+    assert [event for event, _, _ in events] == [
+        "handle uavaccelContinueFor",
+        "run",
+        "pause",
+        "handle uavaccelTrace",
+    ]
+    assert [(wall_ns, time_ns) for _, wall_ns, time_ns in events] == [
+        *[(2 * MS, 2 * MS)] * 2,
+        *[(4 * MS, 4 * MS)] * 2,
+    ]
+    client.continue_for(2 * MS)
+    assert client.trace(False) == []

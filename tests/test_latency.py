@@ -1,0 +1,243 @@
+"""The latency model: which quantiles a message is drawn from, and what a configuration may say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavaccel.config import Config, schema, to_yaml, validate
+from uavaccel.errors import UserError
+from uavaccel.resources import experiment
+from uavaccel.wire.latency import (
+    QUANTILES,
+    WAITS_MS,
+    ZERO_LATENCY,
+    Latency,
+    LatencyConfig,
+    LatencyModel,
+    after_wait,
+    channel_of,
+    read_latency,
+)
+from uavaccel.yaml_io import dump_yaml, load_yaml
+
+MS = 1_000_000
+RISING_US = (0.0, 1.0, 5.0, 20.0, 60.0, 150.0, 400.0, 2e3, 1e4, 5e4, 2e5, 1e6)
+CHANNELS = ("call", "move", "pause", "continue", "continue_for", "state", "image")
+
+
+def always(microseconds: float) -> tuple[float, ...]:
+    """Quantiles of a latency that is always the same."""
+    return (microseconds,) * len(QUANTILES)
+
+
+def latency_of(config: LatencyConfig, seed: int = 0, *key: int) -> Latency:
+    return Latency(config, np.random.SeedSequence(seed, spawn_key=key))
+
+
+# --- what is drawn ------------------------------------------------------------------------------------------
+
+
+def test_each_kind_is_drawn_from_its_own_quantiles() -> None:
+    config = LatencyConfig(
+        request_us={"call": always(1.0), "move": always(2.0)},
+        reply_us={"call": always(3.0), "move": always(4.5)},
+        issue_us=always(5.0),
+        timer_us=always(6.0),
+    )
+    latency = latency_of(config)
+    assert [latency.request_ns("call"), latency.request_ns("move")] == [1_000, 2_000]
+    assert [latency.reply_ns("call"), latency.reply_ns("move")] == [3_000, 4_500]
+    assert [latency.request_ns("pause"), latency.reply_ns("pause")] == [1_000, 3_000], "the rest is a call"
+    assert [latency.issue_ns(), latency.timer_ns()] == [5_000, 6_000]
+
+
+def test_a_wait_chooses_the_quantiles_after_it() -> None:
+    """Those of the wait, if there are any, else the channel's, else the rest's."""
+    config = LatencyConfig(
+        request_us={
+            "call": always(1.0),
+            "pause": always(2.0),
+            "pause@5ms": always(3.0),
+            "call@5ms": always(9.0),
+        },
+        reply_us={"call": always(4.0), "pause@5ms": always(5.0)},
+    )
+    latency = latency_of(config)
+    assert latency.request_ns("pause") == 2_000, "nothing has been waited for"
+    latency.waited(5 * MS)
+    assert [latency.request_ns("pause"), latency.reply_ns("pause")] == [3_000, 5_000]
+    assert [latency.request_ns("call"), latency.request_ns("state")] == [9_000, 1_000]
+    latency.waited(20 * MS)
+    assert [latency.request_ns("pause"), latency.reply_ns("pause")] == [2_000, 4_000]
+
+
+@given(st.integers(0, 10**9))
+def test_a_wait_belongs_to_the_nearest_by_ratio(wait_ns: int) -> None:
+    nearest = WAITS_MS[int(np.argmin(np.abs(np.log(np.array(WAITS_MS)) - np.log(max(wait_ns, 1) / MS))))]
+    assert after_wait("pause", wait_ns) == f"pause@{nearest}ms"
+
+
+def test_latencies_follow_their_quantiles() -> None:
+    """Independent draws, uniform between two neighbouring quantiles."""
+    config = LatencyConfig(
+        quantiles=(0.0, 0.2, 1.0),
+        request_us={"call": (10.0, 20.0, 100.0)},
+        reply_us={"call": (0.0, 0.0, 0.0)},
+        issue_us=(0.0, 0.0, 0.0),
+        timer_us=(0.0, 0.0, 0.0),
+    )
+    latency = latency_of(config, 3)
+    sample_us = np.array([latency.request_ns("call") for _ in range(20_000)]) / 1e3
+    assert 10.0 <= sample_us.min() < 10.1
+    assert 99.5 < sample_us.max() <= 100.0
+    assert np.mean(sample_us < 20.0) == pytest.approx(0.2, abs=0.01)
+    assert np.mean(sample_us < 60.0) == pytest.approx(0.6, abs=0.015)
+    assert abs(np.corrcoef(sample_us[1:], sample_us[:-1])[0, 1]) < 0.03
+    assert len(set(sample_us)) > 10_000, "nothing comes round again"
+
+
+def test_seeds_and_their_children_draw_other_numbers() -> None:
+    config = LatencyConfig(request_us={"call": RISING_US}, reply_us={"call": RISING_US}, issue_us=RISING_US)
+    games = {
+        tuple(latency_of(config, seed, *key).request_ns("call") for _ in range(1)) for seed, key in
+        [(0, ()), (1, ()), (0, (1,)), (0, (2,)), (0, (1, 2))]
+    }  # fmt: skip
+    assert len(games) == 5
+    latency = latency_of(config)
+    assert len({latency.request_ns("call"), latency.reply_ns("call"), latency.issue_ns()}) == 3
+
+
+@given(st.lists(st.sampled_from(CHANNELS), max_size=60), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_channels_are_independent(others: list[str], seed: int) -> None:
+    """What is drawn on other channels, for replies, timers and issues, leaves a channel's own draws as they are."""
+    tables = dict.fromkeys(CHANNELS, RISING_US)
+    config = LatencyConfig(request_us=tables, reply_us=tables, issue_us=RISING_US, timer_us=RISING_US)
+    undisturbed, among = latency_of(config, seed), latency_of(config, seed)
+    expected = [undisturbed.request_ns("move") for _ in range(20)]
+    found = []
+    for index in range(20):
+        for other in others[3 * index : 3 * index + 3]:
+            among.reply_ns(other)
+            among.timer_ns()
+            among.issue_ns()
+            if other != "move":
+                among.request_ns(other)
+        found.append(among.request_ns("move"))
+    assert found == expected
+
+
+def test_without_latency_nothing_is_drawn() -> None:
+    latency = latency_of(ZERO_LATENCY)
+    assert [latency.request_ns("move"), latency.reply_ns("move"), latency.issue_ns(), latency.timer_ns()] == [
+        0
+    ] * 4
+
+
+@pytest.mark.parametrize(("method", "params", "channel"), [
+    ("simPause", [True], "pause"),
+    ("simPause", [False], "continue"),
+    ("moveByVelocity", [], "move"),
+    ("moveByVelocityZ", [], "move"),
+    ("uavaccelContinueFor", [5], "continue_for"),
+    ("uavaccelState", [], "state"),
+    ("uavaccelImage", ["gray"], "image"),
+    ("simGetImages", [[]], "image"),
+    ("simGetImage", ["0", 0], "image"),
+    ("ping", [], "call"),
+    ("uavaccelCollision", [], "call"),
+])  # fmt: skip
+def test_calls_have_channels(method: str, params: list[Any], channel: str) -> None:
+    assert channel_of(method, params) == channel
+
+
+# --- what a configuration may say ---------------------------------------------------------------------------
+
+
+class Task(Config):
+    latency: LatencyModel
+
+
+BLOCK = {
+    "quantiles": [0, 1],
+    "request_us": {"call": [1, 2], "pause@20ms": [3, 4]},
+    "reply_us": {"call": [5, 6]},
+    "issue_us": [7, 8],
+    "timer_us": [9, 9.5],
+}
+
+
+def write(folder: Path, block: Any) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(dump_yaml({"latency": block}))
+    return path
+
+
+def test_a_block_a_file_of_it_and_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In every configuration alike; where nothing is given, the model that ships."""
+    written = validate(Task, {"latency": BLOCK}, "task").latency
+    assert written.request_us == {"call": (1.0, 2.0), "pause@20ms": (3.0, 4.0)}
+    assert (written.quantiles, written.reply_us["call"]) == ((0.0, 1.0), (5.0, 6.0))
+    assert (written.issue_us, written.timer_us) == ((7.0, 8.0), (9.0, 9.5))
+    path = write(tmp_path, BLOCK)
+    assert validate(Task, {"latency": str(path)}, "task").latency == written == read_latency(path)
+    monkeypatch.chdir(tmp_path)
+    assert Task.model_validate({"latency": "mine.yaml"}).latency == written, "from the working directory"
+    shipped = load_yaml(experiment("latency.yaml"))["latency"]
+    assert validate(Task, {}, "task").latency.model_dump(mode="json") == {"timer_us": [0.0] * 12, **shipped}
+
+
+def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path: Path) -> None:
+    task = validate(Task, {"latency": str(write(tmp_path, BLOCK))}, "task")
+    again = tmp_path / "config.yaml"
+    again.write_text(to_yaml(task))
+    assert validate(Task, load_yaml(again), "config") == task
+    kinds = schema(Task)["properties"]["latency"]["anyOf"]
+    assert {"type": "string"} in kinds
+    assert len(kinds) == 2
+
+
+@pytest.mark.parametrize(("change", "text"), [
+    ({"request_us": {"call": [0, 0], "contnue": [0, 0]}},
+     "latency.request_us = .*: has an unknown channel 'contnue'; did you mean 'continue'?"),
+    ({"reply_us": {"call": [0, 0], "pause@3ms": [0, 0]}}, "unknown channel 'pause@3ms'; did you mean 'pause@"),
+    ({"reply_us": {"call": [0, 0], "": [0, 0]}}, "unknown channel ''; known: call, pause, continue, move"),
+    ({"request_us": {"move": [0, 0]}}, 'latency.request_us = .*: needs quantiles under "call"'),
+    ({"quantiles": [0, 0.5]}, "latency.quantiles = .*: must begin with 0 and end with 1"),
+    ({"quantiles": [0.1, 1]}, "must begin with 0 and end with 1"),
+    ({"quantiles": [0, 0.5, 0.5, 1]}, "latency.quantiles = .*: must rise"),
+    ({"issue_us": [1]}, "latency.issue_us = .*: needs 2 values, one for each of the quantiles, not 1"),
+    ({"timer_us": [2, 1]}, "latency.timer_us = .*: quantiles must be 0 or more and must not fall"),
+    ({"reply_us": {"call": [-1, 1]}}, "latency.reply_us = .*: quantiles must be 0 or more"),
+    ({"request_us": {"call": [0, "1"]}}, "latency.request_us.call.1 = '1': should be a valid number"),
+    ({"isue_us": [0, 1]}, "unknown key 'latency.isue_us'; did you mean 'issue_us'?"),
+])  # fmt: skip
+def test_what_is_wrong_is_one_line_in_a_block_and_in_a_file(
+    tmp_path: Path, change: dict[str, Any], text: str
+) -> None:
+    text = re.sub(r"\?$", r"\\?", text)
+    with pytest.raises(UserError, match=f"^task: .*{text}"):
+        validate(Task, {"latency": {**BLOCK, **change}}, "task")
+    path = write(tmp_path, {**BLOCK, **change})
+    with pytest.raises(UserError, match=f"^task: latency: {re.escape(str(path))}: .*{text}") as caught:
+        validate(Task, {"latency": str(path)}, "task")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_model_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="^task: latency = 5: should be a mapping$"):
+        validate(Task, {"latency": 5}, "task")
+    with pytest.raises(UserError, match=r"^task: latency: none\.yaml: No such file or directory$"):
+        validate(Task, {"latency": "none.yaml"}, "task")
+    (tmp_path / "dp1.yaml").write_text("suite: dp1\n")
+    with pytest.raises(
+        UserError, match=r"dp1\.yaml: has no key 'latency'; `uavaccel calibrate --out .*` writes one"
+    ):
+        validate(Task, {"latency": str(tmp_path / "dp1.yaml")}, "task")
