@@ -30,11 +30,11 @@ class Client:
         self.transport = transport
         self.clock_speed = float(clock_speed)
         self._alone = alone
-        self._stopped_at: Kinematics | None = None
+        self.known_state: Kinematics | None = None
 
     def call(self, method: str, *params: Any) -> Any:
         """Call any method of the wire and wait for its result."""
-        self._stopped_at = None
+        self.known_state = None
         ticket = self.transport.send(method, params, joined=True)
         self.transport.wait(ticket)
         return ticket.result()
@@ -52,7 +52,7 @@ class Client:
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
-        standing = self._stopped_at is not None  # then nothing is gained by sending it at once
+        standing = self.known_state is not None  # then nothing is gained by sending it at once
         ticket = self.transport.send(method, params, joined=False, held=standing)
         ticket.expected_ns = self._wall_after(t_move_s * NS_PER_S)
         return ticket
@@ -67,7 +67,7 @@ class Client:
         self.call("simPause", True)
 
     def run(self) -> None:
-        self._stopped_at = None
+        self.known_state = None
         self.call("simPause", False)
 
     def continue_for(self, duration_ns: int) -> Kinematics:
@@ -75,14 +75,14 @@ class Client:
         ticket.expected_ns = self._wall_after(duration_ns)
         self.transport.wait(ticket)
         state = decode_state(ticket.result())
-        self._stopped_at = state if self._alone else None
+        self.known_state = state if self._alone else None
         return state
 
     def _wall_after(self, simulated_ns: float) -> int:
         return self.now_ns() + round(simulated_ns / self.clock_speed)
 
     def kinematics(self) -> Kinematics:
-        return self._stopped_at or decode_state(self.call("uavaccelState"))
+        return self.known_state or decode_state(self.call("uavaccelState"))
 
     def gather(self, state: Kinematics) -> Any:
         return state
@@ -93,7 +93,7 @@ class Client:
         """A settled hover at NED z `height_m`, paused, API control on, recording on."""
         self.clock_speed = float(clock_speed)
         state = decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
-        self._stopped_at = state if self._alone else None
+        self.known_state = state if self._alone else None
         return state
 
     def set_lane(self, lane: Any) -> None:
