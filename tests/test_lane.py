@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.lane import path as lane_path
 from uavaccel.sim.lane.file import layout_from, load_layout
@@ -80,7 +81,7 @@ def test_the_simulator_flies_a_planned_path_to_the_end() -> None:
     world.reset()
     clearance = []
     for north, east in plan_path(layout, height_m=10.0):
-        world.fly_velocity((north, east, -10.0), height_held=True, yaw=0.0, yaw_is_rate=False)
+        world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False))
         for _ in range(4):
             world.advance(125)
             clearance.append(clearance_m(layout, world.kinematics().position_m[:2]))
@@ -201,7 +202,7 @@ def test_a_flight_ends_at_the_step_of_the_collision() -> None:
     layout = one_post(3.0, 0.0)
     world.set_lane(layout)
     world.reset()
-    world.fly_velocity((1.0, 0.0, 0.0), height_held=False, yaw=0.0, yaw_is_rate=True)
+    world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
     world.advance(5000)
     assert world.collision_tick is not None
     assert world.collision_object == "obstacle_00"
