@@ -1,7 +1,7 @@
-"""PPO of stable-baselines3 on the tasks with continuous actions: python docs/train_tasks.py [--out FOLDER] [NAME=STEPS]...
+"""PPO of stable-baselines3 on the tasks with continuous actions.
 
-Writes into FOLDER, for each task, how many of the last 100 games were won, step by step, and draws it; then prints how many
-of 100 games on fresh seeds the trained policy wins, and what it cost. One process, one thread.
+Writes, for each task, how many of the last 100 games were won, step by step, and draws it; prints how many of 100 games
+on fresh seeds the trained policy wins, and what it cost. One process, one thread.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from uavaccel.clock import MonotonicClock
 
 matplotlib.use("agg")
-from matplotlib import pyplot as plt  # noqa: E402 - after the choice of a backend without a window
+from matplotlib import pyplot as plt
 
 GAMES, FIRST_FRESH_SEED = 100, 1_000_000
 OPTIONS = {"n_steps": 128, "batch_size": 256, "gamma": 0.98, "learning_rate": 1e-3, "device": "cpu"}
@@ -80,7 +80,9 @@ def draw(trainings: list[dict[str, object]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
     for training in trainings:
         steps, share, _ = np.array(training["curve"]).T
-        axes.plot(steps, share, label=f"{training['task']}: {training['won']} of {training['games']} fresh games")
+        axes.plot(
+            steps, share, label=f"{training['task']}: {training['won']} of {training['games']} fresh games"
+        )
     axes.set(xlabel="commands flown", ylabel=f"share of the last {GAMES} games won", ylim=(0, 1.02))
     axes.legend(loc="lower right")
     figure.savefig(path, dpi=120)

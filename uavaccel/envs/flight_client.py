@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.camera_client import CameraClient
+from uavaccel.envs.sensors import from_arrays
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State
 from uavaccel.vision.guard import GuardState
 from uavaccel.wire.client import Client
 
@@ -46,9 +48,11 @@ class FlightClient(CameraClient):
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
 
-    def get_state(self) -> list[Any]:
-        """What the guard remembers: plain values and arrays."""
-        return list(self._guard_state)
+    def get_state(self) -> State:
+        """What the guard remembers, for np.savez."""
+        state = self._guard_state._asdict()
+        return {name: value for name, value in state.items() if value is not None}
 
-    def set_state(self, state: list[Any]) -> None:
-        self._guard_state = GuardState(*state)
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self._guard_state = GuardState(**from_arrays(state))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any, ClassVar
 
 import gymnasium
@@ -18,9 +20,12 @@ from uavaccel.envs.flight_client import FlightClient, FlightSample
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment, Task
 from uavaccel.errors import UserError
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim import gl
+from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.latency import ZERO_LATENCY
-from uavaccel.wire.session import Session, open_session
+from uavaccel.wire.client import Client
+from uavaccel.wire.session import Session, VirtualSession, open_session
 
 Observation = NDArray[Any]
 Info = dict[str, Any]
@@ -108,6 +113,41 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._client.client.transport.clock.charge(round(duration_s * NS_PER_S))
         self._stopwatches[0].add(phase, duration_s)
 
+    def get_state(self) -> State:
+        """The running game, all of it, for np.savez: another environment of this task goes on to the same bytes.
+
+        Between two steps. In `wall`, where a game cannot stand still, it is what the next one is drawn from.
+        """
+        state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
+        if self._client is None or not isinstance(self._session, VirtualSession):
+            return state
+        game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
+        state["game"] = json.dumps(game)
+        state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
+        state["frames"] = np.stack(self._frames)
+        state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
+        return state | under("guard", self._client.get_state())
+
+    def set_state(self, state: Mapping[str, Any]) -> Observation:
+        """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
+        self.np_random.bit_generator.state = json.loads(str(state["generator"]))
+        if "game" not in state:
+            return self.reset()[0]
+        session, game = self._opened(), json.loads(str(state["game"]))
+        assert isinstance(session, VirtualSession)
+        self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
+        for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
+            stopwatch.set_state(spent)
+        numbers: list[Any] = [
+            tuple(value) if isinstance(value, list) else value for value in game.pop("state")
+        ]
+        self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
+        self._sensor.set_state(part("sensor", state))
+        assert self._client is not None
+        self._client.set_state(part("guard", state))
+        self._frames.extend(state["frames"])
+        return self._observation()
+
     # --- inside -----------------------------------------------------------------------------------
 
     def _checked(self, options: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -117,19 +157,29 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             raise UserError(f"reset: unknown option {unknown[0]!r}; known: {known}")
         return options
 
-    def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
+    def _opened(self) -> Session:
         task = self.task
+        if self._sensor.picture is not None:
+            gl.check_process()
         if self._session is None:
-            latency = task.latency_model() if task.timing == "virtual" else ZERO_LATENCY
-            self._session = open_session(task.timing, task.profile, task.scene, latency)
-        client = self._session.start_game(
-            task.clock_speed, latencies, lane=task.layout(course), height_m=-task.altitude_m
-        )
-        self._start_ns = client.now_ns()
+            self._session = open_session(task.timing, task.profile, task.scene, task.latency)
+        return self._session
+
+    def _connect(self, client: Client, start_ns: int) -> None:
+        """Fly with this client a game that began at `start_ns` of its wall clock."""
+        self._start_ns = start_ns
         self._stopwatches = [Stopwatch(client.transport.clock)]
-        if task.report_host_times:
+        if self.task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
         self._client = FlightClient(client, self._sensor.picture, self._stopwatches)
+
+    def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
+        task, start_z_m = self.task, -self.task.altitude_m
+        client = self._opened().start_game(
+            task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m
+        )
+        self._connect(client, client.now_ns())
+        assert self._client is not None
         first: FlightSample = self._client.gather(self._client.kinematics())
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)

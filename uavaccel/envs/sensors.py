@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State
 from uavaccel.vision.dvs import PRESETS, DvsState, init_state, step
 from uavaccel.vision.dvs import make_sensor as make_dvs
 from uavaccel.vision.observation import BLOCK, NEUTRAL, dvs_observation
@@ -40,11 +41,13 @@ class Sensor(Protocol):
         """The frame of a sample, of the shape and type of `blank`."""
         ...
 
-    def get_state(self) -> list[Any]:
-        """What it remembers of the running game: plain values and arrays."""
+    def get_state(self) -> State:
+        """What it remembers of the running game, for np.savez."""
         ...
 
-    def set_state(self, state: list[Any]) -> None: ...
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        ...
 
 
 class Memoryless(ABC):
@@ -57,10 +60,10 @@ class Memoryless(ABC):
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """As `Sensor.frame`."""
 
-    def get_state(self) -> list[Any]:
-        return []
+    def get_state(self) -> State:
+        return {}
 
-    def set_state(self, state: list[Any]) -> None:
+    def set_state(self, state: Mapping[str, Any]) -> None:
         assert not state
 
 
@@ -87,12 +90,14 @@ class EventCamera:
         self._state, on, off = step(self._dvs, self._state, image, time_s)
         return dvs_observation(on, off)[None]
 
-    def get_state(self) -> list[Any]:
+    def get_state(self) -> State:
         assert self._state is not None
-        return [self._start_ns, *self._state]
+        return {"start_ns": self._start_ns, **self._state._asdict()}
 
-    def set_state(self, state: list[Any]) -> None:
-        self._start_ns, self._state = state[0], DvsState(*state[1:])
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        fields = from_arrays(state)
+        self._start_ns = fields.pop("start_ns")
+        self._state = DvsState(**fields)
 
 
 class ColourCamera(Memoryless):
@@ -143,6 +148,12 @@ def make_sensor(
         return EventCamera(dvs_preset, dvs_seed)
     cameras: dict[str, type[ColourCamera | DepthCamera]] = {"colour": ColourCamera, "depth": DepthCamera}
     return cameras[observation]()
+
+
+def from_arrays(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays as they are, and single numbers, which np.load gives back as arrays without a shape, as numbers."""
+    arrays = {name: np.asarray(value) for name, value in state.items()}
+    return {name: each if each.ndim else each.item() for name, each in arrays.items()}
 
 
 def state_fields(state: Kinematics) -> NDArray[np.float32]:

@@ -19,11 +19,9 @@ from uavaccel.config import Config
 from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
-from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
-from uavaccel.wire.latency import LatencyConfig
-from uavaccel.yaml_io import load_yaml
+from uavaccel.wire.latency import LatencyModel, shipped_latency
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -77,8 +75,8 @@ class Task(Config):
     profile: Literal["native", "airsim"] = "native"
     t_th_wall_s: NotNegative = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
-    latency: LatencyConfig | None = None
-    """The latency model that `virtual` draws from; the shipped one where none is given."""
+    latency: LatencyModel = Field(default_factory=shipped_latency)
+    """The latency model that `virtual` draws from, or the YAML file of one; the shipped one where none is given."""
     image_processing_s: NotNegative = 0.0003
     """What the DVS of one frame costs the simulated wall clock of `virtual`."""
     report_host_times: bool = False
@@ -101,12 +99,6 @@ class Task(Config):
             return 0
         latency_s = min(self.t_th_wall_s * self.clock_speed, 0.1 * self.t_sample_s)
         return max(seconds_to_ns(latency_s), profile.tick_ns)
-
-    def latency_model(self) -> LatencyConfig:
-        """The given latency model, or the one that ships."""
-        if self.latency is not None:
-            return self.latency
-        return LatencyConfig.model_validate(load_yaml(experiment("latency.yaml"))["latency"])
 
     # --- senses -----------------------------------------------------------------------------------
 
