@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
@@ -30,8 +31,8 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
     rng = np.random.default_rng(seed)
     for _ in range(40):
         heading, speed = rng.uniform(-1, 1), rng.choice([1.0, 3.0, 8.0])
-        goal = (speed * math.cos(heading), speed * math.sin(heading), -height_m * rng.uniform(0.2, 1.2))
-        world.fly_velocity(goal, True, 0.0, True)
+        velocity = (speed * math.cos(heading), speed * math.sin(heading), 0.0)
+        world.fly_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2)))
         for ticks in (165, 165, 170):
             world.advance(ticks)
     return world.samples().tobytes(), world.collision_tick, world.collision_object

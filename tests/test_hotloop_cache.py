@@ -11,10 +11,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FLY = """
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 world = World("blocks", NATIVE)
-world.fly_velocity((1.0, 0.0, 0.0), False, 0.0, True)
+world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
 world.advance(100)
 print(world.state["position"][0])
 """

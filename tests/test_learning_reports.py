@@ -13,8 +13,8 @@ from tests.dp1_games import quantile
 from tests.drawing import headline, labelled, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
 from uavaccel.config import Config
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import LaneTask
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations

@@ -158,11 +158,12 @@ class Camera:
     def _bind(self) -> None:
         if self._gl is None:
             raise ValueError("this camera is closed")
+        gl.check_process()
         gl.bind(self._gl)
 
     def close(self) -> None:
         """Free what OpenGL holds; further calls do nothing."""
-        if getattr(self, "_gl", None) is None:
+        if getattr(self, "_gl", None) is None or not gl.survives():
             return
         self._bind()
         self._context.free()  # before its GL context, or it would free what is another's

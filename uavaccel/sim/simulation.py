@@ -7,23 +7,19 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
-
-import numpy as np
 
 from uavaccel.clock import Pacer
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.recording import Recording
+from uavaccel.sim.recording import CommandLog, Recording
+from uavaccel.sim.saved import State, number_or_none, optional, part, under
+from uavaccel.sim.tally import Speed, Trace
 from uavaccel.sim.world import LEVEL, START_M, FlightError, World
 from uavaccel.units import NS_PER_S, exact
-
-COMMAND_LOG_LENGTH = 1 << 16
-TRACE_LENGTH = 1 << 16
 
 
 class DeferredReply:
@@ -55,28 +51,6 @@ class _Continue:
     reply: DeferredReply
     end_tick: int | None = None
     end_wall_ns: int | None = None
-
-
-@dataclass
-class Speed:
-    """Simulated and wall time passed while the clock ran, and the wall time given up as lost."""
-
-    simulated_ns: int = 0
-    wall_ns: int = 0
-    lost_wall_ns: int = 0
-
-    @property
-    def real_time_factor(self) -> float:
-        """Achieved simulated seconds a wall second; 0 before the clock ran."""
-        return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
-
-
-@dataclass
-class Trace:
-    """What the simulation did and when: (event, wall ns, simulated ns), the latest; kept only while switched on."""
-
-    events: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
-    enabled: bool = False
 
 
 class Simulation:
@@ -261,15 +235,13 @@ class Simulation:
         ticks = self.profile.command_ticks(duration_s)
         self._end_command(False, wall_ns)
         if self.api_control:
-            vx, vy, vz = goal.velocity_m_s
-            held = goal.height_m is not None
-            third = vz if goal.height_m is None else goal.height_m
-            self.world.fly_velocity((vx, vy, third), held, goal.yaw, goal.yaw_is_rate)
+            self.world.fly_velocity(goal)
             self.world.hold_from(None)
         if not self.commands and self.world.recording:
-            self.world.start_recording()  # t = 0 is the tick at which the first command is accepted
-        self._command = _Command(self.world.tick + ticks, DeferredReply())
-        self.commands.append((self.world.tick, self.world.tick + ticks))
+            self.record()  # t = 0 is the tick at which the first command is accepted
+        end_tick = self.world.tick + ticks
+        self._command = _Command(end_tick, DeferredReply())
+        self.commands.accept(self.world.tick, end_tick)
         self.note("accept", wall_ns)
         return self._command.reply
 
@@ -282,11 +254,16 @@ class Simulation:
             return
         command, self._command = self._command, None
         if not completed:
-            self.commands[-1] = (self.commands[-1][0], self.world.tick)
+            self.commands.cut_short(self.world.tick)
         if self.api_control:
-            self.world.hold_from(self.world.tick + self.profile.hover_after_ticks)
+            self.world.hold_from(self._last_goal_tick() + self.profile.hover_after_ticks)
         self.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
+
+    def _last_goal_tick(self) -> int:
+        """When the command's loop last set its goal: as it began, and on its grid from there on."""
+        accepted, period = self.commands.accepted_tick, self.profile.goal_period_ticks
+        return accepted + (self.world.tick - accepted) // period * period
 
     def arm(self, armed: bool) -> bool:
         """Switch the rotors on or off; needs API control (OffboardApi::arm)."""
@@ -296,19 +273,32 @@ class Simulation:
 
     # --- start and record -------------------------------------------------------------------------
 
-    def reset(self, wall_ns: int, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Back to a settled hover, API control off; what runs is released, a command with False."""
+    def reset(
+        self,
+        wall_ns: int,
+        position_m: Vector = START_M,
+        orientation_wxyz: Quaternion = LEVEL,
+        recording: bool = False,
+    ) -> None:
+        """Back to a settled hover, API control off; what runs is released, a command with False.
+
+        The recorder stops, or with `recording` starts anew. Raises UserError where nothing can hover.
+        """
+        time_ns = self.time_ns
+        self.world.check_place(position_m, orientation_wxyz)
         self._end_command(False, wall_ns)
         if self._continue:
             self.pause(wall_ns)
-        self._time0_ns = self.time_ns
+        self._time0_ns = time_ns
         self.world.reset(position_m, orientation_wxyz)
         self.api_control = False
         self._start_over(wall_ns)
+        if recording:
+            self.record()
 
     def _start_over(self, wall_ns: int) -> None:
         self._command = self._continue = None
-        self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+        self.commands = CommandLog()
         self.failure = None
         self.speed = Speed()
         self._wall_ns = wall_ns
@@ -318,10 +308,53 @@ class Simulation:
         """The state at the present tick, stamped with `time_ns`."""
         return self.world.kinematics(self._time0_ns)
 
+    def record(self) -> None:
+        """Start the recorder anew: nobody else does."""
+        self.world.start_recording()
+
+    def stop_recording(self) -> None:
+        """Keep what was recorded, and take no more."""
+        self.world.stop_recording()
+
     def recording(self) -> Recording:
         """What the recorder and the command log hold since the first command after the last reset."""
-        origin = self.commands[0][0] if self.commands else 0
+        origin = self.commands.origin_tick or 0
         rows = self.world.samples()
         rows[:, 0] -= origin
-        log = np.array(self.commands, dtype=np.int64).reshape(-1, 2) - origin
-        return Recording(rows, log, self.profile.tick_ns, self.world.samples_dropped)
+        return Recording(
+            rows, self.commands.ticks() - origin, self.profile.tick_ns, self.world.samples_dropped
+        )
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def get_state(self) -> State:
+        """All that the flight from here on depends on, the world's state included; see World.get_state.
+
+        Replies that somebody waits for, and the trace, are not in it: save between two commands of a client.
+        """
+        wall_ns, tick = self.pacer.anchored
+        state: State = {"clock_speed": str(self.clock_speed), "anchor": [wall_ns, tick]}
+        state |= {"time0_ns": self._time0_ns, "wall_ns": self._wall_ns, "failure": self.failure or ""}
+        state |= {"paused": self.paused, "api_control": self.api_control}
+        command, period = self._command, self._continue
+        state["command_end"] = optional(command.end_tick if command else None)
+        state["period_end_tick"] = optional(period.end_tick if period else None)
+        state["period_end_wall_ns"] = optional(period.end_wall_ns if period else None)
+        state["origin_tick"] = optional(self.commands.origin_tick)
+        state |= {"commands": self.commands.ticks(), "speed": list(vars(self.speed).values())}
+        return state | under("world", self.world.get_state())
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
+        self.world.set_state(part("world", state))
+        self.pacer = Pacer(Fraction(str(state["clock_speed"])), self.profile.tick_ns)
+        self.pacer.anchor(*(int(number) for number in state["anchor"]))
+        self._time0_ns, self._wall_ns = int(state["time0_ns"]), int(state["wall_ns"])
+        self.failure = str(state["failure"]) or None
+        self.paused, self.api_control = bool(state["paused"]), bool(state["api_control"])
+        command_end = number_or_none(state["command_end"])
+        self._command = None if command_end is None else _Command(command_end, DeferredReply())
+        ends = [number_or_none(state[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
+        self._continue = None if ends == [None, None] else _Continue(DeferredReply(), *ends)
+        self.commands = CommandLog.restored(number_or_none(state["origin_tick"]), state["commands"])
+        self.speed = Speed(*(int(number) for number in state["speed"]))

@@ -36,13 +36,13 @@ class Recorder:
     def start(self) -> None:
         """Begin a recording, and a file of its own; one that runs is stopped."""
         self.stop()
-        self._simulation.world.start_recording()
+        self._simulation.record()
         if self._folder is not None:
             self._file = (_new_folder(self._folder) / FILE_NAME).open("w", encoding="utf-8", newline="\n")
             self._file.write("\t".join(COLUMNS) + "\n")
 
     def stop(self) -> None:
-        self._simulation.world.stop_recording()
+        self._simulation.stop_recording()
         self.keep()
         if self._file is not None:
             self._file.close()
