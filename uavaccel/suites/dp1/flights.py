@@ -68,7 +68,7 @@ class Dp1Config(Experiment):
     @model_validator(mode="after")
     def _times_fit(self) -> Dp1Config:
         for t_move_s in self.t_move_s:
-            PROFILES[self.profile].command_ticks(t_move_s, "t_move_s")
+            PROFILES[self.profile].check_duration(t_move_s, "t_move_s")
             if self.t_sample_s is not None:
                 check_samples(self.profile, t_move_s, self.t_sample_s)
         return self
@@ -78,7 +78,7 @@ def check_samples(profile: str, t_move_s: float, t_sample_s: float) -> None:
     """Raise UserError where a sample's slice is no whole number of ticks and the profile refuses that."""
     if PROFILES[profile].exact_times:
         for due_ns in samples_due(t_move_s, t_sample_s):
-            PROFILES[profile].command_ticks(due_ns / NS_PER_S, "t_sample_s")
+            PROFILES[profile].check_duration(due_ns / NS_PER_S, "t_sample_s")
 
 
 @dataclass(frozen=True)

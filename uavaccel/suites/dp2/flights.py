@@ -105,7 +105,7 @@ class Dp2Config(Experiment):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
-        PROFILES[self.profile].command_ticks(self.t_move_s, "t_move_s")
+        PROFILES[self.profile].check_duration(self.t_move_s, "t_move_s")
         check_samples(self.profile, self.t_move_s, self.t_sample_s)
         return self
 
