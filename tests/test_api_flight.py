@@ -230,7 +230,7 @@ def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds
 
 def test_a_game_begins_paused_controlled_recording_at_its_height_and_speed() -> None:
     api = flown()
-    running = api.simulation._command
+    running = api.simulation.running.command
     assert running is not None
     told = result_of(api, "uavaccelStartGame", [2.5, -4.0], 800 * MS)
     simulation = api.simulation

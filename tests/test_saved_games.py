@@ -66,7 +66,7 @@ def through_a_file(state: dict[str, Any], kind: str) -> Any:
     if kind == "json":
         return json.loads(json.dumps({name: plain(value) for name, value in state.items()}))
     file = io.BytesIO()
-    np.savez(file, **state)  # type: ignore[arg-type]
+    np.savez(file, **state)
     file.seek(0)
     return dict(np.load(file))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
 from uavaccel.errors import UserError
+from uavaccel.sim import recording as recordings
 from uavaccel.sim import samples
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
@@ -99,6 +100,18 @@ def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     go_to(simulation, 100)
     recording: Recording = simulation.recording()
     assert recording.commands.shape == (0, 2)
+
+
+def test_a_full_command_log_keeps_the_time_of_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
+    simulation = simulate()
+    simulation.record()
+    for tick in (10, 30, 50, 70, 90):
+        simulation.fly_velocity(NORTH, 0.02, go_to(simulation, tick))
+    go_to(simulation, 110)
+    kept = simulation.recording()
+    assert kept.commands.tolist() == [[40, 50], [60, 70], [80, 90]]
+    assert kept.samples[:, 0].tolist() == [0, 25, 50, 75, 100]
 
 
 # --- speed ----------------------------------------------------------------------------------------------

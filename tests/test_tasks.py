@@ -115,7 +115,9 @@ def test_waypoints_fill_the_cube_around_the_start() -> None:
 def test_hover_sees_the_way_to_the_waypoint() -> None:
     state = Kinematics(5, (1.0, 2.0, -9.0), (0.5, 0.5, 0.5, -0.5), (0.1, 0.2, 0.3), (4.0, 5.0, 6.0))
     seen = HoverTask().features(state, {"waypoint_m": [3.0, 0.0, -10.0]})
-    np.testing.assert_array_equal(seen, np.float32([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6]))
+    np.testing.assert_array_equal(
+        seen, np.array([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6], np.float32)
+    )
 
 
 # --- gates ----------------------------------------------------------------------------------------------------------
@@ -244,7 +246,7 @@ def test_every_task_flies_in_every_timing_and_the_same_twice(
 ) -> None:
     flights = []
     for _ in range(2):
-        keys = {"command": command, "timing": timing, "profile": profile, "clock_speed": 10.0}
+        keys: dict[str, Any] = {"command": command, "timing": timing, "profile": profile, "clock_speed": 10.0}
         with made(name, **keys) as environment:
             flown = [environment.step(np.array([0.5, 0.25, -0.125], np.float32)) for _ in range(4)]
         flights.append(json.dumps([(step[0].tolist(), *step[1:]) for step in flown]))

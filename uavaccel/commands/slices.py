@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, seconds_to_ns, ticks_exactly
+from collections.abc import Callable
+from itertools import pairwise
+
+from uavaccel.units import NS_PER_S, seconds_to_ns
 
 TAIL = (
     0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
@@ -25,19 +27,10 @@ def samples_due(t_move_s: float, t_sample_s: float) -> list[int]:
     return due[1:]
 
 
-def check_times(t_move_s: float, t_sample_s: float, tick_ns: int, exact_times: bool) -> None:
-    """Raise UserError where T_move or T_sample is shorter than a tick, or, with `exact_times`, no whole number of them.
-
-    Samples that lie closer than a tick would show the same state again and again. With exact times every slice of a
-    command is checked: also the last, longer or shorter one.
-    """
-    for name, duration_s in (("t_move_s", t_move_s), ("t_sample_s", min(t_sample_s, t_move_s))):
-        if seconds_to_ns(duration_s) < tick_ns:
-            raise UserError(
-                f"{name}: {duration_s:g} s is shorter than the physics step of {tick_ns / 1e6:g} ms; "
-                f"{tick_ns / NS_PER_S:g} s is the least"
-            )
-    if exact_times:
-        ticks_exactly(t_move_s, tick_ns, "t_move_s")
-        for due_ns in samples_due(t_move_s, t_sample_s):
-            ticks_exactly(due_ns / NS_PER_S, tick_ns, "t_sample_s")
+def check_times(t_move_s: float, t_sample_s: float, check_duration: Callable[[float, str], None]) -> None:
+    """Raise what `check_duration(seconds, name)` raises for a command's duration or that of one of its slices."""
+    check_duration(t_move_s, "t_move_s")
+    check_duration(min(t_sample_s, t_move_s), "t_sample_s")
+    due_ns = [0, *samples_due(t_move_s, t_sample_s)]
+    for slice_ns in {later - earlier for earlier, later in pairwise(due_ns)}:
+        check_duration(slice_ns / NS_PER_S, "t_sample_s")

@@ -85,7 +85,7 @@ class Task(Config):
     @model_validator(mode="after")
     def _times_fit(self) -> Self:
         profile = PROFILES[self.profile]
-        check_times(self.t_move_s, self.t_sample_s, profile.tick_ns, profile.exact_times)
+        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
         return self
 
     @property

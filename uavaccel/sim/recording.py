@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.saved import State, number_or_none, optional
 from uavaccel.units import NS_PER_S
 
 COMMAND_LOG_LENGTH = 1 << 16
@@ -47,13 +48,14 @@ class CommandLog:
         """First and last ticks (c, 2)."""
         return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
 
-    @classmethod
-    def restored(cls, origin_tick: int | None, ticks: Any) -> CommandLog:
-        """The log that `origin_tick` and `ticks` were read from."""
-        log = cls()
-        log.origin_tick = origin_tick
-        log._ticks.extend((int(first), int(last)) for first, last in ticks)
-        return log
+    def get_state(self) -> State:
+        return {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self.origin_tick = number_or_none(state["origin_tick"])
+        self._ticks.clear()
+        self._ticks.extend((int(first), int(last)) for first, last in state["ticks"])
 
 
 @dataclass(frozen=True)

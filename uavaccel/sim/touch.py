@@ -38,7 +38,6 @@ class Touches:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
-        self._vehicle = model.body("quadrotor").id
         self.clear()
 
     def clear(self) -> None:
@@ -51,7 +50,7 @@ class Touches:
 
     def look(self, tick: int, position_m: NDArray[np.float64]) -> None:
         """Contacts have begun or ended: `data.contact` holds those of the pose at `tick`, (3,) NED `position_m`."""
-        contacts = self._contacts()
+        contacts = _contacts(self._model, self._data)
         new = [contact for contact in contacts if contact[0] not in self._in_touch]
         self._in_touch = frozenset(geom for geom, _ in contacts)
         if not new:
@@ -71,15 +70,6 @@ class Touches:
         self.first = self.first or self.latest
         self.count += 1
         self._unread = True
-
-    def _contacts(self) -> list[tuple[int, Any]]:
-        """The vehicle's contacts, each with the geom at its other side."""
-        found = []
-        for contact in self._data.contact[: self._data.ncon]:
-            bodies = [int(self._model.geom_bodyid[geom]) for geom in contact.geom]
-            if self._vehicle in bodies:
-                found.append((int(contact.geom[1 - bodies.index(self._vehicle)]), contact))
-        return found
 
     def read(self) -> bool:
         """Whether anything was touched since the last reading; AirSim's flag, which reading sets back."""
@@ -102,6 +92,22 @@ class Touches:
         self.count, self._unread = int(state["count"]), bool(state["unread"])
         self._in_touch = frozenset(int(geom) for geom in state["in_touch"])
         self.first, self.latest = _touch(state, "first"), _touch(state, "latest")
+
+
+def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, str]:
+    """How far, in m, the vehicle is inside what it touches in `data.contact`, and its name; (0, "") if nothing."""
+    found = min(_contacts(model, data), key=lambda found: found[1].dist, default=None)
+    return (0.0, "") if found is None else (-float(found[1].dist), object_name(model, found[0]))
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, Any]]:
+    """The vehicle's contacts, each with the geom at its other side."""
+    vehicle, found = model.body("quadrotor").id, []
+    for contact in data.contact[: data.ncon]:
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if vehicle in bodies:
+            found.append((int(contact.geom[1 - bodies.index(vehicle)]), contact))
+    return found
 
 
 def _touch(state: Mapping[str, Any], name: str) -> Touch | None:

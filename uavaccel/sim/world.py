@@ -17,12 +17,12 @@ from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.lane.scene import apply_layout, object_name
+from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, density_ratio, parameters
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State, into_record, layout_of, of_record, part, under
-from uavaccel.sim.touch import Touches
+from uavaccel.sim.touch import Touches, deepest_contact
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:
@@ -147,7 +147,8 @@ class World:
         self.state["armed"] = 1
         self.state["hover_tick"] = self.state["collision_tick"] = NEVER
         self.place(position_m, orientation_wxyz)
-        self._settle()
+        autopilot.settle(self._parameters, self._flight)
+        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
     def place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = (0.0, 0.0, 0.0)
@@ -174,12 +175,10 @@ class World:
 
     def check_place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL) -> None:
         """Raise UserError, as `place` does, where the vehicle cannot be put."""
-        height_m = -position_m[2]
-        highest_m = HIGHEST_M - self.parameters["ground_altitude_m"]
-        if not 0.0 <= height_m <= highest_m:
+        z_m, top_m = position_m[2], self.parameters["ground_altitude_m"] - HIGHEST_M
+        if not top_m <= z_m <= 0.0:
             raise UserError(
-                f"position: z = {-height_m:g} m is {'above the air' if height_m > 0 else 'below the ground'}; "
-                f"NED z is from {-highest_m:g} to 0 m"
+                f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
             )
         if self.freeze_on_collision:  # nothing is thrown: the game is over before it began
             return
@@ -187,28 +186,11 @@ class World:
         self._clearance.look_anew()
         self._set_pose(position_m, orientation_wxyz)
         mujoco.mj_collision(self.model, self.data)
-        inside = [contact for contact in self.data.contact[: self.data.ncon] if contact.dist < -DEEPEST_M]
-        if inside:
-            mujoco.mj_setState(self.model, self.data, before, PHYSICS)
-            mujoco.mj_kinematics(self.model, self.data)
-            name = object_name(self.model, int(min(inside, key=lambda contact: contact.dist).geom[0]))
-            raise UserError(f"position: {position_m} is {-min(c.dist for c in inside):.2g} m inside {name}")
-
-    def _settle(self) -> None:
-        """Give rotors, integrator and height goal the values that a long position hold arrives at."""
-        state, gains = self.state, self.parameters
-        weight = gains["mass_kg"] * gains["gravity_m_s2"]
-        thrust = gains["max_thrust_n"] * density_ratio(gains, state["position"][2])
-        hover = weight / (4 * thrust)
-        for name in ("rotor_input", "rotor_lagged", "rotor_output"):
-            state[name] = hover
-        autopilot.hold_position.py_func(self._flight.view(np.recarray)[0])
-        gathered = gains["tick_s"] * gains["z_integral_gain"] / (1.0 - gains["z_integral_keep"])
-        error_m_s = (1.0 - 2.0 * hover) / (gains["velocity_gain"][2] + gathered)
-        state["z_integral"] = gathered * error_m_s
-        state["z_integral_mode"] = autopilot.POSITION
-        state["goal"][2] += error_m_s / (gains["position_gain"][2] * gains["velocity_limit_m_s"])
-        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+        depth_m, name = deepest_contact(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, before, PHYSICS)
+        mujoco.mj_kinematics(self.model, self.data)
+        if depth_m > DEEPEST_M:
+            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {name}")
 
     def advance(self, ticks: int) -> int:
         """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle.
@@ -256,8 +238,6 @@ class World:
         time_ns = origin_ns + self.tick * self.profile.tick_ns
         return Kinematics(time_ns, n[0:3], n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
 
-    # --- saving -----------------------------------------------------------------------------------
-
     def get_state(self) -> State:
         """All that the flight depends on, for np.savez or, with units.plain, JSON.
 
@@ -291,8 +271,6 @@ class World:
         values = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
         mujoco.mj_getState(self.model, self.data, values, PHYSICS)
         return values
-
-    # --- recorder ---------------------------------------------------------------------------------
 
     @property
     def recording(self) -> bool:

@@ -42,7 +42,7 @@ class Recorder:
             self._file.write("\t".join(COLUMNS) + "\n")
 
     def stop(self) -> None:
-        self._simulation.stop_recording()
+        self._simulation.world.stop_recording()
         self.keep()
         if self._file is not None:
             self._file.close()

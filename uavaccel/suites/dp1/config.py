@@ -55,5 +55,5 @@ class Dp1Config(FlightExperiment):
     def _times_fit(self) -> Dp1Config:
         profile = PROFILES[self.profile]
         for t_move_s in self.t_move_s:
-            check_times(t_move_s, self.t_sample_s or t_move_s, profile.tick_ns, profile.exact_times)
+            check_times(t_move_s, self.t_sample_s or t_move_s, profile.check_duration)
         return self

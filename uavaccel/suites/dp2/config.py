@@ -92,7 +92,7 @@ class Dp2Config(FlightExperiment):
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
         profile = PROFILES[self.profile]
-        check_times(self.t_move_s, self.t_sample_s, profile.tick_ns, profile.exact_times)
+        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
         return self
 
     def wire_lane(self) -> Any:
