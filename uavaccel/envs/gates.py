@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Course, Moment, Positive, Task, position_option
+from uavaccel.envs.task import Count, Course, Moment, NotNegative, Positive, Task, position_option
 from uavaccel.kinematics import Kinematics
 
 POST_M = 0.2  # half the side of a post
@@ -24,11 +23,11 @@ class GatesTask(Task):
     reset_options: ClassVar[tuple[str, ...]] = ("gates_m",)
     speed_m_s: Positive = 3.0
     altitude_m: Positive = 2.0
-    gates: Annotated[int, Field(ge=1, le=20)] = 5
-    spacing_m: Annotated[float, Field(gt=2.0, le=7.0)] = 6.0
-    spread_m: Annotated[float, Field(ge=0.0, le=3.0)] = 2.0
+    gates: Count = 5
+    spacing_m: Positive = 6.0
+    spread_m: NotNegative = 2.0
     """Gates are drawn so far east or west of the middle, at most."""
-    half_width_m: Annotated[float, Field(ge=0.5, le=1.5)] = 1.0
+    half_width_m: Positive = 1.0
     half_height_m: Positive = 1.0
 
     def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
@@ -59,8 +58,7 @@ class GatesTask(Task):
 
     def reward(self, before: Moment, now: Moment) -> float:
         """A point for each metre nearer to the gate that was next, five for each passed; five less for a failure."""
-        passed = before.course["passed"]
-        gate_m = before.course["gates_m"][passed]
+        gate_m, passed = before.course["gates_m"][before.course["passed"]], before.course["passed"]
         nearer_m = math.dist(gate_m, before.position_m) - math.dist(gate_m, now.position_m)
         return nearer_m + 5.0 * (now.course["passed"] - passed) - 5.0 * self.failure(now)
 
@@ -69,9 +67,6 @@ class GatesTask(Task):
 
     def failure(self, now: Moment) -> bool:
         return now.collision is not None or now.course["missed"]
-
-    def info(self, now: Moment) -> dict[str, Any]:
-        return dict(now.course)
 
 
 class Gates(FlightEnv):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Course, Moment, Positive, Task, position_option
+from uavaccel.envs.task import Count, Course, Moment, Positive, Task, position_option
 from uavaccel.kinematics import Kinematics
 
 
@@ -26,7 +25,7 @@ class HoverTask(Task):
     radius_m: Positive = 0.5
     hold_s: Positive = 1.0
     """Time at the waypoint without a break that wins the game."""
-    max_commands: Annotated[int, Field(ge=1)] = 60
+    max_commands: Count = 60
 
     def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
         drawn = random.uniform(-self.reach_m, self.reach_m, 3) - (0.0, 0.0, self.altitude_m)

@@ -25,6 +25,7 @@ from uavaccel.wire.latency import LatencyModel, shipped_latency
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
+Count = Annotated[int, Field(ge=1)]
 Course = Mapping[str, Any]
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -68,7 +69,7 @@ class Task(Config):
     speed_m_s: Positive = 1.0
     altitude_m: Positive = 10.0
     """Of the start."""
-    max_commands: Annotated[int, Field(ge=1)] = 100
+    max_commands: Count = 100
 
     timing: Literal["wall", "virtual", "lockstep"] = "lockstep"
     clock_speed: Positive = 1.0
@@ -162,7 +163,7 @@ class Task(Config):
 
     def info(self, now: Moment) -> dict[str, Any]:
         """What infos have beside the keys of `FlightEnv`."""
-        return {}
+        return dict(now.course)
 
 
 def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.float64]) -> list[Any]:
