@@ -7,12 +7,12 @@ from pathlib import Path
 from rich.console import Console
 
 from uavaccel.bench.calibration import calibrate
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import describe_renderer
 from uavaccel.yaml_io import dump_yaml
 
-console = Console(highlight=False)
+console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 def _can_draw() -> bool:
@@ -28,10 +28,12 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
     """Measure and write `out`. Raises UserError if it exists."""
     if out.exists():
         raise UserError(f"{out}: exists; take another --out")
-    verdict = check_host()["verdict"]
-    console.print(f"host check: {verdict}")
+    verdict = check_machine()["verdict"]
+    console.print(f"machine check: {verdict}")
     block = calibrate(profile, commands, images=_can_draw()).block()
-    out.write_text(f"# Measured by `uavaccel calibrate`; host: {verdict}\n" + dump_yaml({"latency": block}))
+    out.write_text(
+        f"# Measured by `uavaccel calibrate`; machine: {verdict}\n" + dump_yaml({"latency": block})
+    )
     names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
     for kind in names:
         for channel, table in block[kind].items():

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from rich.console import Console
 from rich.table import Table
 
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.cli.progress import Progress
 from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError
@@ -115,8 +115,8 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Any]:
     manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
     manifest.update(suite.provenance(config))
     if timing_of(config) == "wall":
-        manifest["host_check"] = check_host()
-        console.print(f"host check: {manifest['host_check']['verdict']}")
+        manifest["host_check"] = check_machine()
+        console.print(f"machine check: {manifest['host_check']['verdict']}")
     return manifest
 
 
