@@ -21,7 +21,7 @@ from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, resolve, timing_of
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import begin_run, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable
 
@@ -168,8 +168,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 def report_run(run: RunDirectory) -> Summary:
     """Write a run's report; show its result and where its figures are."""
-    config_file = str(run.path / "config.yaml")
-    suite = find_suite(run.config().get("suite"), config_file, Path.cwd())
+    suite = suite_of(run)
     summary = suite.report(run)
     if headline := suite.headline(summary):
         console.print(headline)
