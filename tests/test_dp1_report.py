@@ -269,7 +269,7 @@ def assert_shows_something(path: Path) -> None:
 
 def test_the_report_of_a_run(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", synthetic_games())
-    summary = write_report(run_dir)
+    summary = write_report(RunDirectory(run_dir))
     assert json.loads((run_dir / "summary.json").read_text()) == summary
     for name in FIGURES:
         assert_shows_something(run_dir / "figures" / f"{name}.png")
@@ -292,11 +292,11 @@ def test_the_summary_is_the_same_bytes_every_time_and_for_any_jobs(tmp_path: Pat
     written = []
     for name, jobs in (("first", 1), ("second", 2)):
         run_dir = write_run(tmp_path / name, flown)
-        write_report(run_dir, jobs=jobs)
+        write_report(RunDirectory(run_dir), jobs=jobs)
         files = ["summary.json", "report.html", *(f"figures/{figure}.png" for figure in FIGURES)]
         written.append([(run_dir / file).read_bytes() for file in files])
     assert written[0] == written[1]
-    write_report(tmp_path / "first", jobs=1)
+    write_report(RunDirectory(tmp_path / "first"), jobs=1)
     assert (tmp_path / "first" / "summary.json").read_bytes() == written[0][0]
 
 
@@ -310,7 +310,7 @@ SPARSE_RUNS: dict[str, Callable[[], list[tuple[Row, Arrays]]]] = {
 @pytest.mark.parametrize("name", SPARSE_RUNS)
 def test_little_data_still_makes_a_report(tmp_path: Path, name: str) -> None:
     run_dir = write_run(tmp_path / "run", SPARSE_RUNS[name](), traces=False)
-    summary = write_report(run_dir)
+    summary = write_report(RunDirectory(run_dir))
     for figure in FIGURES:
         assert_shows_something(run_dir / "figures" / f"{figure}.png")
     assert all(len(line) == len(HEADER) for line in table(summary))
@@ -338,7 +338,7 @@ def test_the_table_says_what_is_known(line_summary: dict[str, Any]) -> None:
 def test_a_run_without_games_is_the_users_mistake(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", [])
     with pytest.raises(UserError, match=r"rows\.jsonl: holds no dp1 game"):
-        write_report(run_dir)
+        write_report(RunDirectory(run_dir))
 
 
 def test_missing_arrays_are_named(tmp_path: Path) -> None:
@@ -346,7 +346,7 @@ def test_missing_arrays_are_named(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", flown)
     (run_dir / flown[1][0]["arrays"]).unlink()
     with pytest.raises(UserError, match="reference-adsc-k1-t1-r1-g01"):
-        write_report(run_dir)
+        write_report(RunDirectory(run_dir))
 
 
 # --- the trellis --------------------------------------------------------------------------------------------

@@ -340,6 +340,7 @@ def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) 
     ("keys", "said"),
     [
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
+        ({"algorithm": "sac"}, "algorithm = 'sac': wants continuous actions"),
         ({"options": {"learning_tempo": 1}}, "options of double_dqn: .*learning_tempo"),
     ],
 )

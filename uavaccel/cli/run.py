@@ -20,10 +20,10 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, resolve, timing_of
+from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import begin_run, check_jobs, run_suite
-from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable
+from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable, configuration
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
 
@@ -72,10 +72,7 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
         mapping |= suite.quick
         given.setdefault("timing", "wall")
     options = {key: value for name in given for key, value in [place(suite, name, given[name])]}
-    complete = suite.complete(merged(mapping, options, request.overrides))
-    config = resolve(suite.config, complete, source)
-    suite.check(config)
-    return suite, config
+    return suite, configuration(suite, merged(mapping, options, request.overrides), source)
 
 
 def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:

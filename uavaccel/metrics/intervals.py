@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest, fisher_exact, norm
 
 RESAMPLES = 2000
 
@@ -81,3 +81,9 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
 
 def _median(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.median(values, axis=-1))
+
+
+def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are one."""
+    table = np.array([[successes, games - successes] for successes, games in (first, second)])
+    return float(fisher_exact(table).pvalue)
