@@ -10,6 +10,8 @@ from uavaccel.commands.airsim_adapter import AirSimAdapter
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.wire.session import open_session
 
+pytestmark = pytest.mark.wall_clock
+
 CLOCK_SPEED = 20.0
 EAST = VelocityGoal((0.0, 1.0, 0.0))
 NORTH_AT_HEIGHT = VelocityGoal((1.0, 0.0, 0.0), height_m=-10.5, yaw=0.5, yaw_is_rate=False)

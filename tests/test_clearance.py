@@ -37,6 +37,7 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
     return world.samples().tobytes(), world.collision_tick, world.collision_object
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["lane", "blocks"])
 @pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=lambda profile: profile.name)
 def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str, profile: object) -> None:

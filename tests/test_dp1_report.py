@@ -287,6 +287,7 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
     assert adsc["command_gap_median_s"] == pytest.approx(0.15, rel=0.4)
 
 
+@pytest.mark.slow
 def test_the_summary_is_the_same_bytes_every_time_and_for_any_jobs(tmp_path: Path) -> None:
     flown = synthetic_games(clocks=(100.0,), rounds=(1,), games=2)
     written = []

@@ -149,7 +149,7 @@ def test_the_report_of_a_run(run_dir: Path) -> None:
     assert "salt and pepper" in markdown
     assert html.count("data:image/png;base64,") == 1
     before = contents(run_dir)
-    report_run(run_dir)
+    report_run(RunDirectory(run_dir))
     assert contents(run_dir) == before
 
 

@@ -27,7 +27,7 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.senses import DEPTH_FAR_M
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
-from uavaccel.vision.observation import NEUTRAL
+from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"
 IMAGE = (3, 36, 64)
@@ -215,7 +215,7 @@ def test_a_collision_ends_the_game_and_blanks_the_frames_that_are_missing() -> N
     assert info["distance_m"] == info["position_m"][0] == pytest.approx(free_m, abs=0.01)
     assert -1.0 < reward < -0.9
     assert np.ptp(observation[0]) > 0  # it was still on its way at the first sample
-    assert (observation[1:] == NEUTRAL).all()
+    assert (observation[1:] == NEUTRAL_LEVEL).all()
 
 
 def test_the_walls_end_a_game_too() -> None:
@@ -262,7 +262,7 @@ def test_events_are_neutral_before_anything_moved() -> None:
         start, seen = fly(environment, [AHEAD])
     assert start.shape == IMAGE
     assert start.dtype == np.uint8
-    assert (start == NEUTRAL).all()
+    assert (start == NEUTRAL_LEVEL).all()
     assert np.ptp(seen) > 20
 
 
@@ -270,7 +270,7 @@ def test_events_are_neutral_before_anything_moved() -> None:
 def test_history_keeps_the_frames_of_the_commands_before() -> None:
     with lane(history=2) as environment:
         start, first, second = fly(environment, [AHEAD, HARD_WEST])
-    assert (start == NEUTRAL).all()
+    assert (start == NEUTRAL_LEVEL).all()
     np.testing.assert_array_equal(first[3:], second[:3])
 
 
@@ -303,7 +303,7 @@ def test_the_state_is_that_of_the_vehicle() -> None:
 @needs_opengl
 def test_blank_images_show_nothing() -> None:
     with lane(blank_images=True) as environment:
-        assert all((seen == NEUTRAL).all() for seen in fly(environment, [AHEAD, HARD_WEST]))
+        assert all((seen == NEUTRAL_LEVEL).all() for seen in fly(environment, [AHEAD, HARD_WEST]))
 
 
 # --- timings ----------------------------------------------------------------------------------------------------

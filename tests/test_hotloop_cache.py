@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 FLY = """
 from uavaccel.sim.profile import NATIVE
@@ -25,6 +27,7 @@ def flown_m(checkout: Path) -> float:
     return float(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_change_of_the_autopilot_reaches_the_cached_hot_loop(tmp_path: Path) -> None:
     for name in ("uavaccel", "assets"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -16,6 +16,8 @@ from uavaccel.errors import UserError
 from uavaccel.wire.recorder import FILE_NAME
 from uavaccel.wire.settings import Settings
 
+pytestmark = pytest.mark.wall_clock
+
 COMMAND = [sys.executable, "-m", "uavaccel", "serve"]
 ROOT = Path(__file__).parents[1]
 

@@ -17,6 +17,8 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
 from uavaccel.wire.transport import SocketTransport
 
+pytestmark = pytest.mark.wall_clock
+
 PING = rpc.pack_request(1, "ping", [])
 PONG = rpc.pack_response(1, None, True)
 YAW = {"is_rate": True, "yaw_or_rate": 0.0}

@@ -32,6 +32,8 @@ from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.flights import CHECKPOINTS
 
+pytestmark = pytest.mark.slow
+
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
 

@@ -18,6 +18,8 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session, VirtualSession, WallSession
 
+pytestmark = pytest.mark.wall_clock
+
 NORTH = VelocityGoal((1.0, 0.0, 0.0))
 SEED = np.random.SeedSequence(0)
 

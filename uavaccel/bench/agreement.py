@@ -17,7 +17,7 @@ from uavaccel.bench.square import SquareGame, fly_square
 from uavaccel.commands import COMMANDS
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.wire.latency import LatencyConfig
-from uavaccel.wire.session import VirtualSession, WallSession
+from uavaccel.wire.session import Session, VirtualSession, WallSession
 
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.2, 1.0)
@@ -74,7 +74,8 @@ def check_agreement(
         for number, (command, clock_speed, t_move_s) in enumerate(cells):
             flown: list[list[SquareGame]] = [[], [], []]
             for game in range(games):
-                for session, results in zip((wall, virtual, wall), flown, strict=True):
+                sessions: list[Session] = [wall, virtual, wall]
+                for session, results in zip(sessions, flown, strict=True):
                     results.append(fly_square(session, command, clock_speed, t_move_s, ROUNDS, game))
                 on_game(number * games + game + 1, len(cells) * games)
             ideal = fly_square(lockstep, command, clock_speed, t_move_s, ROUNDS, 0)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from uavaccel.envs.task import LaneTask
 from uavaccel.kinematics import Kinematics
 from uavaccel.vision.dvs import PRESETS, DvsState, init_state, make_sensor, step
-from uavaccel.vision.observation import BLOCK, NEUTRAL, dvs_observation
+from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 from uavaccel.wire.image_api import HEIGHT, WIDTH
 
-SIZE = (HEIGHT // BLOCK, WIDTH // BLOCK)  # rows, columns
+SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
 DEPTH_FAR_M = 50.0  # seen as 255
 STATE_FIELDS = ("position_m", "orientation_wxyz", "linear_velocity_m_s", "angular_velocity_rad_s")
 
@@ -44,7 +44,7 @@ class DvsSense:
     kind: str | None = "gray"
 
     def __init__(self, preset: str, seed: int) -> None:
-        self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL, np.uint8)
+        self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
         self._sensor = make_sensor(PRESETS[preset], (HEIGHT, WIDTH), seed)
         self._state: DvsState | None = None
         self._start_ns = 0

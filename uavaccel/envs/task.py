@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
-from uavaccel.sim.lane.file import LaneFile, lane_written_out
+from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
@@ -67,7 +67,7 @@ class LaneTask(Config):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        return lane_written_out(lane)
+        return parse_lane(lane)
 
     @field_validator("headings_deg")
     @classmethod

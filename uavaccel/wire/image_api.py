@@ -49,11 +49,15 @@ class ImageApi:
 
     def picture(self, kind: str) -> NDArray[Any]:
         """One picture of this moment at AirSim's default size: gray or segmentation (H, W), colour (H, W, 3), depth."""
+        if kind not in PICTURES:
+            raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
+        return self._draw(kind)
+
+    def _draw(self, kind: str) -> NDArray[Any]:
+        """The picture that a method of `Camera` draws. Raises ValueError where rendering is switched off."""
         if not self.render:
             raise ValueError("rendering is switched off")
         camera = self.simulation.world.camera(WIDTH, HEIGHT)
-        if kind not in PICTURES:
-            raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
         image: NDArray[Any] = getattr(camera, kind)(self.simulation.world.data)
         return image
 
@@ -103,12 +107,14 @@ class ImageApi:
         }
 
     def _floats(self, image_type: int) -> NDArray[np.float32]:
-        depth = self.picture("depth") if image_type in (DEPTH_PLANAR, DEPTH_VIS) else None
+        if image_type == DEPTH_PLANAR:
+            return self._draw("depth")
         if image_type == DEPTH_PERSPECTIVE:
-            depth = self.simulation.world.camera(WIDTH, HEIGHT).depth_perspective(self.simulation.world.data)
-        if depth is None:  # AirSim gives the first channel of any other image
-            return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
-        return np.clip(depth / DEPTH_VIS_FAR_M, 0, 1) if image_type == DEPTH_VIS else depth
+            return self._draw("depth_perspective")
+        if image_type == DEPTH_VIS:
+            return np.clip(self._draw("depth") / DEPTH_VIS_FAR_M, 0, 1)
+        # AirSim gives the first channel of any other image
+        return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
 
     def _bgr(self, image_type: int) -> NDArray[np.uint8]:
         if image_type == SCENE:
@@ -117,7 +123,8 @@ class ImageApi:
             colours = PALETTE[(self.picture("segmentation") + 1) % len(PALETTE)]
             return np.ascontiguousarray(colours[..., ::-1].astype(np.uint8))
         if image_type in (DEPTH_PLANAR, DEPTH_PERSPECTIVE, DEPTH_VIS):
-            share = np.clip(self._floats(DEPTH_PLANAR) / DEPTH_VIS_FAR_M, 0, 1)
+            kind = "depth_perspective" if image_type == DEPTH_PERSPECTIVE else "depth"
+            share = np.clip(self._draw(kind) / DEPTH_VIS_FAR_M, 0, 1)
             return np.repeat(np.rint(share * 255).astype(np.uint8)[..., None], 3, axis=2)
         raise ValueError(
             f"image type {image_type} is not available; there are 0 scene, 1 2 3 depth, 5 segmentation"
