@@ -9,13 +9,13 @@ from rich.table import Table
 
 from uavaccel.bench.agreement import Agreement, check_agreement
 from uavaccel.bench.calibration import calibrate
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import describe_renderer
 from uavaccel.wire.latency import read_latency, shipped_latency
 from uavaccel.yaml_io import dump_yaml
 
-console = Console(highlight=False)
+console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 def _can_draw() -> bool:
@@ -31,10 +31,12 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
     """Measure and write `out`. Raises UserError if it exists."""
     if out.exists():
         raise UserError(f"{out}: exists; take another --out")
-    verdict = check_host()["verdict"]
-    console.print(f"host check: {verdict}")
+    verdict = check_machine()["verdict"]
+    console.print(f"machine check: {verdict}")
     block = calibrate(profile, commands, images=_can_draw()).block()
-    out.write_text(f"# Measured by `uavaccel calibrate`; host: {verdict}\n" + dump_yaml({"latency": block}))
+    out.write_text(
+        f"# Measured by `uavaccel calibrate`; machine: {verdict}\n" + dump_yaml({"latency": block})
+    )
     names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
     for kind in names:
         for channel, table in block[kind].items():
@@ -51,7 +53,7 @@ def show_agreement(latency: Path | None, profile: str, games: int) -> None:
     if games < 1:
         raise UserError(f"--games {games}: must be 1 or more")
     model = shipped_latency() if latency is None else read_latency(latency)
-    console.print(f"machine check: {check_host()['verdict']}; latency model: {latency or 'the shipped one'}")
+    console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
     table = Table(
         "command", "clock", "T_move s", "", "wall", "wall again", "virtual", "", box=None, pad_edge=False
     )

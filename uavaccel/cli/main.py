@@ -199,7 +199,7 @@ def _task_options(
 def bench(
     names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
     soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,
-    out: Annotated[Path | None, typer.Option(help="JSON file to keep the figures in.")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file to keep the measurements in.")] = None,
 ) -> None:
     """Measure this machine: hot loop, round trips, TCSC, rendering."""
     from uavaccel.cli.bench import run_benches
