@@ -23,7 +23,7 @@ from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.agents import OffsetAgent
-from uavaccel.rl.algorithms import make_model
+from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
 from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
@@ -189,13 +189,13 @@ def test_view_films_an_evaluated_game(
 def test_an_exported_policy_acts_as_the_model(tmp_path: Path, keys: dict[str, Any]) -> None:
     config = tiny_config(**keys)
     environment = make_lanes(config.task, 1)
-    model = make_model(config, environment)
-    export_policy(tmp_path, model, config, {"games": 0})
+    learner = make_learner(config, environment)
+    export_policy(tmp_path, learner.policy, config, {"games": 0})
     policy = load_policy(tmp_path)
     rng = np.random.default_rng(0)
     shape = (50, *(environment.observation_space.shape or ()))
     seen = rng.integers(0, 256, shape).astype(environment.observation_space.dtype)
-    np.testing.assert_array_equal(policy.act(seen), model.predict(seen, deterministic=True)[0])
+    np.testing.assert_array_equal(policy.act(seen), learner.policy.predict(seen, deterministic=True)[0])
     assert policy.config.task == config.task
     environment.close()
 
@@ -240,7 +240,7 @@ def test_view_flies_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
     config = tiny_config()
     environment = make_lanes(config.task, 1)
-    export_policy(tmp_path, make_model(config, environment), config, {})
+    export_policy(tmp_path, make_learner(config, environment).policy, config, {})
     environment.close()
     other = json.loads((tmp_path / MANIFEST).read_text())
     other["config"]["hidden"] = [17]

@@ -8,12 +8,12 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.learning import tiny_config, train_into
@@ -23,11 +23,13 @@ from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.algorithms import learning_rhythm, make_model
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import Lanes
+from uavaccel.rl.learner import learning_rhythm
 from uavaccel.rl.policy import weights_sha256
+from uavaccel.rl.replay import Batch
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.flights import CHECKPOINTS
 
@@ -63,10 +65,10 @@ def lockstep(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     return RunDirectory(out)
 
 
-def untrained(environment: Lanes) -> DoubleDQN:
-    model = make_model(tiny_config(), environment)
-    assert isinstance(model, DoubleDQN)
-    return model
+def untrained(lanes: Lanes, **keys: Any) -> DoubleDQN:
+    learner = make_learner(tiny_config(**keys), lanes)
+    assert isinstance(learner, DoubleDQN)
+    return learner
 
 
 def weights_of(run: RunDirectory) -> str:
@@ -146,7 +148,7 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
 def side_by_side(task: LaneTask, count: int) -> Lanes:
     """As make_lanes, but in this process."""
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
-    return Lanes(DummyVecEnv([lambda: ObstacleLane(**keywords)] * count))
+    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
 
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,24 +175,26 @@ class Logged(DummyVecEnv):
         return super().step_wait()
 
 
-def say_and(said: list[str], part: Callable[[], None]) -> None:
-    said.append("learns")
-    part()
-
-
 def test_the_learner_learns_while_the_lanes_fly() -> None:
     said: list[str] = []
-    lanes = Lanes(Logged(said))
-    model: Any = make_model(tiny_config(STATE, mirror=False), lanes)
-    parts = model.gradient_parts
-    model.gradient_parts = lambda *of: [partial(say_and, said, part) for part in parts(*of)]
-    model.learn(12)  # it starts to learn after eight commands, and then after every fourth
-    assert (model.owed, model._n_updates) == (1, 0)
-    model.learn(4, reset_num_timesteps=False)
-    assert (model.owed, model._n_updates) == (1, 1)
+    lanes = Logged(said)
+    learner: Any = untrained(lanes, task=STATE, mirror=False)
+    for name in ("_draw", "_step"):
+        setattr(learner, name, partial(say_and, said, getattr(learner, name)))
+    for _ in range(12):  # it learns after eight commands, and then after every fourth
+        learner.advance()
+    assert (learner.owed, learner.updates) == (1, 0)
+    for _ in range(4):
+        learner.advance()
+    assert (learner.owed, learner.updates) == (1, 1)
     alone, beside = ["flies", "waited for"], ["flies", "learns", "waited for"]
     assert said == [*alone * 12, *beside * 2, *alone * 2]  # a gradient step has two parts
     lanes.close()
+
+
+def say_and(said: list[str], part: Callable[[], None]) -> None:
+    said.append("learns")
+    part()
 
 
 # --- schedules and records --------------------------------------------------------------------------------------
@@ -205,14 +209,29 @@ def test_exploration_falls_with_games_however_long_they_are(tmp_path: Path, lock
         assert [row["exploration"] for row in run.rows()] == pytest.approx(expected)
 
 
-def test_the_learning_rate_falls_with_games() -> None:
-    environment = side_by_side(LaneTask(max_commands=2), 1)
-    model = untrained(environment)
-    for games_done, rate in ((0, 3e-4), (2, 3e-4 * (1 + 0.02) / 2), (4, 3e-4 * 0.02)):
-        model.games_done = games_done  # type: ignore[attr-defined]
-        model._update_current_progress_remaining(10**6, 1)
-        assert model.lr_schedule(model._current_progress_remaining) == pytest.approx(rate)
-    environment.close()
+def test_learning_rate_and_exploration_fall_with_games() -> None:
+    lanes = side_by_side(LaneTask(max_commands=2, observation="state"), 1)
+    learner = untrained(lanes, task=STATE, mirror=False, games=4)
+    expected = {0: (3e-4, 1.0), 1: (3e-4 * (0.02 + 0.98 * 0.75), 1.0 - 0.99 * 0.25 / 0.3), 4: (6e-6, 0.01)}
+    for games, (rate, exploration) in expected.items():
+        learner.games = games
+        learner._schedule()
+        assert (learner.rate, learner.exploration_rate) == pytest.approx((rate, exploration))
+    lanes.close()
+
+
+def test_the_target_network_follows_now_and_then() -> None:
+    """Every 16 commands, whatever the number of lanes; in between it stays as it is."""
+    lanes = side_by_side(LaneTask(max_commands=50, observation="state"), 2)
+    learner = untrained(lanes, task=STATE, mirror=False, environments=2)
+    first = next(learner.policy.q_net.parameters())
+    target = next(learner.policy.q_net_target.parameters())
+    with th.no_grad():
+        first.add_(1.0)
+    for steps in range(1, 9):
+        learner._schedule()
+        assert th.equal(first, target) == (steps == 8)
+    lanes.close()
 
 
 @pytest.mark.parametrize(
@@ -261,23 +280,25 @@ class Rated(th.nn.Module):
         return self.ratings
 
 
-def a_batch(count: int) -> ReplayBufferSamples:
+def a_batch(count: int) -> Batch:
     """Observations (count, 1, 1, 2), actions 0, 1, ...; the first game goes on, the last is over."""
     images = th.arange(count * 2, dtype=th.float32).reshape(count, 1, 1, 2)
     actions = th.arange(count).reshape(-1, 1)
     rewards = th.arange(1.0, count + 1).reshape(-1, 1)
     dones = th.zeros(count, 1)
     dones[-1] = 1.0
-    return ReplayBufferSamples(images, actions, images + 100, dones, rewards, None)
+    return Batch(images, actions, images + 100, dones, rewards, th.full((count, 1), 0.5))
 
 
 def learner(mirror: tuple[int, ...] | None = None) -> DoubleDQN:
-    """Without an environment: just what targets and mirror need."""
-    model = DoubleDQN.__new__(DoubleDQN)
-    model.gamma, model.mirror, model.device = 0.5, mirror, th.device("cpu")
-    model.q_net = Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]])  # type: ignore[assignment]
-    model.q_net_target = Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]])  # type: ignore[assignment]
-    return model
+    """Without lanes: just what targets and mirror need."""
+    made = DoubleDQN.__new__(DoubleDQN)
+    made.mirror = None if mirror is None else th.tensor(mirror)
+    made.policy = SimpleNamespace(
+        q_net=Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]]),
+        q_net_target=Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]]),
+    )
+    return made
 
 
 def test_the_target_network_rates_what_the_online_network_would_do() -> None:
@@ -293,7 +314,7 @@ def test_several_steps_have_discounts_of_their_own() -> None:
 
 def test_half_of_a_batch_is_seen_in_a_mirror() -> None:
     batch = a_batch(4)
-    turned = learner((3, 2, 1, 0))._mirrored(batch)
+    turned = learner((3, 2, 1, 0))._half_mirrored(batch)
     np.testing.assert_array_equal(turned.actions.ravel(), [3, 2, 2, 3])
     for before, after in (
         (batch.observations, turned.observations),
@@ -306,7 +327,7 @@ def test_half_of_a_batch_is_seen_in_a_mirror() -> None:
 
 def test_the_first_weights_come_from_the_seed() -> None:
     environment = side_by_side(LaneTask(max_commands=2), 1)
-    hashes = [weights_sha256(make_model(tiny_config(seed=seed), environment)) for seed in (0, 0, 1)]
+    hashes = [weights_sha256(make_learner(tiny_config(seed=seed), environment).policy) for seed in (0, 0, 1)]
     assert hashes[0] == hashes[1] != hashes[2]
     environment.close()
 
@@ -323,8 +344,10 @@ def test_the_first_weights_come_from_the_seed() -> None:
 def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) -> None:
     summary = train_into(tmp_path / "run", tiny_config(STATE, **keys, games=2))
     assert summary["games"] == 2
-    model = make_model(tiny_config(STATE, **keys, games=2), environment := side_by_side(LaneTask(**STATE), 1))
-    assert summary["weights_sha256"] != weights_sha256(model)
+    learner = make_learner(
+        tiny_config(STATE, **keys, games=2), environment := side_by_side(LaneTask(**STATE), 1)
+    )
+    assert summary["weights_sha256"] != weights_sha256(learner.policy)
     environment.close()
 
 
@@ -342,7 +365,7 @@ def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) 
     [
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
         ({"algorithm": "sac"}, "algorithm = 'sac': wants continuous actions"),
-        ({"options": {"learning_tempo": 1}}, "options of double_dqn: .*learning_tempo"),
+        ({"options": {"learning_tempo": 1}}, "options of double_dqn: unknown key 'learning_tempo'"),
     ],
 )
 def test_an_algorithm_that_cannot_be_is_one_clear_line(

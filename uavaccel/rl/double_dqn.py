@@ -1,62 +1,155 @@
-"""Double DQN (van Hasselt et al., AAAI 2016) on stable-baselines3's DQN, with mirrored batches if wanted."""
+"""Double DQN (van Hasselt et al., AAAI 2016) over lanes flown side by side: a training's loop, on one page.
+
+collect    an action for each lane, greedy or at random; the lanes fly on their own,
+learn      and meanwhile batches are drawn and the online network steps towards the target network's rating;
+store      what the lanes gave back goes into the replay buffer;
+schedule   exploration and learning rate fall with the games done, the target network follows now and then.
+"""
 
 from __future__ import annotations
 
+import math
+import random
+from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
+import numpy as np
 import torch as th
-from stable_baselines3 import DQN
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
+from numpy.typing import NDArray
+from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
+from uavaccel.clock import MonotonicClock
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.lanes import Lanes
+from uavaccel.rl.learner import (
+    Game,
+    LearnerState,
+    charge_inference,
+    charge_learning,
+    falling,
+    finished_games,
+    learning_rhythm,
+    plain_generator,
+    set_generator,
+)
+from uavaccel.rl.replay import Batch, ReplayBuffer
 
-class DoubleDQN(DQN):
-    """DQN whose target network rates the action that the online network would choose.
+COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
 
-    `mirror`: for each action that which it is in a mirror; half of each batch is then turned left to right.
-    """
 
-    def __init__(self, *args: Any, mirror: tuple[int, ...] | None = None, **kwargs: Any) -> None:
-        self.mirror = mirror
-        super().__init__(*args, **kwargs)
+class DoubleDQN:
+    """The learner. `policy` holds `q_net` (online), `q_net_target` and the optimizer."""
 
-    def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        for part in self.gradient_parts(gradient_steps, batch_size):
-            part()
+    def __init__(self, config: LearnerConfig, lanes: Lanes) -> None:
+        self.config, self.lanes, self.options = config, lanes, DqnOptions.of(config)
+        self.rate = falling(self.options.learning_rate, config.final_learning_rate_share, 1.0)
+        self.device = th.device(config.device)
+        self.random = np.random.RandomState(config.seed)
+        random.seed(config.seed)
+        th.manual_seed(config.seed)
+        lanes.action_space.seed(config.seed)
+        self.policy: Any = make_policy(config, lambda _: self.rate).to(self.device)
+        space = lanes.observation_space
+        self.buffer = ReplayBuffer(
+            self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device
+        )
+        self.mirror = (
+            None if (turned := mirrored_actions(config)) is None else th.tensor(turned, device=self.device)
+        )
+        self.observations: NDArray[Any] | None = None
+        self.returns = [0.0] * lanes.num_envs
+        self.games = self.commands = self.steps = self.updates = self.owed = 0
+        self.exploration_rate = 0.0
+        self.losses: list[th.Tensor] = []
+        self.stopwatch = Stopwatch(MonotonicClock())
+        self._rhythm = learning_rhythm(config.commands_per_gradient_step, lanes.num_envs)
+        self._parts: deque[Callable[[], None]] = deque()
+        self._flights_left = 0
 
-    def gradient_parts(self, gradient_steps: int, batch_size: int) -> list[Callable[[], None]]:
-        """Gradient steps as parts that take about equally long, to be called one after another."""
-        return [partial(self._draw, batch_size), self._step] * gradient_steps
+    def advance(self) -> list[Game]:
+        """One command of every lane, and the learning beside it; the games that ended with it."""
+        if self.observations is None:
+            self.observations = np.asarray(self.lanes.reset())
+        if self.at_rest:
+            charge_learning(self.lanes, self.config, self.owed)
+        actions = self._act(self.observations)
+        self.lanes.step_async(actions)
+        self._learn_beside_the_flight()
+        after, rewards, dones, infos = self.lanes.step_wait()
+        seen = np.asarray(after)
+        self.commands += self.lanes.num_envs
+        games = finished_games(self, rewards.tolist(), dones.tolist(), infos)
+        charge_inference(self.lanes, self.config)
+        if self.games < self.config.games:
+            self._store(actions, rewards, seen, dones, infos)
+            self._schedule()
+        self.observations = seen
+        return games
 
-    def _draw(self, batch_size: int) -> None:
-        assert self.replay_buffer is not None
-        self._batch = self._mirrored(self.replay_buffer.sample(batch_size, env=self._vec_normalize_env))
+    @property
+    def at_rest(self) -> bool:
+        """Whether a checkpoint can be taken: between two learnings, with none half done."""
+        return self.steps % self._rhythm[0] == 0 and not self._parts
+
+    # --- collect ----------------------------------------------------------------------------------
+
+    def _act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+        with self.stopwatch.phase("inference"):
+            warming_up = self.commands < self.options.learning_starts
+            if warming_up or self.random.rand() < self.exploration_rate:
+                return np.array([self.lanes.action_space.sample() for _ in range(self.lanes.num_envs)])
+            self.policy.set_training_mode(False)
+            return np.asarray(self.policy.predict(observations, deterministic=True)[0])
+
+    # --- learn ------------------------------------------------------------------------------------
+
+    def _learn_beside_the_flight(self) -> None:
+        """An equal part of what is owed, so that all is done before the next is."""
+        if self.owed and not self._parts:
+            self._parts.extend([self._draw, self._step] * self.owed)
+            self._flights_left = self._rhythm[0]
+        if not self._parts:
+            return
+        with self.stopwatch.phase("learning"):
+            for _ in range(math.ceil(len(self._parts) / self._flights_left)):
+                self._parts.popleft()()
+        self._flights_left -= 1
+        if not self._parts:
+            self.owed = 0
+
+    def _draw(self) -> None:
+        options = self.options
+        batch = self.buffer.sample(options.batch_size, options.n_steps, options.gamma, self.random)
+        self._batch = self._half_mirrored(batch)
         self._targets = self.targets(self._batch)
 
     def _step(self) -> None:
         self.policy.set_training_mode(True)
-        self._update_learning_rate(self.policy.optimizer)
-        chosen = self.q_net(self._batch.observations).gather(1, self._batch.actions.long())
+        for group in self.policy.optimizer.param_groups:
+            group["lr"] = self.rate
+        chosen = self.policy.q_net(self._batch.observations).gather(1, self._batch.actions)
         loss = functional.smooth_l1_loss(chosen, self._targets)
         self.policy.optimizer.zero_grad()
         loss.backward()
-        th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+        th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.options.max_grad_norm)
         self.policy.optimizer.step()
-        self._n_updates += 1
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record_mean("train/loss", loss.item())
+        self.updates += 1
+        self.losses.append(loss.detach())
 
-    def targets(self, batch: ReplayBufferSamples) -> th.Tensor:
+    @th.no_grad()
+    def targets(self, batch: Batch) -> th.Tensor:
         """Rewards (n, 1) plus the discounted rating of what the online network would do next."""
-        discounts = self.gamma if batch.discounts is None else batch.discounts
-        with th.no_grad():
-            best = self.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
-            rating = self.q_net_target(batch.next_observations).gather(1, best)
-            return batch.rewards + (1 - batch.dones) * discounts * rating
+        best = self.policy.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
+        rating = self.policy.q_net_target(batch.next_observations).gather(1, best)
+        return batch.rewards + (1 - batch.dones) * batch.discounts * rating
 
-    def _mirrored(self, batch: ReplayBufferSamples) -> ReplayBufferSamples:
+    def _half_mirrored(self, batch: Batch) -> Batch:
+        """Half of the batch turned left to right: the lane is symmetric on average."""
         if self.mirror is None:
             return batch
         half = len(batch.actions) // 2
@@ -64,6 +157,62 @@ class DoubleDQN(DQN):
             th.cat([image[:half].flip(-1), image[half:]])
             for image in (batch.observations, batch.next_observations)
         ]
-        turned = th.tensor(self.mirror, device=self.device)[batch.actions[:half].long()]
-        actions = th.cat([turned.to(batch.actions.dtype), batch.actions[half:]])
+        actions = th.cat([self.mirror[batch.actions[:half]], batch.actions[half:]])
         return batch._replace(observations=images[0], next_observations=images[1], actions=actions)
+
+    # --- store, schedule --------------------------------------------------------------------------
+
+    def _store(
+        self,
+        actions: NDArray[np.int64],
+        rewards: Any,
+        seen: NDArray[Any],
+        dones: Any,
+        infos: list[dict[str, Any]],
+    ) -> None:
+        after = seen.copy()  # where a game ended, `seen` is the next one's first observation
+        for lane, info in enumerate(infos):
+            if dones[lane] and "terminal_observation" in info:
+                after[lane] = info["terminal_observation"]
+        truncated = np.array([bool(info.get("TimeLimit.truncated", False)) for info in infos])
+        self.buffer.add(self.observations, actions, rewards, after, dones, truncated)  # type: ignore[arg-type]
+
+    def _schedule(self) -> None:
+        options, remaining = self.options, 1.0 - self.games / self.config.games
+        self.rate = falling(options.learning_rate, self.config.final_learning_rate_share, remaining)
+        self.steps += 1
+        if self.steps % max(options.target_update_interval // self.lanes.num_envs, 1) == 0:
+            polyak_update(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), 1.0)
+        self.exploration_rate = options.exploration_rate(remaining)
+        if self.at_rest and self.commands > options.learning_starts:
+            self.owed += self._rhythm[1]
+
+    # --- going on after a stop ----------------------------------------------------------------------
+
+    def get_state(self) -> LearnerState:
+        """Network, optimizer, buffer, counters and generators."""
+        tensors = {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "torch": th.get_rng_state(),
+        }
+        counters: dict[str, Any] = {name: getattr(self, name) for name in COUNTERS}
+        counters["random"] = plain_generator(self.random)
+        return LearnerState(tensors, self.buffer.get_state(), counters)
+
+    def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
+        """Take what `get_state` gave, and what the lanes show."""
+        self.policy.load_state_dict(state.tensors["policy"])
+        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
+        th.set_rng_state(state.tensors["torch"].cpu())
+        self.buffer.set_state(state.arrays)
+        for name in COUNTERS:
+            setattr(self, name, state.counters[name])
+        set_generator(self.random, state.counters["random"])
+        self.observations = observations
+
+
+def mirrored_actions(config: LearnerConfig) -> list[int] | None:
+    """For each action that which it is in a mirror; None where nothing is mirrored."""
+    headings = list(config.task.headings_deg)
+    return [headings.index(-heading) for heading in headings] if config.mirror else None

@@ -4,30 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
-
-class Lanes(VecEnvWrapper):
-    """Lanes side by side. `meanwhile` is called once a step, after the actions went out: the lanes fly on their own."""
-
-    def __init__(self, lanes: VecEnv) -> None:
-        super().__init__(lanes)
-        self.meanwhile: Callable[[], None] = _nothing
-
-    def reset(self) -> VecEnvObs:
-        return self.venv.reset()
-
-    def step_wait(self) -> VecEnvStepReturn:
-        self.meanwhile()
-        return self.venv.step_wait()
+Lanes = VecEnv  # what a learner flies: step_async, step_wait, env_method
 
 
 def make_lanes(task: LaneTask, count: int) -> Lanes:
@@ -37,8 +22,8 @@ def make_lanes(task: LaneTask, count: int) -> Lanes:
     """
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     if task.timing == "wall":
-        return Lanes(DummyVecEnv([partial(_make_lane, keywords)]))
-    return Lanes(SubprocVecEnv([partial(_make_lane_alone, keywords)] * count, start_method="spawn"))
+        return DummyVecEnv([partial(_make_lane, keywords)])
+    return SubprocVecEnv([partial(_make_lane_alone, keywords)] * count, start_method="spawn")
 
 
 def _make_lane(keywords: dict[str, Any]) -> Any:
@@ -55,7 +40,3 @@ def _make_lane_alone(keywords: dict[str, Any]) -> Any:
 def seed_lanes(environment: VecEnv, seed: int) -> None:
     """Seeds far apart for environments of different trainings: stable-baselines3 counts up by one from the first."""
     environment.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)
-
-
-def _nothing() -> None:
-    pass

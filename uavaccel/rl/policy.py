@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import replacing, to_json
-from uavaccel.rl.algorithms import algorithm_class, policy_keywords, policy_name
+from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
@@ -44,22 +43,22 @@ class Policy:
         return np.asarray(self.network.predict(observations, deterministic=True)[0])
 
 
-def weights_sha256(model: BaseAlgorithm) -> str:
+def weights_sha256(policy: BasePolicy) -> str:
     """Hash of the names, shapes and bytes of all that was learned."""
     digest = hashlib.sha256()
-    for name, tensor in sorted(model.policy.state_dict().items()):
+    for name, tensor in sorted(policy.state_dict().items()):
         digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
         digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
 def export_policy(
-    folder: Path, model: BaseAlgorithm, config: LearnerConfig, trained: Mapping[str, Any]
+    folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Any]
 ) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
     weights = {
         name: tensor.detach().cpu().clone()
-        for name, tensor in model.policy.state_dict().items()
+        for name, tensor in policy.state_dict().items()
         if not name.startswith(_TARGET)
     }
     with replacing(folder / WEIGHTS) as file:
@@ -68,7 +67,7 @@ def export_policy(
         "weights": WEIGHTS,
         "weights_file_sha256": hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest(),
         "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
-        "observation_shape": list(model.observation_space.shape or ()),
+        "observation_shape": list(policy.observation_space.shape or ()),
         "actions_heading_deg": list(config.task.headings_deg),
         "config": config.model_dump(mode="json", exclude={"task": {"latency"}}),
         "trained": dict(trained),
@@ -97,7 +96,8 @@ def load_policy(path: Path) -> Policy:
         raise UserError(f"{path / WEIGHTS}: is no state dict of tensors alone") from error
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
-    network = _network(config)
+    network = make_policy(config, lambda _: 0.0)
+    network.set_training_mode(False)
     target = {
         _TARGET + name.removeprefix("q_net."): tensor
         for name, tensor in weights.items()
@@ -113,14 +113,3 @@ def load_policy(path: Path) -> Policy:
 def observed_frames(task: Task) -> int:
     """Frames in one observation."""
     return task.frames_per_command * task.history
-
-
-def _network(config: LearnerConfig) -> BasePolicy:
-    """The untrained policy, by stable-baselines3's class for this algorithm."""
-    aliases: Mapping[str, Any] = algorithm_class(config.algorithm).policy_aliases
-    space, actions = config.task.observation_space(), config.task.action_space()
-    network: BasePolicy = aliases[policy_name(config)](
-        space, actions, lambda _: 0.0, **policy_keywords(config)
-    )
-    network.set_training_mode(False)
-    return network

@@ -9,20 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any
 
 import torch as th
-from stable_baselines3.common.logger import configure
 
-from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
-from uavaccel.rl.algorithms import make_model
-from uavaccel.rl.checkpoint import find_checkpoint, load_checkpoint, read_notes, save_checkpoint
+from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
+from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.suite import Flown
-from uavaccel.suites.training.callback import TrainingCallback
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.rows import GameRows
 
 CHECKPOINTS = "checkpoints"
 
@@ -57,57 +54,46 @@ class Trainer:
         self._config, self._run = config, run
         self._interrupted = False
         self._finished: deque[Flown] = deque()
-        self._environment = make_lanes(config.task, config.environments)
+        self._lanes = make_lanes(config.task, config.environments)
         try:
-            self._prepare()
+            self._learner = make_learner(config, self._lanes)
+            seed_lanes(self._lanes, config.seed)
+            if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
+                load_checkpoint(checkpoint, self._learner)
+            self._rows = GameRows(config, run.path / "tensorboard", run.rows())
         except BaseException:
-            self._environment.close()
+            self._lanes.close()
             raise
-
-    def _prepare(self) -> None:
-        self._model = make_model(self._config, self._environment)
-        seed_lanes(self._environment, self._config.seed)
-        self._model.set_logger(configure(str(self._run.path / "tensorboard"), ["tensorboard"]))
-        self._callback = TrainingCallback(self._config, self._finished.append, self._between_rollouts)
-        checkpoint = find_checkpoint(self._run.path / CHECKPOINTS)
-        self._begins_anew = checkpoint is None
-        if checkpoint is not None:
-            notes, random = load_checkpoint(checkpoint, self._model)
-            self._callback.restore(notes["rows"], notes["returns"], random, self._run.rows())
-        self._saved = self._callback.games
+        self._saved = self._learner.games
 
     def next_game(self) -> Flown:
         """Fly and learn until another game is over. Raises KeyboardInterrupt, after a checkpoint, on Ctrl-C."""
+        learner = self._learner
         while not self._finished:
-            # One rollout, and what is learned after it; never more, so that rows are written as games end.
-            self._model.learn(1, self._callback, log_interval=1, reset_num_timesteps=self._begins_anew)
-            self._begins_anew = False
+            if learner.at_rest:
+                self._save_if_due()  # every game handed out has its row by now
+            self._finished.extend(self._rows.flown(game, learner.stopwatch) for game in learner.advance())
         game = self._finished.popleft()
-        if self._callback.games == self._config.games and not self._finished:
-            self._export(game.row["game"] + 1)
+        if learner.games == self._config.games and not self._finished:
+            self._export()
         return game
 
-    def _export(self, games: int) -> None:
-        export_policy(
-            self._run.path,
-            self._model,
-            self._config,
-            {"games": games, "weights_sha256": weights_sha256(self._model)},
-        )
-
-    def _between_rollouts(self) -> None:
-        """Every game handed out has its row by now: the moment at which a checkpoint is consistent."""
-        games = self._callback.games
+    def _save_if_due(self) -> None:
+        games = self._learner.games
         if self._interrupted or games - self._saved >= self._config.checkpoint_games:
-            notes = {"rows": games, "returns": self._callback.returns}
-            save_checkpoint(self._run.path / CHECKPOINTS, self._model, notes)
-            self._export(games)
+            save_checkpoint(self._run.path / CHECKPOINTS, self._learner)
+            self._export()
             self._saved = games
         if self._interrupted:
             raise KeyboardInterrupt
 
+    def _export(self) -> None:
+        policy = self._learner.policy
+        trained = {"games": self._learner.games, "weights_sha256": weights_sha256(policy)}
+        export_policy(self._run.path, policy, self._config, trained)
+
     def close(self) -> None:
-        self._environment.close()
+        self._lanes.close()
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
         """A first Ctrl-C is heeded between rollouts, once there is a checkpoint; a second one at once."""
@@ -133,9 +119,4 @@ def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
     """Forget the rows that the last checkpoint does not know: a training goes on from there, and flies them again."""
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
-    run.keep_first(0 if checkpoint is None else read_notes(checkpoint)["rows"])
-
-
-def spent_by_phase(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Seconds of the games' own wall clocks, by phase."""
-    return {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES}
+    run.keep_first(0 if checkpoint is None else games_of(checkpoint))

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.records import RunDirectory
-from uavaccel.rl.algorithms import algorithm_class
+from uavaccel.rl.algorithms import OWN, check_algorithm
+from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
 from uavaccel.suites.training import report
-from uavaccel.suites.training.callback import RECENT
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import Case, Trainer, cases, drop_games_after_checkpoint, open_trainer
+from uavaccel.suites.training.rows import RECENT
 from uavaccel.suites.training.summary import headline
 
 LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
@@ -28,7 +29,9 @@ class Training(Suite[TrainConfig, Case]):
     serial = "its games learn from each other; --set environments=N flies N lanes side by side"
 
     def check(self, config: TrainConfig) -> None:
-        algorithm_class(config.algorithm)
+        check_algorithm(config)
+        if config.algorithm == OWN:
+            DqnOptions.of(config)
 
     def cases(self, config: TrainConfig) -> Iterator[Case]:
         return cases(config)

@@ -1,0 +1,117 @@
+"""What every learner is to a training, and what they share: finished games, modelled time, schedules, saved states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.lanes import Lanes
+
+
+@dataclass(frozen=True)
+class Game:
+    """A finished game: its number, in which lane of those flown side by side, the last info, the sum of rewards."""
+
+    number: int
+    lane: int
+    info: Mapping[str, Any]
+    reward: float
+    exploration_rate: float | None
+
+
+@dataclass(frozen=True)
+class LearnerState:
+    """All that a learner knows: state dicts of tensors, arrays, and plain values for JSON."""
+
+    tensors: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+    counters: dict[str, Any]
+
+
+class Learner(Protocol):
+    """Flies lanes and learns from them."""
+
+    config: LearnerConfig
+    lanes: Lanes
+    games: int
+    returns: list[float]
+    stopwatch: Stopwatch
+
+    @property
+    def policy(self) -> BasePolicy:
+        """Networks and optimizer."""
+        ...
+
+    @property
+    def exploration_rate(self) -> float | None:
+        """Share of random actions; None where it explores otherwise."""
+        ...
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a checkpoint can be taken now."""
+        ...
+
+    def advance(self) -> list[Game]:
+        """Fly on, learn on; the games that ended meanwhile."""
+        ...
+
+    def get_state(self) -> LearnerState: ...
+
+    def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None: ...
+
+
+def finished_games(
+    learner: Learner, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[dict[str, Any]]
+) -> list[Game]:
+    """Count a step's rewards; the games that ended with it, up to as many as are wanted."""
+    games: list[Game] = []
+    for lane, (done, info) in enumerate(zip(dones, infos, strict=True)):
+        learner.returns[lane] += float(rewards[lane])
+        if done and learner.games < learner.config.games:
+            games.append(Game(learner.games, lane, info, learner.returns[lane], learner.exploration_rate))
+            learner.returns[lane] = 0.0
+            learner.games += 1
+    return games
+
+
+def learning_rhythm(commands_per_gradient_step: int, lanes: int) -> tuple[int, int]:
+    """Steps of all lanes between two learnings, and gradient steps of each: the exact ratio."""
+    divisor = math.gcd(commands_per_gradient_step, lanes)
+    return commands_per_gradient_step // divisor, lanes // divisor
+
+
+def falling(start: float, final_share: float, remaining: float) -> float:
+    """Linearly from `start` to its `final_share` as `remaining` goes from 1 to 0."""
+    return start * (final_share + (1.0 - final_share) * remaining)
+
+
+def charge_inference(lanes: Lanes, config: LearnerConfig) -> None:
+    """In `virtual` each lane pays for its decision."""
+    if config.task.timing == "virtual":
+        lanes.env_method("charge", config.inference_s, "inference")
+
+
+def charge_learning(lanes: Lanes, config: LearnerConfig, gradient_steps: int) -> None:
+    """In `virtual` each lane pays for the gradient steps that its own commands bring about."""
+    if config.task.timing == "virtual" and gradient_steps:
+        lanes.env_method("charge", gradient_steps / lanes.num_envs * config.learning_s, "learning")
+
+
+def plain_generator(random: np.random.RandomState) -> list[Any]:
+    """A generator's state, for JSON."""
+    name, words, *rest = random.get_state(legacy=True)
+    return [name, np.asarray(words).tolist(), *rest]
+
+
+def set_generator(random: np.random.RandomState, state: list[Any]) -> None:
+    """Put a state of `plain_generator` back."""
+    random.set_state((state[0], np.array(state[1], np.uint32), *state[2:]))

@@ -1,0 +1,112 @@
+"""What was flown, to learn from: transitions on the learner's device, drawn as n-step returns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+
+
+class Batch(NamedTuple):
+    """Transitions (n, ...): s_t, a_t, the discounted rewards of up to n steps, and what followed them."""
+
+    observations: th.Tensor
+    actions: th.Tensor  # (n, 1) int64
+    next_observations: th.Tensor
+    dones: th.Tensor  # (n, 1): the game was over, not cut short
+    rewards: th.Tensor  # (n, 1)
+    discounts: th.Tensor  # (n, 1): of the rating of what followed
+
+
+class ReplayBuffer:
+    """A ring of `capacity` transitions of `lanes` lanes; observations lie on `device`, the rest in main memory."""
+
+    def __init__(
+        self,
+        capacity: int,
+        lanes: int,
+        shape: tuple[int, ...],
+        dtype: np.dtype[np.generic],
+        device: th.device,
+    ) -> None:
+        self.rows, self.lanes, self.device = max(capacity // lanes, 1), lanes, device
+        kind = th.uint8 if dtype == np.uint8 else th.float32
+        self.observations = th.zeros((self.rows, lanes, *shape), dtype=kind, device=device)
+        self.next_observations = th.zeros_like(self.observations)
+        self.actions = np.zeros((self.rows, lanes), np.int64)
+        self.rewards, self.dones, self.truncated = (
+            np.zeros((self.rows, lanes), np.float32) for _ in range(3)
+        )
+        self.place, self.full = 0, False
+
+    def __len__(self) -> int:
+        return self.rows if self.full else self.place
+
+    def add(
+        self,
+        observations: NDArray[np.generic],
+        actions: NDArray[np.int64],
+        rewards: NDArray[np.float32],
+        next_observations: NDArray[np.generic],
+        dones: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+    ) -> None:
+        """One command of every lane; the oldest row goes when the ring is full. `dones` includes `truncated`."""
+        row = self.place
+        self.observations[row].copy_(th.from_numpy(np.ascontiguousarray(observations)))
+        self.next_observations[row].copy_(th.from_numpy(np.ascontiguousarray(next_observations)))
+        self.actions[row], self.rewards[row] = actions, rewards
+        self.dones[row], self.truncated[row] = dones, truncated
+        self.place = (row + 1) % self.rows
+        self.full = self.full or self.place == 0
+
+    def sample(self, count: int, n_steps: int, gamma: float, random: np.random.RandomState) -> Batch:
+        """`count` transitions with their returns over `n_steps`, or fewer where the game ends or the ring does."""
+        rows = random.randint(0, len(self), size=count)
+        lanes = random.randint(0, self.lanes, size=count)
+        steps = np.arange(n_steps)
+        ahead = (rows[:, None] + steps) % self.rows
+        # No later step counts after a game's last one, nor after the newest in the ring.
+        at = ahead, lanes[:, None]
+        ends = (self.dones[at] > 0) | (self.truncated[at] > 0) | (ahead == (self.place - 1) % self.rows)
+        last = np.where(ends.any(axis=1), ends.argmax(axis=1), n_steps - 1)
+        counted = steps <= last[:, None]
+        powers = np.float32(gamma) ** np.arange(n_steps, dtype=np.float32)
+        rewards = (self.rewards[at] * powers * counted).sum(axis=1)
+        discounts = gamma ** counted.sum(axis=1).astype(np.float32)
+        final = (rows + last) % self.rows
+        dones = self.dones[final, lanes] * (1.0 - self.truncated[final, lanes])
+        row, lane, after = (th.from_numpy(each).to(self.device) for each in (rows, lanes, final))
+        return Batch(
+            self.observations[row, lane],
+            self._column(self.actions[rows, lanes]),
+            self.next_observations[after, lane],
+            self._column(dones.astype(np.float32)),
+            self._column(rewards.astype(np.float32)),
+            self._column(discounts.astype(np.float32)),
+        )
+
+    def _column(self, values: NDArray[np.generic]) -> th.Tensor:
+        return th.from_numpy(values[:, None]).to(self.device)
+
+    def get_state(self) -> dict[str, NDArray[np.generic]]:
+        """All of it, as arrays."""
+        filled = len(self)
+        arrays: dict[str, NDArray[np.generic]] = {
+            name: getattr(self, name)[:filled].cpu().numpy() for name in ("observations", "next_observations")
+        }
+        arrays |= {
+            name: getattr(self, name)[:filled] for name in ("actions", "rewards", "dones", "truncated")
+        }
+        return arrays | {"place": np.array([self.place, self.full])}
+
+    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Take what `get_state` gave."""
+        self.place, self.full = int(state["place"][0]), bool(state["place"][1])
+        filled = len(self)
+        for name in ("observations", "next_observations"):
+            getattr(self, name)[:filled].copy_(th.from_numpy(state[name]))
+        for name in ("actions", "rewards", "dones", "truncated"):
+            getattr(self, name)[:filled] = state[name]

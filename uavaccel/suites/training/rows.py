@@ -1,0 +1,66 @@
+"""What a training keeps of a game: its row, what it took on this machine, and its place on the learning curves."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.logger import configure
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.rl.learner import Game
+from uavaccel.suites.suite import Flown, Row
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.units import NS_PER_S
+
+RECENT = 100  # games whose success is shown
+KEPT = ("is_success", "distance_m", "collision", "lane", "commands", "phase_s")
+
+
+class GameRows:
+    """Makes rows of games and draws TensorBoard's curves; `rows` are those of earlier starts."""
+
+    def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[Row]) -> None:
+        self._t_move_s = config.task.t_move_s
+        self._curves = configure(str(folder), ["tensorboard"])
+        self._recent = deque([row["is_success"] for row in rows[-RECENT:]], maxlen=RECENT)
+        self._simulated_s = 0.0
+        self._clock = MonotonicClock()
+        self._start_ns = self._clock.now_ns()
+
+    def flown(self, game: Game, learning: Stopwatch) -> Flown:
+        """A game's row, and host times since this start of the training: wall, the lane's own, the learner's."""
+        wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
+        row: dict[str, Any] = {
+            "case": f"game-{game.number:07d}",
+            "suite": "train",
+            "game": game.number,
+            "environment": game.lane,
+            "return": game.reward,
+            "exploration": game.exploration_rate,
+            "sim_time_s": game.info["commands"] * self._t_move_s,
+            **{name: game.info[name] for name in KEPT},
+        }
+        self._draw(row, wall_s)
+        host = {
+            "wall_s": wall_s,
+            "host_phase_s": game.info["host_phase_s"],
+            "learner_s": learning.spent_s(),
+        }
+        return Flown(row, host=host)
+
+    def _draw(self, row: Row, wall_s: float) -> None:
+        self._simulated_s += row["sim_time_s"]
+        self._recent.append(row["is_success"])
+        values = {
+            "success_recent": sum(self._recent) / len(self._recent),
+            "distance_m": row["distance_m"],
+            "return": row["return"],
+            "real_time_factor": self._simulated_s / wall_s,
+        }
+        for name, value in values.items():
+            self._curves.record(f"games/{name}", value)
+        self._curves.dump(row["game"] + 1)
