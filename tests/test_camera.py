@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
 from uavaccel.sim.lane.file import layout_from
@@ -169,7 +170,7 @@ def test_looking_does_not_change_the_flight() -> None:
         world = World("lane", NATIVE)
         world.set_lane(draw_layout(1))
         world.reset()
-        world.fly_velocity((1.0, 0.4, 0.0), height_held=False, yaw=0.2, yaw_is_rate=True)
+        world.fly_velocity(VelocityGoal((1.0, 0.4, 0.0), yaw=0.2))
         for _ in range(20):
             world.advance(50)
             if looks:

@@ -12,7 +12,7 @@ import typer
 from tests.opengl import needs_opengl
 from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, configure
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.training.config import TrainConfig
 

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import LENGTH_M, LaneLayout, clearance_m, draw_layout, lane_seed
 from uavaccel.sim.lane.path import plan_path
@@ -79,7 +80,7 @@ def test_the_simulator_flies_a_planned_path_to_the_end(lane_world: World) -> Non
     lane_world.reset()
     clearance = []
     for north, east in plan_path(layout, height_m=10.0):
-        lane_world.fly_velocity((north, east, -10.0), height_held=True, yaw=0.0, yaw_is_rate=False)
+        lane_world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False))
         for _ in range(4):
             lane_world.advance(125)
             clearance.append(clearance_m(layout, lane_world.kinematics().position_m[:2]))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import (
@@ -108,7 +109,7 @@ def test_a_flight_ends_at_the_step_of_the_collision(lane_world: World) -> None:
     layout = one_post(3.0, 0.0)
     lane_world.set_lane(layout)
     lane_world.reset()
-    lane_world.fly_velocity((1.0, 0.0, 0.0), height_held=False, yaw=0.0, yaw_is_rate=True)
+    lane_world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
     lane_world.advance(5000)
     assert lane_world.collision_tick is not None
     assert lane_world.collision_object == "obstacle_00"

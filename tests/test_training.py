@@ -20,8 +20,7 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import learning_rhythm, make_model

@@ -88,13 +88,6 @@ def test_a_continue_for_is_exact_and_never_early(session: Session, duration_ns: 
     assert client.kinematics() == state, "the clock stands"
 
 
-def test_airsims_continue_for_time_counts_wall_seconds(session: Session) -> None:
-    client = session.start_game(50, SEED)
-    start_ns = client.kinematics().time_ns
-    client.call("simContinueForTime", 0.01)
-    assert client.kinematics().time_ns - start_ns == 500_000_000
-
-
 def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Session) -> None:
     client = session.start_game(20, SEED)
     client.run()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.bench.camera import bench_camera as frame_rates
 from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import NATIVE
@@ -74,7 +75,7 @@ def lane_frames() -> list[NDArray[np.uint8]]:
     camera = world.camera(256, 144)
     frames = [camera.gray(world.data)]
     for north, east in plan_path(layout):
-        world.fly_velocity((north, east, -10.0), True, 0.0, True)
+        world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0))
         for slice_ticks in (165, 165, 170):
             world.advance(slice_ticks)
             frames.append(camera.gray(world.data))

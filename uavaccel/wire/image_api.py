@@ -43,7 +43,6 @@ class ImageApi:
     def __init__(self, simulation: Simulation, render: bool = True) -> None:
         self.simulation = simulation
         self.render = render
-        self._collision_read = False
 
     # --- images -----------------------------------------------------------------------------------------------
 
@@ -164,14 +163,13 @@ class ImageApi:
 
     def collision_info(self, vehicle: Any = "") -> dict[str, Any]:
         """simGetCollisionInfo; reading it sets has_collided back, as in AirSim."""
-        world, kinematics = self.simulation.world, self.simulation.kinematics()
-        info = types.no_collision_map()
-        if world.collision_tick is not None:
-            info["has_collided"] = not self._collision_read
-            info["time_stamp"] = self.simulation.time_of(world.collision_tick)
-            info["object_name"] = world.collision_object
-            info["position"] = info["impact_point"] = types.vector_map(kinematics.position_m)
-        self._collision_read = world.collision_tick is not None
+        touches = self.simulation.world.touches
+        info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
+        if touch := touches.latest:
+            info |= {"time_stamp": self.simulation.time_of(touch.tick), "object_name": touch.object}
+            info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
+            info |= {"position": types.vector_map(touch.position_m)}
+            info |= {"impact_point": types.vector_map(touch.impact_point_m)}
         return info
 
     def set_lane(self, lane: Any) -> None:

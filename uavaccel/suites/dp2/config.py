@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from uavaccel.commands.slices import check_times
 from uavaccel.config import Config
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.dp1.config import check_samples
 from uavaccel.suites.experiment import FlightExperiment, Timing, positive
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.perturb import PerturbationKind
@@ -91,8 +91,8 @@ class Dp2Config(FlightExperiment):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
-        PROFILES[self.profile].command_ticks(self.t_move_s, "t_move_s")
-        check_samples(self.profile, self.t_move_s, self.t_sample_s)
+        profile = PROFILES[self.profile]
+        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
         return self
 
     def wire_lane(self) -> Any:
