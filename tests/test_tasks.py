@@ -19,11 +19,13 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_lear
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
+from uavaccel.clock import VirtualClock
 from uavaccel.config import validate
 from uavaccel.envs.flight_env import FlightEnv, within
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import AT_REST, Course, Moment, Task
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
@@ -115,7 +117,9 @@ def test_waypoints_fill_the_cube_around_the_start() -> None:
 def test_hover_sees_the_way_to_the_waypoint() -> None:
     state = Kinematics(5, (1.0, 2.0, -9.0), (0.5, 0.5, 0.5, -0.5), (0.1, 0.2, 0.3), (4.0, 5.0, 6.0))
     seen = HoverTask().features(state, {"waypoint_m": [3.0, 0.0, -10.0]})
-    np.testing.assert_array_equal(seen, np.float32([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6]))
+    np.testing.assert_array_equal(
+        seen, np.array([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6], np.float32)
+    )
 
 
 # --- gates ----------------------------------------------------------------------------------------------------------
@@ -245,7 +249,7 @@ def test_every_task_flies_in_every_timing_and_the_same_twice(
 ) -> None:
     flights = []
     for _ in range(2):
-        keys = {"command": command, "timing": timing, "profile": profile, "clock_speed": 10.0}
+        keys: dict[str, Any] = {"command": command, "timing": timing, "profile": profile, "clock_speed": 10.0}
         with made(name, **keys) as environment:
             flown = [environment.step(np.array([0.5, 0.25, -0.125], np.float32)) for _ in range(4)]
         flights.append(json.dumps([(step[0].tolist(), *step[1:]) for step in flown]))
@@ -345,6 +349,17 @@ def test_lockstep_charges_nothing() -> None:
         info = environment.step(STILL)[4]
     assert info["wall_s"] == info["phase_s"]["simulation"] == pytest.approx(0.2)
     assert info["phase_s"]["inference"] == 0.0
+
+
+def test_a_phase_that_raises_is_over() -> None:
+    clock = VirtualClock()
+    stopwatch = Stopwatch(clock)
+    with pytest.raises(KeyError), stopwatch.phase("learning"):
+        clock.charge(10**9)
+        raise KeyError
+    clock.charge(10**9)
+    stopwatch.switch(None)
+    assert stopwatch.spent_s()["learning"] == 1.0
 
 
 def test_seeds_draw_the_course_once() -> None:
