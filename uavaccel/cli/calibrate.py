@@ -53,7 +53,9 @@ def show_agreement(latency: Path | None, profile: str, games: int) -> None:
     if games < 1:
         raise UserError(f"--games {games}: must be 1 or more")
     model = shipped_latency() if latency is None else read_latency(latency)
-    console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
+    console.print(
+        f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}"
+    )
     table = Table(
         "command", "clock", "T_move s", "", "wall", "wall again", "virtual", "", box=None, pad_edge=False
     )
