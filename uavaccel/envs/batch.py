@@ -108,8 +108,8 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         if hasattr(self, "_lanes"):
             self._lanes.close()
             os.close(self._observations.descriptor)
-        if getattr(self, "service", None) is not None:
-            self.service.close()
+        if (service := getattr(self, "service", None)) is not None:
+            service.close()
 
     def __del__(self) -> None:
         self.close()
