@@ -76,9 +76,8 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[Any], dict[str, Any]]:
         """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
-        seeds = _seeds(seed, self.num_envs)
-        infos = self._lanes.ask_all("reset", [(each, options) for each in seeds])
-        return self._observations.present.copy(), self._merged(infos)
+        infos = self.reset_each(_seeds(seed, self.num_envs), [options] * self.num_envs)
+        return self.observations(), self._merged(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One command each."""
@@ -92,7 +91,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
 
     def call(self, name: str, *arguments: Any) -> tuple[Any, ...]:
         """A method of every environment with the same arguments, or the values of an attribute."""
-        return tuple(self._lanes.ask_all("call", [(name, *arguments)] * self.num_envs))
+        return tuple(self.call_each(name, [arguments] * self.num_envs))
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """The values of an attribute."""
@@ -101,7 +100,8 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
     def set_attr(self, name: str, values: Any) -> None:
         """Give an attribute one value, or as a list, one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
-        self._lanes.ask_all("set_attribute", [(name, value) for value in each])
+        for lane, value in enumerate(each):
+            self.set_each(name, value, [lane])
 
     def close_extras(self, **_: Any) -> None:
         """End the processes."""
@@ -113,6 +113,11 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
 
     def __del__(self) -> None:
         self.close()
+
+    @property
+    def process_ids(self) -> list[int]:
+        """Of the processes in which the environments fly."""
+        return self._lanes.process_ids
 
     # --- learners ---------------------------------------------------------------------------------
 
@@ -134,14 +139,19 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         seen = self._observations.present[which]
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any] | None]) -> list[Any]:
+        """A new game everywhere, each with its own seed and options; the infos."""
+        return self._lanes.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
+
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
     ) -> list[Any]:
         """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
-        which = list(self._all(lanes))
-        for lane, each in zip(which, arguments, strict=True):
-            self._lanes.ask(lane, "call", name, *each)
-        return self._lanes.answers(which)
+        return self._lanes.ask_all("call", [(name, *each) for each in arguments], self._all(lanes))
+
+    def set_each(self, name: str, value: Any, lanes: Sequence[int] | None = None) -> None:
+        """Give an attribute of some environments (all) a value."""
+        self._lanes.ask_all("set_attribute", [(name, value)] * len(self._all(lanes)), self._all(lanes))
 
     def observations(self) -> NDArray[Any]:
         """The present observation of every environment."""

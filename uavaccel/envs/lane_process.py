@@ -86,10 +86,10 @@ def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
                     environment = getattr(importlib.import_module(module), name)(**options["keys"])
                     lane = Lane(environment, seen, last, AutoresetMode(options["autoreset"]))
                 connection.send((True, getattr(lane, method)(*arguments)))
-            except UserError as error:
-                connection.send((False, "UserError", str(error)))
+            except (UserError, AttributeError) as error:
+                connection.send((False, type(error).__name__, str(error)))
             except Exception:
-                connection.send((False, "error", traceback.format_exc()))
+                connection.send((False, "", traceback.format_exc()))
     except (EOFError, OSError):  # nobody listens any more
         pass
     finally:

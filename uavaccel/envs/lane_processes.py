@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from uavaccel.errors import UserError
+from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
 
 
@@ -59,6 +60,8 @@ class LaneProcesses:
 
     def ask(self, lane: int, method: str, *arguments: Any) -> None:
         """Send a question; its `answer` has to be taken before the next."""
+        if not self._connections:
+            raise self._ended(lane)
         if self._asked[lane]:
             raise BatchError(f"lane {lane} is still flying: take its last answer before you ask for more")
         try:
@@ -77,16 +80,13 @@ class LaneProcesses:
             self._asked[lane] = False
         if answer[0]:
             return answer[1]
-        if answer[1] == "UserError":
-            raise UserError(answer[2])
-        self._check_renderer(lane)
-        raise BatchError(f"lane {lane} failed:\n{answer[2]}")
+        raise self._error(lane, *answer[1:])
 
-    def ask_all(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """One question to each lane, its answer beside it; each is answered even where another one fails."""
-        for lane, each in enumerate(arguments):
+    def ask_all(self, method: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int]) -> list[Any]:
+        """A question to each of some lanes, all asked before the first answer is taken."""
+        for lane, each in zip(lanes, arguments, strict=True):
             self.ask(lane, method, *each)
-        return self.answers(range(len(arguments)))
+        return self.answers(lanes)
 
     def answers(self, lanes: Sequence[int]) -> list[Any]:
         """The answers of some lanes. Raises the first error, after all have been taken."""
@@ -94,19 +94,30 @@ class LaneProcesses:
         for lane in lanes:
             try:
                 answers.append(self.answer(lane))
-            except (UserError, BatchError) as error:
+            except (UserError, AttributeError, BatchError) as error:
                 errors.append(error)
         if errors:
             raise errors[0]
         return answers
 
     def _ended(self, lane: int) -> BatchError:
+        if not self._connections:
+            return BatchError("this batch is closed")
         process = self._processes[self._process_of[lane]]
         return BatchError(f"the process of lane {lane} ended with status {process.wait()}")
 
-    def _check_renderer(self, lane: int) -> None:
-        if self._service is not None and (status := self._service.process.poll()) is not None:
-            raise BatchError(f"the renderer ended with status {status}; lane {lane} waits for its picture")
+    def _error(self, lane: int, kind: str, text: str) -> Exception:
+        if kind == "UserError":
+            return UserError(text)
+        if kind == "AttributeError":
+            return AttributeError(text)
+        if self._service is not None and RendererGoneError.__name__ in text:  # as the wire's own error, too
+            return BatchError(f"the renderer of all lanes {self._service.status()}")
+        return BatchError(f"lane {lane} failed:\n{text}")
+
+    @property
+    def process_ids(self) -> list[int]:
+        return [process.pid for process in self._processes]
 
     def close(self) -> None:
         """End the processes; what they still fly is given up."""

@@ -16,6 +16,7 @@ from uavaccel.sim.gl import GlRenderer
 from uavaccel.sim.rendering.slots import anonymous_memory, slot_dtype
 
 STOP_S = 10.0
+END_S = 2.0  # between the end of its pipes and of the process
 
 
 class RenderService:
@@ -54,6 +55,13 @@ class RenderService:
         if "error" in answer:
             raise UserError(answer["error"])
         return GlRenderer(**answer)
+
+    def status(self) -> str:
+        """What became of the renderer, for a camera that got no picture."""
+        try:
+            return f"ended with status {self.process.wait(END_S)}"
+        except subprocess.TimeoutExpired:
+            return "does not answer"
 
     def descriptors(self, number: int) -> dict[str, int]:
         """Keywords of RemoteCamera for camera `number`: file descriptors that its process has to inherit."""
