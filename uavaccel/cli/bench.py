@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from uavaccel.bench import images as bench_images
 from uavaccel.bench import speed as bench
+from uavaccel.bench.batch import BatchSize, bench_batch
 from uavaccel.bench.machine import check_machine
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
@@ -22,21 +24,23 @@ BENCHES: dict[str, Callable[[], Iterator[bench.Measurement]]] = {
     "camera": bench_images.bench_camera,
     "image": bench_images.bench_image,
     "dvs": bench_images.bench_dvs,
+    "batch": bench_batch,
 }
 
 console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
-def run_benches(names: list[str], soak_s: float, out: Path | None) -> None:
+def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchSize) -> None:
     """Run the named benches (all if none). Raises UsageError for an unknown name, UserError if `out` exists."""
     unknown = [name for name in names if name not in BENCHES]
     if unknown:
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None and out.exists():
         raise UserError(f"{out}: exists; take another --out")
+    benches = {**BENCHES, "batch": partial(bench_batch, batch)}
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")
-    measurements = [each for name in names or BENCHES for each in _printed(_where_possible(BENCHES[name]))]
+    measurements = [each for name in names or BENCHES for each in _printed(_where_possible(benches[name]))]
     if soak_s:
         measurements += _printed(bench.bench_soak(soak_s))
     if out is not None:

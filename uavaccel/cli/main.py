@@ -200,11 +200,22 @@ def bench(
     names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
     soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,
     out: Annotated[Path | None, typer.Option(help="JSON file to keep the measurements in.")] = None,
+    lanes: Annotated[
+        list[int] | None, typer.Option(min=1, help="Of `batch`: so many lanes, 8 otherwise; repeatable.")
+    ] = None,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Of `batch`: over so many processes; otherwise the cores.")
+    ] = None,
+    tiles: Annotated[
+        int | None, typer.Option(min=1, help="Of `batch`: pictures drawn at once; otherwise the lanes.")
+    ] = None,
+    renderer: Annotated[str, typer.Option(help="Of `batch`: shared, own or auto.")] = "shared",
 ) -> None:
     """Measure this machine: hot loop, round trips, TCSC, rendering."""
+    from uavaccel.bench.batch import BatchSize
     from uavaccel.cli.bench import run_benches
 
-    run_benches(names or [], soak_s, out)
+    run_benches(names or [], soak_s, out, BatchSize(tuple(lanes or [8]), processes, tiles, renderer))
 
 
 @app.command()

@@ -48,7 +48,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
     task_class: ClassVar[type[Task]]
 
     def __init__(self, render_mode: str | None = None, **keys: Any) -> None:
-        self.task: Any = _task(self.task_class, keys, type(self).__name__)
+        self.task: Any = make_task(self.task_class, keys, type(self).__name__)
         self.render_mode = render_mode
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
@@ -236,7 +236,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         return info
 
 
-def _task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
+def make_task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
     try:
         return validate(task_class, keys, name)
     except UserError as error:

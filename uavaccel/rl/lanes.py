@@ -1,40 +1,89 @@
-"""Lanes for a learner: flown in processes of their own, while it learns; in `wall` one lane in this process."""
+"""Lanes for a learner: flown as a batch, while it learns; in `wall` one lane in this process."""
 
 from __future__ import annotations
 
-import os
-import signal
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from uavaccel.envs.batch import LaneBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+
+
+class BatchVecEnv(VecEnv):
+    """A batch with autoreset SAME_STEP as stable-baselines3's algorithms take it."""
+
+    def __init__(self, batch: LaneBatch) -> None:
+        self.batch = batch
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+
+    def reset(self) -> VecEnvObs:
+        options = [each or None for each in self._options]
+        infos = self.batch.reset_each(self._seeds, options)
+        self.reset_infos = infos
+        self._reset_seeds()
+        self._reset_options()
+        return self.batch.observations()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.batch.step_async(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, terminated, truncated, infos = self.batch.step_wait()
+        cut_off = (truncated & ~terminated).tolist()
+        for lane, (info, cut) in enumerate(zip(infos, cut_off, strict=True)):
+            if "final_info" in info:
+                self.reset_infos[lane] = info
+                infos[lane] = {**info.pop("final_info"), "terminal_observation": info.pop("final_obs")}
+            infos[lane]["TimeLimit.truncated"] = cut
+        return observations, rewards, terminated | truncated, infos
+
+    def close(self) -> None:
+        self.batch.close()
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        return self.env_method(attr_name, indices=indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        self.batch.set_each(attr_name, value, list(self._get_indices(indices)))
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: int | Iterable[int] | None = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        if method_kwargs:
+            raise TypeError(f"{method_name}: keywords do not travel, pass the arguments by position")
+        lanes = list(self._get_indices(indices))
+        return self.batch.call_each(method_name, [method_args] * len(lanes), lanes)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        return self.env_method("render")
+
 
 Lanes = VecEnv  # what a learner flies: step_async, step_wait, env_method
 
 
 def make_lanes(task: LaneTask, count: int) -> Lanes:
-    """`count` environments of a task, whose infos have host times. Spawned: what renders must not be forked.
+    """`count` environments of a task, whose infos have host times.
 
     In `wall` the one lane is flown in this process, so that nothing learns beside it and disturbs its clock.
     """
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     if task.timing == "wall":
-        return DummyVecEnv([partial(_make_lane, keywords)])
-    return SubprocVecEnv([partial(_make_lane_alone, keywords)] * count, start_method="spawn")
-
-
-def _make_lane(keywords: dict[str, Any]) -> Any:
-    return ObstacleLane(**keywords)
-
-
-def _make_lane_alone(keywords: dict[str, Any]) -> Any:
-    """A lane in a process of its own, which leaves Ctrl-C to its parent and, drawing in software, the other cores."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault("LP_NUM_THREADS", "0")
-    return _make_lane(keywords)
+        return DummyVecEnv([partial(ObstacleLane, **keywords)])
+    return BatchVecEnv(LaneBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
 
 
 def seed_lanes(environment: VecEnv, seed: int) -> None:

@@ -10,31 +10,63 @@ from __future__ import annotations
 import atexit
 import contextlib
 import weakref
-from typing import Any, Self
+from collections.abc import Callable
+from contextvars import ContextVar
+from typing import Any, Protocol, Self
 
 import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.errors import UserError
 from uavaccel.sim import gl
 from uavaccel.sim.lane.scene import object_name
+from uavaccel.sim.view import (
+    FOV_DEG,
+    HEIGHT,
+    WIDTH,
+    DepthImage,
+    GeomImage,
+    Image,
+    View,
+    far_m,
+    ray_lengths,
+    set_quality,
+    to_metres,
+)
 
-Image = NDArray[np.uint8]
-DepthImage = NDArray[np.float32]
-GeomImage = NDArray[np.int32]
 
-WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
-DRONE_GROUP = 1  # of quadrotor.xml's visible geoms
-_RENDER_FLAGS = {
-    mujoco.mjtRndFlag.mjRND_CULL_FACE: True,  # half the faces of everything
-    mujoco.mjtRndFlag.mjRND_SHADOW: False,
-    mujoco.mjtRndFlag.mjRND_REFLECTION: False,
-    mujoco.mjtRndFlag.mjRND_HAZE: False,
-}
-_ID_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
-_EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
+class FrontCamera(Protocol):
+    """What a world asks of its camera, whoever draws: the methods of `Camera`, in which they are described."""
+
+    width: int
+    height: int
+
+    @property
+    def far_m(self) -> float: ...
+    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image: ...
+    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image: ...
+    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage: ...
+    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage: ...
+    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage: ...
+    def object_names(self, geoms: GeomImage) -> list[str]: ...
+    def render_again(self, out: Image) -> None: ...
+    def scene_changed(self) -> None: ...
+    def close(self) -> None: ...
+
+
+CameraMaker = Callable[[mujoco.MjModel, int, int], FrontCamera]
+_maker: ContextVar[CameraMaker | None] = ContextVar("camera maker", default=None)
+
+
+def make_cameras_with(maker: CameraMaker) -> None:
+    """Let the worlds of this thread have cameras that `maker` makes, of a model, a width and a height."""
+    _maker.set(maker)
+
+
+def make_camera(model: mujoco.MjModel, width: int, height: int) -> FrontCamera:
+    """The front camera of a world of this thread: one that draws in a context of its own, unless otherwise said."""
+    return (_maker.get() or Camera)(model, width, height)
 
 
 class Camera:
@@ -54,26 +86,17 @@ class Camera:
     ) -> None:
         self.model = model
         self.width, self.height = width, height
-        self._half_width = float(np.tan(np.radians(fov_deg) / 2))  # of the picture, one metre ahead
-        self._half_height = self._half_width * height / width
-        self._view = _fixed_view(model, camera)
-        self._options = _options(model, self._view.fixedcamid)
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 8)
-        for flag, value in _RENDER_FLAGS.items():
-            self._scene.flags[flag] = value
-        self._as_ids = False
-        self._resized = not self._models_own_view()
-        self._eyes = list(self._scene.camera)  # views of MuJoCo's own two, which it averages
+        self._view = View(model, width, height, camera, fov_deg)
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._pixels: Image = np.empty((height, width, 3), np.uint8)
         self._depth: DepthImage = np.empty((height, width), np.float32)
-        self._ray_length = _ray_lengths(width, height, self._half_width)
+        self._ray_length = ray_lengths(width, height, self._view.half_width)
         self._open()
 
     def _open(self) -> None:
         self._gl: Any
         self._gl, self.renderer = gl.make_context(self.width, self.height)
-        _set_quality(self.model, self.width, self.height)
+        set_quality(self.model, self.width, self.height)
         self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
@@ -83,7 +106,7 @@ class Camera:
     @property
     def far_m(self) -> float:
         """Depth of the sky: the far end of what is drawn."""
-        return float(self.model.vis.map.zfar * self.model.stat.extent)
+        return far_m(self.model)
 
     def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
         """Red, green, blue; (height, width, 3) uint8."""
@@ -94,7 +117,7 @@ class Camera:
 
     def render_again(self, out: Image) -> None:
         """The scene of the last picture once more, upside down: the bare loop that ours is measured against."""
-        mujoco.mjr_render(self._rectangle, self._scene, self._context)
+        mujoco.mjr_render(self._rectangle, self._view.scene, self._context)
         mujoco.mjr_readPixels(out, None, self._rectangle, self._context)
 
     def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
@@ -108,12 +131,7 @@ class Camera:
         self._draw(data, as_ids=True)  # depth needs no lighting
         picture = _target(self._depth, out)
         mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
-        far = np.float32(self.far_m)
-        near = np.float32(self.model.vis.map.znear * self.model.stat.extent)
-        depth = _turned_over(picture, out)
-        # The buffer is 1 at the near and 0 at the far plane, linear in the inverse of the depth.
-        np.divide(near * far, near + depth * (far - near), out=depth)
-        return depth
+        return to_metres(self.model, _turned_over(picture, out))
 
     def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
         """Metres along each pixel's ray (AirSim's DepthPerspective); (height, width) float32."""
@@ -125,37 +143,19 @@ class Camera:
         """Id of the geom seen, -1 for the sky; (height, width) int32. Names: `object_names`."""
         self._draw(data, as_ids=True)
         mujoco.mjr_readPixels(self._pixels, None, self._rectangle, self._context)
-        drawn = self._pixels[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
-        ids = np.full(self._scene.ngeom + 1, -1, np.int32)
-        for geom in self._scene.geoms[: self._scene.ngeom]:
-            ids[geom.segid + 1] = geom.objid
-        return np.take(ids, drawn, out=out)
+        return self._view.geoms(self._pixels[::-1], out)
 
     def object_names(self, geoms: GeomImage) -> list[str]:
         """Names of the objects in a segmentation, sorted; the sky has none."""
-        return sorted({object_name(self.model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
+        return object_names(self.model, geoms)
+
+    def scene_changed(self) -> None:
+        """The model's objects were moved or look different: nothing of it is kept here."""
 
     def _draw(self, data: mujoco.MjData, as_ids: bool = False) -> None:
         self._bind()
-        mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
-        mujoco.mj_camlight(self.model, data)
-        if as_ids != self._as_ids:
-            self._scene.flags[_ID_FLAGS] = self._as_ids = as_ids
-        mujoco.mjv_updateScene(self.model, data, self._options, None, self._view, _EVERYTHING, self._scene)
-        if self._resized:
-            self._set_field_of_view()
-        mujoco.mjr_render(self._rectangle, self._scene, self._context)
-
-    def _models_own_view(self) -> bool:
-        """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
-        half_height = np.tan(np.radians(self.model.cam_fovy[self._view.fixedcamid]) / 2)
-        return abs(half_height / self._half_height - 1) * self.width < 1e-3
-
-    def _set_field_of_view(self) -> None:
-        near = self._eyes[0].frustum_near
-        for eye in self._eyes:
-            eye.frustum_width = near * self._half_width
-            eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
+        scene = self._view.update(data, as_ids)
+        mujoco.mjr_render(self._rectangle, scene, self._context)
 
     def _bind(self) -> None:
         if self._gl is None:
@@ -185,36 +185,9 @@ class Camera:
             pass
 
 
-def _fixed_view(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    view = mujoco.MjvCamera()
-    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    view.fixedcamid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-    if view.fixedcamid < 0:
-        names = ", ".join(model.camera(index).name for index in range(model.ncam))
-        raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
-    return view
-
-
-def _options(model: mujoco.MjModel, camera: int) -> mujoco.MjvOption:
-    """What is drawn: all but the drone, for a camera that it carries: nothing of it is in view."""
-    options = mujoco.MjvOption()
-    options.geomgroup[DRONE_GROUP] = model.cam_bodyid[camera] != model.body("quadrotor").id
-    return options
-
-
-def _set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
-    """What MjrContext reads once, when it is made: no shadow map and no multisampling, each several frames' worth."""
-    model.vis.quality.shadowsize = 0
-    model.vis.quality.offsamples = 0
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-
-
-def _ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
-    """Length of each pixel's ray to the plane one metre ahead; (height, width)."""
-    pixel = 2 * half_width / width
-    right = (np.arange(width) + 0.5 - width / 2) * pixel
-    down = (np.arange(height) + 0.5 - height / 2) * pixel
-    return np.sqrt(1 + right[None, :] ** 2 + down[:, None] ** 2).astype(np.float32)
+def object_names(model: mujoco.MjModel, geoms: GeomImage) -> list[str]:
+    """Names of the objects in a segmentation, sorted; the sky has none."""
+    return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
 
 def _target(like: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:

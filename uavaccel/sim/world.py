@@ -26,7 +26,7 @@ from uavaccel.sim.touch import Touches, deepest_contact
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:
-    from uavaccel.sim.camera import Camera
+    from uavaccel.sim.camera import FrontCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
@@ -57,7 +57,7 @@ class World:
         self.freeze_on_collision = scene == "lane"
         self._scene = scene
         self._lane: LaneLayout | None = None
-        self._cameras: dict[tuple[int, int], Camera] = {}
+        self._cameras: dict[tuple[int, int], FrontCamera] = {}
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
         self._parameters = parameters(
@@ -116,20 +116,25 @@ class World:
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
 
-    def camera(self, width: int, height: int) -> Camera:
+    def camera(self, width: int, height: int) -> FrontCamera:
         """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
-        from uavaccel.sim.camera import Camera  # what needs no images needs no OpenGL
+        from uavaccel.sim.camera import make_camera  # what needs no images needs no OpenGL
 
         if (width, height) not in self._cameras:
-            self._cameras[width, height] = Camera(self.model, width, height)
+            self._cameras[width, height] = make_camera(self.model, width, height)
         return self._cameras[width, height]
 
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
-        apply_layout(self.model, self.data, layout)
-        self._lane = layout
+        self._lay_out(layout)
         self._clearance.look_anew()
         self._field["wind"][0] = layout.wind_m_s
+
+    def _lay_out(self, layout: LaneLayout) -> None:
+        apply_layout(self.model, self.data, layout)
+        self._lane = layout
+        for camera in self._cameras.values():
+            camera.scene_changed()
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
@@ -257,8 +262,7 @@ class World:
                 raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
         self._failed = bool(state["failed"])
         if lane := part("lane", state):
-            self._lane = layout_of(lane)
-            apply_layout(self.model, self.data, self._lane)
+            self._lay_out(layout_of(lane))
         mujoco.mj_setState(self.model, self.data, np.asarray(state["physics"], float), PHYSICS)
         mujoco.mj_kinematics(self.model, self.data)
         self._warnings[:] = state["warnings"]

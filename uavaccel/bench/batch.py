@@ -1,0 +1,93 @@
+"""How fast a batch of lanes flies and draws, beside a bare loop that only draws tiles and reads them back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.envs.batch import MOST_TILES, LaneBatch
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.resources import asset
+from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.rendering.tiles import Tiles
+from uavaccel.sim.view import View
+
+WARM_UP = 3
+TILE_ROUNDS = 30
+COMMANDS = {"commands": 30, "pictures": 5}  # of each lane, in each of the two measurements
+MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # a command of 50 of them: next to no physics
+
+
+class BatchSize(NamedTuple):
+    """What is measured: batches of so many lanes; processes and tiles as LaneBatch takes them."""
+
+    lanes: tuple[int, ...] = (8,)
+    processes: int | None = None
+    tiles: int | None = None
+    renderer: str = "shared"
+
+
+def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
+    """Pictures per second through the batch and by the bare loop, and commands of 1 s, three frames each."""
+    size = size or BatchSize()
+    for lanes in size.lanes:
+        bare, who = bare_tiles(min(size.tiles or lanes, MOST_TILES))
+        for name, task in (("pictures", MANY_PICTURES), ("commands", {})):
+            per_s, processes, tiles = _fly(size, lanes, COMMANDS[name], task)
+            note = f"{processes} processes, {tiles} tiles, {size.renderer} renderer, {who}"
+            if name == "commands":
+                yield Measurement(f"{lanes} lanes: commands", per_s, "commands/s", None, note)
+                continue
+            frames = round(MANY_PICTURES["t_move_s"] / MANY_PICTURES["t_sample_s"])
+            yield Measurement(f"{lanes} lanes: pictures", per_s * frames, "frames/s", bare, note)
+            yield Measurement(
+                f"{lanes} lanes: over the bare loop", per_s * frames / bare, "", note="aim 0.8 on a GPU"
+            )
+
+
+def _fly(size: BatchSize, lanes: int, commands: int, task: dict[str, float]) -> tuple[float, int, int]:
+    """Commands per second of all lanes together, processes and tiles."""
+    random = np.random.default_rng(0)
+    batch = LaneBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
+
+    def fly(count: int) -> None:
+        for _ in range(count):
+            batch.step_async(random.integers(1, 4, lanes))
+            batch.step_wait()
+
+    try:
+        batch.reset(seed=0)
+        fly(WARM_UP)
+        took_s = elapsed_s(lambda: fly(commands))
+        return commands * lanes / took_s, batch.processes, batch.tiles
+    finally:
+        batch.close()
+
+
+def bare_tiles(count: int) -> tuple[float, str]:
+    """Frames per second of a loop that draws `count` scenes of the lane and reads them back at once; who draws."""
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    data = mujoco.MjData(model)
+    apply_layout(model, data, draw_layout(seed=0))
+    tiles = Tiles(model, count)
+    scenes = []
+    for place in range(count):
+        data.qpos[0] = 140.0 * place / count  # along the lane: many obstacles in view, and few
+        scenes.append(View(model).update(data))
+
+    def loop() -> None:
+        for _ in range(TILE_ROUNDS):
+            for place, scene in enumerate(scenes):
+                tiles.draw(place, scene)
+            with tiles.read(count):
+                pass
+
+    loop()
+    per_s = TILE_ROUNDS * count / elapsed_s(loop)
+    tiles.close()
+    return per_s, tiles.renderer.name

@@ -1,0 +1,230 @@
+"""Many environments of one task side by side, for `gymnasium.make_vec` and for learners: processes, and one renderer.
+
+Each flies as it would alone, to the last bit: the same commands, transport, physics and sensors. Where OpenGL has a GPU
+one process draws for all of them, since contexts only take turns on it; in software each process draws for itself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, iterate
+from numpy.typing import NDArray
+
+from uavaccel.envs.batch_memory import Observations
+from uavaccel.envs.flight_env import FlightEnv, make_task
+from uavaccel.envs.lane_processes import LaneProcesses
+from uavaccel.errors import UserError
+from uavaccel.sim.rendering.service import RenderService
+
+Renderer = Literal["auto", "shared", "own"]
+RENDERERS = ("auto", "shared", "own")
+MOST_TILES = 64
+
+Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
+
+
+class LaneBatch(VectorEnv[Any, Any, Any]):
+    """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
+
+    They fly in `processes` processes (as many as there are cores) and draw with a `renderer` that is "shared", or
+    each process its "own"; "auto" shares one where there is a GPU. Up to `tiles` pictures are drawn at once. Raises
+    UserError for keywords that do not fit, UserError or BatchError for what went wrong in an environment.
+    """
+
+    def __init__(
+        self,
+        environment: type[FlightEnv],
+        num_envs: int = 1,
+        processes: int | None = None,
+        renderer: Renderer = "auto",
+        tiles: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **keys: Any,
+    ) -> None:
+        self.render_mode = keys.pop("render_mode", None)
+        task = make_task(environment.task_class, keys, environment.__name__)
+        _check(num_envs, processes, renderer, tiles, task.timing)
+        self.num_envs, self.tiles = num_envs, min(tiles or num_envs, MOST_TILES)
+        self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
+        self.single_observation_space = task.observation_space()
+        self.single_action_space = task.action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        space = self.single_observation_space
+        self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
+        self.service = _service(task, num_envs, self.tiles, renderer)
+        self.processes = min(processes or _cores(), num_envs)
+        options = {
+            "environment": f"{environment.__module__}:{environment.__qualname__}",
+            "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
+            "memory": self._observations.descriptor,
+            "observations": self._observations.size,
+            "autoreset": self.metadata["autoreset_mode"].value,
+        }
+        self._lanes = LaneProcesses(options, num_envs, self.processes, self.service)
+        if self.service is not None:
+            self.service.handed_out()
+
+    # --- Gymnasium --------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
+        infos = self.reset_each(_seeds(seed, self.num_envs), [options] * self.num_envs)
+        return self.observations(), self._merged(infos)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One command each."""
+        self.step_async(actions)
+        observations, rewards, terminated, truncated, infos = self.step_wait()
+        return observations, rewards, terminated, truncated, self._merged(infos)
+
+    def render(self) -> tuple[Any, ...] | None:
+        """What each front camera sees."""
+        return self.call("render") if self.render_mode is not None else None
+
+    def call(self, name: str, *arguments: Any) -> tuple[Any, ...]:
+        """A method of every environment with the same arguments, or the values of an attribute."""
+        return tuple(self.call_each(name, [arguments] * self.num_envs))
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The values of an attribute."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Give an attribute one value, or as a list, one for each environment."""
+        each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        for lane, value in enumerate(each):
+            self.set_each(name, value, [lane])
+
+    def close_extras(self, **_: Any) -> None:
+        """End the processes."""
+        if hasattr(self, "_lanes"):
+            self._lanes.close()
+            os.close(self._observations.descriptor)
+        if (service := getattr(self, "service", None)) is not None:
+            service.close()
+
+    def __del__(self) -> None:
+        self.close()
+
+    @property
+    def process_ids(self) -> list[int]:
+        """Of the processes in which the environments fly."""
+        return self._lanes.process_ids
+
+    # --- learners ---------------------------------------------------------------------------------
+
+    def step_async(self, actions: Any, lanes: Sequence[int] | None = None) -> None:
+        """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
+        for lane, action in zip(self._all(lanes), iterate(self.action_space, actions), strict=False):
+            self._lanes.ask(lane, "step", action)
+
+    def step_wait(self, lanes: Sequence[int] | None = None) -> Steps:
+        """Observations, rewards, ends, truncations and infos of the environments that `step_async` sent off.
+
+        With autoreset SAME_STEP the info of a game's end is in `final_info` and its observation in `final_obs`.
+        """
+        which = list(self._all(lanes))
+        rewards, terminated, truncated, infos, lasts = zip(*self._lanes.answers(which), strict=True)
+        for lane, info, last in zip(which, infos, lasts, strict=True):
+            if last is not None:
+                info |= {"final_obs": self._observations.last[lane].copy(), "final_info": last}
+        seen = self._observations.present[which]
+        return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
+
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any] | None]) -> list[Any]:
+        """A new game everywhere, each with its own seed and options; the infos."""
+        return self._lanes.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
+
+    def call_each(
+        self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
+    ) -> list[Any]:
+        """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
+        return self._lanes.ask_all("call", [(name, *each) for each in arguments], self._all(lanes))
+
+    def set_each(self, name: str, value: Any, lanes: Sequence[int] | None = None) -> None:
+        """Give an attribute of some environments (all) a value."""
+        self._lanes.ask_all("set_attribute", [(name, value)] * len(self._all(lanes)), self._all(lanes))
+
+    def observations(self) -> NDArray[Any]:
+        """The present observation of every environment."""
+        return self._observations.present.copy()
+
+    def _all(self, lanes: Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if lanes is None else lanes
+
+    def _merged(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
+        merged: dict[str, Any] = {}
+        for lane, info in enumerate(infos):
+            merged = self._add_info(merged, info, lane)
+        return merged
+
+
+def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | None, timing: str) -> None:
+    for name, value in (("num_envs", num_envs), ("processes", processes), ("tiles", tiles)):
+        if value is not None and value < 1:
+            raise UserError(f"{name} = {value}: must be at least 1")
+    if renderer not in RENDERERS:
+        raise UserError(f"renderer = {renderer!r} is unknown; there are {', '.join(RENDERERS)}")
+    if timing == "wall" and num_envs > 1:
+        raise UserError(
+            "timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock"
+        )
+
+
+def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderService | None:
+    if renderer == "own" or task.sensor().picture is None:
+        return None
+    service = RenderService(task.scene, cameras, tiles)
+    try:
+        drawn_by = service.ready()
+    except BaseException:
+        service.close()
+        raise
+    if renderer == "auto" and drawn_by.software:
+        service.close()
+        return None
+    return service
+
+
+def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (int, np.integer)):
+        return [int(seed) + index for index in range(count)]
+    if len(seed) != count:
+        raise UserError(f"seed: {len(seed)} seeds for {count} environments")
+    return [None if each is None else int(each) for each in seed]
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def obstacle_lanes(num_envs: int = 1, **keys: Any) -> LaneBatch:
+    """`gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=...)`."""
+    from uavaccel.envs.obstacle_lane import ObstacleLane
+
+    return LaneBatch(ObstacleLane, num_envs, **keys)
+
+
+def hovers(num_envs: int = 1, **keys: Any) -> LaneBatch:
+    """`gymnasium.make_vec("uavaccel/Hover-v0", num_envs=...)`."""
+    from uavaccel.envs.hover import Hover
+
+    return LaneBatch(Hover, num_envs, **keys)
+
+
+def gates(num_envs: int = 1, **keys: Any) -> LaneBatch:
+    """`gymnasium.make_vec("uavaccel/Gates-v0", num_envs=...)`."""
+    from uavaccel.envs.gates import Gates
+
+    return LaneBatch(Gates, num_envs, **keys)

@@ -1,0 +1,117 @@
+"""The process in which some environments of a batch fly, each in a thread: while one waits, another flies.
+
+    python -m uavaccel.envs.lane_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
+
+Started by uavaccel.envs.batch; ends with the last of its connections to it, however that came about.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import threading
+import traceback
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cv2
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from uavaccel.envs.batch_memory import Observations
+from uavaccel.errors import UserError
+from uavaccel.sim.camera import make_cameras_with
+from uavaccel.sim.rendering.camera import RemoteCamera
+
+
+class Lane:
+    """One environment of a batch: what is asked for over its connection is a method of this."""
+
+    def __init__(
+        self, environment: Any, seen: NDArray[Any], last: NDArray[Any], autoreset: AutoresetMode
+    ) -> None:
+        self._environment, self._autoreset = environment, autoreset
+        self._seen, self._last = seen, last
+        self._over = False
+
+    def reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
+        """The info of a new game, whose observation is in the shared memory."""
+        self._seen[:], info = self._environment.reset(seed=seed, options=options)
+        self._over = False
+        return info
+
+    def step(self, action: Any) -> Any:
+        """Reward, end, truncation and info of a command; beside a new game's info, that of the one that is over."""
+        if self._over and self._autoreset == AutoresetMode.NEXT_STEP:
+            return 0.0, False, False, self.reset(None, None), None
+        observation, reward, terminated, truncated, info = self._environment.step(action)
+        self._over, last = terminated or truncated, None
+        if self._over and self._autoreset == AutoresetMode.SAME_STEP:
+            self._last[:], last = observation, info
+            info = self.reset(None, None)
+        else:
+            self._seen[:] = observation
+        return reward, terminated, truncated, info, last
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """A method of the environment, or the value of an attribute."""
+        attribute = getattr(self._environment, name)
+        result = attribute(*arguments) if callable(attribute) else attribute
+        if name == "set_state":  # its result is the game's last observation
+            self._seen[:], self._over = result, False
+        return result
+
+    def set_attribute(self, name: str, value: Any) -> None:
+        setattr(self._environment, name, value)
+
+    def close(self) -> None:
+        self._environment.close()
+
+
+def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
+    """One lane, until its connection ends. Errors are answers too: (False, kind, text)."""
+    if place["renderer"] is not None:
+        make_cameras_with(partial(_remote_camera, place["renderer"]))
+    seen, last = Observations.opened(options["memory"], options["observations"]).of(place["lane"])
+    connection = Connection(place["connection"])
+    module, _, name = options["environment"].partition(":")
+    lane: Lane | None = None
+    try:
+        while True:
+            method, arguments = connection.recv()
+            try:
+                if lane is None:
+                    environment = getattr(importlib.import_module(module), name)(**options["keys"])
+                    lane = Lane(environment, seen, last, AutoresetMode(options["autoreset"]))
+                connection.send((True, getattr(lane, method)(*arguments)))
+            except (UserError, AttributeError) as error:
+                connection.send((False, type(error).__name__, str(error)))
+            except Exception:
+                connection.send((False, "", traceback.format_exc()))
+    except (EOFError, OSError):  # nobody listens any more
+        pass
+    finally:
+        if lane is not None:
+            lane.close()
+
+
+def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int) -> RemoteCamera:
+    if (width, height) != (RemoteCamera.width, RemoteCamera.height):
+        raise UserError(f"pictures of {width} x {height} need renderer = own: a shared one draws 256 x 144")
+    return RemoteCamera(model, **renderer)
+
+
+def main() -> None:
+    options = json.loads(sys.argv[1])
+    cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
+    threads = [threading.Thread(target=fly, args=(options, place)) for place in options["lanes"]]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""A camera whose pictures another process draws: to what asks it no different from one that draws itself."""
+
+from __future__ import annotations
+
+import os
+import select
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.camera import object_names
+from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
+from uavaccel.sim.view import (
+    FOV_DEG,
+    HEIGHT,
+    WIDTH,
+    DepthImage,
+    GeomImage,
+    Image,
+    far_m,
+    ray_lengths,
+    to_metres,
+)
+
+PATIENCE_S = 60.0  # for one picture: a driver that hangs must not hang everything
+
+
+class RendererGoneError(RuntimeError):
+    """The process that draws has ended, or does not answer."""
+
+
+class RemoteCamera:
+    """Camera number `number` of the `count` that one renderer serves; the size is AirSim's, 256 x 144.
+
+    `memory`, `requests` and `replies` are file descriptors: the shared slots, and the two pipes. Calls raise
+    RendererGoneError where no picture comes.
+    """
+
+    width, height = WIDTH, HEIGHT
+
+    def __init__(
+        self, model: mujoco.MjModel, number: int, count: int, memory: int, requests: int, replies: int
+    ) -> None:
+        self.model = model
+        slots = map_records(memory, slot_dtype(model), count)
+        self._slot = slots[number]
+        self._pose, self._pictures = self._slot["pose"], {kind: pixels(self._slot, kind) for kind in KINDS}
+        self._number = number.to_bytes(REQUEST_BYTES, "little")
+        self._requests, self._replies = requests, replies
+        self._answered = select.poll()
+        self._answered.register(replies, select.POLLIN)
+        self._ray_length = ray_lengths(WIDTH, HEIGHT, float(np.tan(np.radians(FOV_DEG) / 2)))
+        self.scene_changed()
+
+    def scene_changed(self) -> None:
+        """The model's objects were moved or look different."""
+        write_looks(self.model, self._slot["looks"])
+        self._slot["revision"] += 1
+
+    @property
+    def far_m(self) -> float:
+        """Depth of the sky."""
+        return far_m(self.model)
+
+    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+        """As Camera.gray."""
+        return self._picture("gray", data, out)
+
+    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+        """As Camera.colour."""
+        return self._picture("colour", data, out)
+
+    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """As Camera.depth."""
+        return to_metres(self.model, self._picture("depth", data, out))
+
+    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """As Camera.depth_perspective."""
+        depth = self.depth(data, out)
+        depth *= self._ray_length
+        return depth
+
+    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
+        """As Camera.segmentation."""
+        return self._picture("segmentation", data, out)
+
+    def object_names(self, geoms: GeomImage) -> list[str]:
+        """As Camera.object_names."""
+        return object_names(self.model, geoms)
+
+    def render_again(self, out: Image) -> None:
+        """The last pose once more, in colour and upside down."""
+        self._draw("colour")
+        np.copyto(out, self._pictures["colour"])
+
+    def _picture(self, kind: str, data: mujoco.MjData, out: NDArray[Any] | None) -> NDArray[Any]:
+        self._pose[:] = data.qpos
+        self._draw(kind)
+        turned = np.asarray(cv2.flip(self._pictures[kind], 0))
+        if out is None:
+            return turned
+        np.copyto(out, turned)
+        return out
+
+    def _draw(self, kind: str) -> None:
+        self._slot["kind"] = KINDS.index(kind)
+        try:
+            os.write(self._requests, self._number)
+            answered = bool(self._answered.poll(PATIENCE_S * 1e3)) and bool(os.read(self._replies, 1))
+        except BrokenPipeError:
+            answered = False
+        if not answered:
+            raise RendererGoneError("the renderer has ended or hangs: no picture comes any more")
+
+    def close(self) -> None:
+        """Nothing is held here: pipes and memory belong to who made them."""

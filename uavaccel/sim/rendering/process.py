@@ -1,0 +1,114 @@
+"""The process that draws for many simulations, in the one GL context of the machine, until the last has ended.
+
+    python -m uavaccel.sim.rendering.process '{"scene": "lane", "cameras": 8, "tiles": 8, "memory": 3, ...}'
+
+prints one line of JSON when it is ready: who draws, or why nobody can.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import os
+import sys
+from dataclasses import asdict
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.resources import asset
+from uavaccel.sim.rendering.slots import (
+    DONE,
+    KINDS,
+    REQUEST_BYTES,
+    map_records,
+    pixels,
+    read_looks,
+    slot_dtype,
+)
+from uavaccel.sim.rendering.tiles import Tiles
+from uavaccel.sim.view import View
+
+_READ_BYTES = 1 << 12
+
+
+class Eye:
+    """One camera as the renderer knows it: a model that looks as its simulation's, and its slot."""
+
+    def __init__(self, model: mujoco.MjModel, slot: Any, reply: int) -> None:
+        self._model, self._data = copy.copy(model), mujoco.MjData(model)
+        self._slot, self._reply = slot, reply
+        self._qpos, self._pose = self._data.qpos, slot["pose"]
+        self._pictures = {kind: pixels(slot, kind) for kind in KINDS}
+        self._revision = 0
+        self.view = View(self._model)
+
+    @property
+    def kind(self) -> str:
+        return KINDS[self._slot["kind"]]
+
+    def look(self, as_ids: bool) -> mujoco.MjvScene:
+        """The scene at the pose that the simulation has noted."""
+        if self._revision != self._slot["revision"]:
+            read_looks(self._slot["looks"], self._model)
+            self._revision = int(self._slot["revision"])
+        self._qpos[:] = self._pose
+        return self.view.update(self._data, as_ids)
+
+    def hand_over(self, kind: str, drawn: NDArray[Any]) -> None:
+        """Write what was drawn into the slot, as a picture of its kind, and say so."""
+        picture = self._pictures[kind]
+        if kind == "gray":
+            cv2.cvtColor(drawn, cv2.COLOR_RGBA2GRAY, dst=picture)
+        elif kind == "colour":
+            cv2.cvtColor(drawn, cv2.COLOR_RGBA2RGB, dst=picture)
+        elif kind == "depth":
+            np.copyto(picture, drawn)
+        else:
+            self.view.geoms(drawn, picture)
+        with contextlib.suppress(BrokenPipeError):  # its simulation has ended
+            os.write(self._reply, DONE)
+
+
+def serve(tiles: Tiles, eyes: list[Eye], requests: int) -> None:
+    """Draw for whoever waits, as many at once as there are tiles; until every simulation has ended."""
+    while numbers := os.read(requests, _READ_BYTES):
+        waiting = [eyes[number] for number in np.frombuffer(numbers, f"<u{REQUEST_BYTES}").tolist()]
+        for kind in KINDS:
+            asking = [eye for eye in waiting if eye.kind == kind]
+            for start in range(0, len(asking), tiles.count):
+                _draw(tiles, asking[start : start + tiles.count], kind)
+
+
+def _draw(tiles: Tiles, eyes: list[Eye], kind: str) -> None:
+    depth, as_ids = kind == "depth", kind in ("depth", "segmentation")  # depth needs no lighting
+    for place, eye in enumerate(eyes):
+        tiles.draw(place, eye.look(as_ids), depth)
+    with tiles.read(len(eyes), depth) as pictures:
+        for eye, picture in zip(eyes, pictures, strict=False):
+            eye.hand_over(kind, picture)
+
+
+def main() -> None:
+    options = json.loads(sys.argv[1])
+    cv2.setNumThreads(0)
+    model = mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{options['scene']}.xml")))
+    try:
+        tiles = Tiles(model, options["tiles"])
+    except UserError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        return
+    slots = map_records(options["memory"], slot_dtype(model), options["cameras"])
+    eyes = [Eye(model, slot, reply) for slot, reply in zip(slots, options["replies"], strict=True)]
+    print(json.dumps(asdict(tiles.renderer)), flush=True)
+    serve(tiles, eyes, options["requests"])
+    tiles.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""What a renderer and its cameras share: a slot of memory for each camera, and one pipe each way.
+
+The memory and the pipes have no names, so nothing is left of them once the last process has ended, however it did. A
+camera writes pose and kind into its slot and its number into the pipe of requests; the renderer writes the picture
+into the slot and a byte into the camera's own pipe. Either sees the other's end as the end of a pipe.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.view import HEIGHT, WIDTH
+
+KINDS = ("gray", "colour", "depth", "segmentation")
+REQUEST_BYTES = 2  # the camera's number, little-endian: writes of so few bytes are whole
+DONE = b"\1"
+_PICTURE_BYTES = WIDTH * HEIGHT * 4
+_LOOKS = (  # all of the model that a lane's layout changes and that is seen
+    *("geom_type", "geom_size", "geom_rbound", "geom_pos", "geom_quat", "geom_rgba", "geom_matid"),
+    *("light_pos", "light_dir", "light_diffuse", "light_ambient"),
+)
+
+
+def slot_dtype(model: mujoco.MjModel) -> np.dtype[Any]:
+    """One camera's slot: kind of picture, qpos, looks and how often they changed, picture bottom row first."""
+    looks = sum(getattr(model, name).nbytes for name in _LOOKS)
+    return np.dtype(
+        [
+            ("kind", np.int64),
+            ("revision", np.int64),
+            ("pose", np.float64, model.nq),
+            ("looks", np.uint8, looks),
+            ("picture", np.uint8, _PICTURE_BYTES),
+        ],
+        align=True,
+    )
+
+
+def write_looks(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
+    """Note what the model's objects and lights look like."""
+    start = 0
+    for name in _LOOKS:
+        values = getattr(model, name).view(np.uint8).reshape(-1)
+        looks[start : start + len(values)] = values
+        start += len(values)
+
+
+def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
+    """Give the model the looks of another."""
+    start = 0
+    for name in _LOOKS:
+        values = getattr(model, name).view(np.uint8).reshape(-1)
+        values[:] = looks[start : start + len(values)]
+        start += len(values)
+
+
+def pixels(slot: Any, kind: str) -> NDArray[Any]:
+    """The picture in a slot, as an array of its kind: (H, W) uint8, float32 or int32, or (H, W, 3) uint8."""
+    if kind in ("gray", "colour"):
+        shape = (HEIGHT, WIDTH) if kind == "gray" else (HEIGHT, WIDTH, 3)
+        return np.asarray(slot["picture"][: int(np.prod(shape))].reshape(shape))
+    dtype = np.float32 if kind == "depth" else np.int32
+    return np.asarray(slot["picture"].view(dtype).reshape(HEIGHT, WIDTH))
+
+
+def anonymous_memory(size: int) -> int:
+    """File descriptor of `size` bytes of zeros that processes started with it share."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("uavaccel")
+    else:
+        descriptor, path = tempfile.mkstemp()
+        os.unlink(path)
+    os.ftruncate(descriptor, size)
+    return descriptor
+
+
+def map_records(descriptor: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    """Records in shared memory."""
+    return np.frombuffer(mmap.mmap(descriptor, dtype.itemsize * count), dtype)

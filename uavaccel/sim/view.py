@@ -1,0 +1,127 @@
+"""What a camera of the model sees, as MuJoCo's abstract scene: all of a picture that needs no OpenGL."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+
+Image = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
+GeomImage = NDArray[np.int32]
+
+WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
+DRONE_GROUP = 1  # of quadrotor.xml's visible geoms
+_RENDER_FLAGS = {
+    mujoco.mjtRndFlag.mjRND_CULL_FACE: True,  # half the faces of everything
+    mujoco.mjtRndFlag.mjRND_SHADOW: False,
+    mujoco.mjtRndFlag.mjRND_REFLECTION: False,
+    mujoco.mjtRndFlag.mjRND_HAZE: False,
+}
+_ID_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
+_EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
+
+
+class View:
+    """The scene in front of a camera of the model; `fov_deg` is horizontal, at any width, as AirSim's is.
+
+    Raises UserError where the model has no such camera.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        width: int = WIDTH,
+        height: int = HEIGHT,
+        camera: str = "front_center",
+        fov_deg: float = FOV_DEG,
+    ) -> None:
+        self.model = model
+        self.half_width = float(np.tan(np.radians(fov_deg) / 2))  # of the picture, one metre ahead
+        self._half_height = self.half_width * height / width
+        self._camera = _fixed_camera(model, camera)
+        self._options = _options(model, self._camera.fixedcamid)
+        self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 8)
+        for flag, value in _RENDER_FLAGS.items():
+            self.scene.flags[flag] = value
+        self._as_ids = False
+        self._resized = not self._models_own_view(width)
+        self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
+
+    def update(self, data: mujoco.MjData, as_ids: bool = False) -> mujoco.MjvScene:
+        """The scene for the pose in `data.qpos`; `as_ids` draws each geom in a colour that stands for it, unlit."""
+        mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
+        mujoco.mj_camlight(self.model, data)
+        if as_ids != self._as_ids:
+            self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
+        mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
+        if self._resized:
+            self._set_field_of_view()
+        return self.scene
+
+    def geoms(self, drawn: NDArray[np.integer], out: GeomImage | None = None) -> GeomImage:
+        """Ids of the geoms in a picture (height, width, 3 or more) that was drawn `as_ids`; -1 for the sky."""
+        segments = drawn[..., :3].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        ids = np.full(self.scene.ngeom + 1, -1, np.int32)
+        for geom in self.scene.geoms[: self.scene.ngeom]:
+            ids[geom.segid + 1] = geom.objid
+        return np.take(ids, segments, out=out)
+
+    def _models_own_view(self, width: int) -> bool:
+        """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
+        half_height = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
+        return abs(half_height / self._half_height - 1) * width < 1e-3
+
+    def _set_field_of_view(self) -> None:
+        near = self._eyes[0].frustum_near
+        for eye in self._eyes:
+            eye.frustum_width = near * self.half_width
+            eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
+
+
+def far_m(model: mujoco.MjModel) -> float:
+    """Depth of the sky: the far end of what is drawn."""
+    return float(model.vis.map.zfar * model.stat.extent)
+
+
+def to_metres(model: mujoco.MjModel, depth: DepthImage) -> DepthImage:
+    """Metres along the optical axis, in place, from OpenGL's depth buffer: 1 at the near and 0 at the far plane."""
+    far, near = np.float32(far_m(model)), np.float32(model.vis.map.znear * model.stat.extent)
+    np.divide(near * far, near + depth * (far - near), out=depth)  # linear in the inverse of the depth
+    return depth
+
+
+def ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
+    """Length of each pixel's ray to the plane one metre ahead; (height, width)."""
+    pixel = 2 * half_width / width
+    right = (np.arange(width) + 0.5 - width / 2) * pixel
+    down = (np.arange(height) + 0.5 - height / 2) * pixel
+    return np.sqrt(1 + right[None, :] ** 2 + down[:, None] ** 2).astype(np.float32)
+
+
+def set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
+    """What MjrContext reads once, when it is made: no shadow map and no multisampling, each several frames' worth."""
+    quality: Any = model.vis.quality
+    quality.shadowsize = quality.offsamples = 0
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+
+
+def _fixed_camera(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
+    view = mujoco.MjvCamera()
+    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    view.fixedcamid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+    if view.fixedcamid < 0:
+        names = ", ".join(model.camera(index).name for index in range(model.ncam))
+        raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
+    return view
+
+
+def _options(model: mujoco.MjModel, camera: int) -> mujoco.MjvOption:
+    """What is drawn: all but the drone, for a camera that it carries: nothing of it is in view."""
+    options = mujoco.MjvOption()
+    options.geomgroup[DRONE_GROUP] = model.cam_bodyid[camera] != model.body("quadrotor").id
+    return options
