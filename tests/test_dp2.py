@@ -285,5 +285,5 @@ def test_options_of_other_suites_are_refused(options: dict[str, Any], message: s
 
 def test_an_unknown_suite_is_named(tmp_path: Path) -> None:
     (tmp_path / "dp9.yaml").write_text("suite: dp9\n")
-    with pytest.raises(UserError, match=r"dp9\.yaml: suite = 'dp9' is unknown; there are dp1, dp2"):
+    with pytest.raises(UserError, match=r"dp9\.yaml: suite = 'dp9' is unknown; did you mean 'dp[12]'"):
         run_experiment(replace(request(tmp_path / "run"), experiment=str(tmp_path / "dp9.yaml")))
