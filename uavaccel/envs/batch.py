@@ -31,7 +31,7 @@ Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.b
 class LaneBatch(VectorEnv[Any, Any, Any]):
     """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
 
-    They fly in `processes` processes (as many as there are cores) and draw with a `renderer` that is "shared", or
+    They fly in `processes` processes (two a core, at most) and draw with a `renderer` that is "shared", or
     each process its "own"; "auto" shares one where there is a GPU. Up to `tiles` pictures are drawn at once. Raises
     UserError for keywords that do not fit, UserError or BatchError for what went wrong in an environment.
     """
@@ -58,7 +58,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         space = self.single_observation_space
         self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
-        self.processes = min(processes or _cores(), num_envs)
+        self.processes = min(processes or 2 * _cores(), num_envs)
         options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},

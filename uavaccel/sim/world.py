@@ -126,15 +126,12 @@ class World:
 
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
-        self._lay_out(layout)
-        self._clearance.look_anew()
-        self._field["wind"][0] = layout.wind_m_s
-
-    def _lay_out(self, layout: LaneLayout) -> None:
         apply_layout(self.model, self.data, layout)
         self._lane = layout
         for camera in self._cameras.values():
             camera.scene_changed()
+        self._clearance.look_anew()
+        self._field["wind"][0] = layout.wind_m_s
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
@@ -262,7 +259,7 @@ class World:
                 raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
         self._failed = bool(state["failed"])
         if lane := part("lane", state):
-            self._lay_out(layout_of(lane))
+            self.set_lane(layout_of(lane))
         mujoco.mj_setState(self.model, self.data, np.asarray(state["physics"], float), PHYSICS)
         mujoco.mj_kinematics(self.model, self.data)
         self._warnings[:] = state["warnings"]

@@ -11,9 +11,12 @@ import contextlib
 import copy
 import json
 import os
+import select
 import sys
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import mujoco
@@ -31,7 +34,7 @@ from uavaccel.sim.rendering.slots import (
     read_looks,
     slot_dtype,
 )
-from uavaccel.sim.rendering.tiles import Tiles
+from uavaccel.sim.rendering.tiles import SHEETS, Tiles
 from uavaccel.sim.view import View
 
 _READ_BYTES = 1 << 12
@@ -75,23 +78,59 @@ class Eye:
             os.write(self._reply, DONE)
 
 
+class Sheet(NamedTuple):
+    """What has been drawn, and not yet handed over."""
+
+    number: int
+    kind: str
+    eyes: list[Eye]
+
+
 def serve(tiles: Tiles, eyes: list[Eye], requests: int) -> None:
-    """Draw for whoever waits, as many at once as there are tiles; until every simulation has ended."""
-    while numbers := os.read(requests, _READ_BYTES):
-        waiting = [eyes[number] for number in np.frombuffer(numbers, f"<u{REQUEST_BYTES}").tolist()]
-        for kind in KINDS:
-            asking = [eye for eye in waiting if eye.kind == kind]
-            for start in range(0, len(asking), tiles.count):
-                _draw(tiles, asking[start : start + tiles.count], kind)
+    """Draw for whoever waits, as many at once as there are tiles; until every simulation has ended.
+
+    A GPU draws while the pictures before are handed over; in software nothing is gained by letting these wait.
+    """
+    waiting = select.poll()
+    waiting.register(requests, select.POLLIN)
+    drawn: deque[Sheet] = deque()
+    ahead, number = 0 if tiles.renderer.software else SHEETS - 1, 0
+    while True:
+        if drawn and not waiting.poll(0):
+            _hand_over(tiles, drawn.popleft())
+            continue
+        numbers = os.read(requests, _READ_BYTES)
+        if not numbers:
+            return
+        asking = [eyes[each] for each in np.frombuffer(numbers, f"<u{REQUEST_BYTES}").tolist()]
+        for kind, some in _batches(asking, tiles.count):
+            drawn.append(_draw(tiles, Sheet(number, kind, some)))
+            number = (number + 1) % SHEETS
+            if len(drawn) > ahead:
+                _hand_over(tiles, drawn.popleft())
 
 
-def _draw(tiles: Tiles, eyes: list[Eye], kind: str) -> None:
-    depth, as_ids = kind == "depth", kind in ("depth", "segmentation")  # depth needs no lighting
-    for place, eye in enumerate(eyes):
-        tiles.draw(place, eye.look(as_ids), depth)
-    with tiles.read(len(eyes), depth) as pictures:
-        for eye, picture in zip(eyes, pictures, strict=False):
-            eye.hand_over(kind, picture)
+def _batches(asking: list[Eye], most: int) -> Iterator[tuple[str, list[Eye]]]:
+    """Those who ask for one kind of picture, as many at once as are drawn together."""
+    by_kind: dict[str, list[Eye]] = {}
+    for eye in asking:
+        by_kind.setdefault(eye.kind, []).append(eye)
+    for kind, eyes in by_kind.items():
+        for start in range(0, len(eyes), most):
+            yield kind, eyes[start : start + most]
+
+
+def _draw(tiles: Tiles, sheet: Sheet) -> Sheet:
+    depth, as_ids = sheet.kind == "depth", sheet.kind in ("depth", "segmentation")  # depth needs no lighting
+    for place, eye in enumerate(sheet.eyes):
+        tiles.draw(sheet.number, place, eye.look(as_ids), depth)
+    return sheet
+
+
+def _hand_over(tiles: Tiles, sheet: Sheet) -> None:
+    with tiles.read(sheet.number, len(sheet.eyes), sheet.kind == "depth") as pictures:
+        for eye, picture in zip(sheet.eyes, pictures, strict=True):
+            eye.hand_over(sheet.kind, picture)
 
 
 def main() -> None:

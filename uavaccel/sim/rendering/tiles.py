@@ -1,8 +1,8 @@
 """Several pictures drawn one after another into one small buffer, and read back together.
 
 A picture's last bits depend on where in its buffer it is drawn: vertices are rounded relative to the buffer's corner.
-So each is drawn at the corner, as a camera's only picture is, and queued, by the GPU itself, into a tile of a pixel
-buffer; what the processor waits for is the last one.
+So each is drawn at the corner, as a camera's only picture is, and queued, by the GPU itself, into a tile of a sheet, a
+pixel buffer; what the processor waits for is the last one. With two sheets one is drawn while the other is read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from uavaccel.sim import gl
 from uavaccel.sim.view import HEIGHT, WIDTH, set_quality
 
-TILE_BYTES = WIDTH * HEIGHT * 4  # four bytes of colour a pixel, or a float of depth
+TILE_BYTES = WIDTH * HEIGHT * 4  # four bytes of colour per pixel, or a float of depth
+SHEETS = 2
 
 
 class Tiles:
@@ -38,38 +39,52 @@ class Tiles:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         self._offsets = [ctypes.c_void_p(TILE_BYTES * place) for place in range(count)]
-        from OpenGL import GL  # takes the platform of the first context, so not before there is one
+        self._api, self._read_pixels = _opengl()
+        self._sheets = [int(sheet) for sheet in self._api.glGenBuffers(SHEETS)]
+        self._bound = -1
+        for sheet in range(SHEETS):
+            self._bind(sheet)
+            size, usage = TILE_BYTES * count, self._api.GL_STREAM_READ
+            self._api.glBufferData(self._api.GL_PIXEL_PACK_BUFFER, size, None, usage)
 
-        self._api: Any = GL
-        self._buffer = int(GL.glGenBuffers(1))
-        GL.glBindBuffer(GL.GL_PIXEL_PACK_BUFFER, self._buffer)
-        GL.glBufferData(GL.GL_PIXEL_PACK_BUFFER, TILE_BYTES * count, None, GL.GL_STREAM_READ)
+    def _bind(self, sheet: int) -> None:
+        if sheet != self._bound:
+            self._api.glBindBuffer(self._api.GL_PIXEL_PACK_BUFFER, self._sheets[sheet])
+            self._bound = sheet
 
-    def draw(self, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
+    def draw(self, sheet: int, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
         """Queue a picture of the scene for a tile."""
-        gl_api = self._api
+        self._bind(sheet)
         mujoco.mjr_render(self._rectangle, scene, self._context)
-        kind = (
-            (gl_api.GL_DEPTH_COMPONENT, gl_api.GL_FLOAT)
-            if depth
-            else (gl_api.GL_RGBA, gl_api.GL_UNSIGNED_BYTE)
-        )
-        gl_api.glReadPixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
+        api = self._api
+        kind = (api.GL_DEPTH_COMPONENT, api.GL_FLOAT) if depth else (api.GL_RGBA, api.GL_UNSIGNED_BYTE)
+        self._read_pixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
 
     @contextmanager
-    def read(self, count: int, depth: bool = False) -> Iterator[NDArray[Any]]:
+    def read(self, sheet: int, count: int, depth: bool = False) -> Iterator[NDArray[Any]]:
         """The first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, for as long as the block lasts."""
-        gl_api, size = self._api, TILE_BYTES * count
-        address = gl_api.glMapBuffer(gl_api.GL_PIXEL_PACK_BUFFER, gl_api.GL_READ_ONLY)
+        self._bind(sheet)
+        api = self._api
+        address = api.glMapBuffer(api.GL_PIXEL_PACK_BUFFER, api.GL_READ_ONLY)
         try:
-            drawn = np.ctypeslib.as_array((ctypes.c_uint8 * size).from_address(address))
-            tiles = drawn.view(np.float32).reshape(count, HEIGHT, WIDTH)
-            yield tiles if depth else drawn.reshape(count, HEIGHT, WIDTH, 4)
+            drawn = np.ctypeslib.as_array((ctypes.c_uint8 * (TILE_BYTES * count)).from_address(address))
+            floats = drawn.view(np.float32).reshape(count, HEIGHT, WIDTH)
+            yield floats if depth else drawn.reshape(count, HEIGHT, WIDTH, 4)
         finally:
-            gl_api.glUnmapBuffer(gl_api.GL_PIXEL_PACK_BUFFER)
+            api.glUnmapBuffer(api.GL_PIXEL_PACK_BUFFER)
 
     def close(self) -> None:
         """Free what OpenGL holds."""
-        self._api.glDeleteBuffers(1, [self._buffer])
+        self._api.glDeleteBuffers(SHEETS, self._sheets)
         self._context.free()  # before its GL context, or it would free what is another's
         gl.release(self._gl)
+
+
+def _opengl() -> tuple[Any, Any]:
+    """PyOpenGL's functions, and glReadPixels without its checks, which take longer than the call."""
+    from OpenGL import GL  # takes the platform of the first context, so not before there is one
+    from OpenGL.platform import PLATFORM
+
+    read_pixels = PLATFORM.GL.glReadPixels
+    read_pixels.restype = None
+    return GL, read_pixels
