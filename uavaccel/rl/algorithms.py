@@ -50,7 +50,8 @@ def policy_keywords(config: LearnerConfig) -> dict[str, Any]:
             "features_extractor_kwargs": {"channels": list(config.channels)},
         }
     if config.algorithm == OWN:
-        keywords["optimizer_kwargs"] = {"fused": True}
+        # On a GPU the step is recorded as a graph, with the optimizer in it.
+        keywords["optimizer_kwargs"] = {"fused": True, "capturable": config.device.startswith("cuda")}
     return keywords
 
 
