@@ -8,13 +8,11 @@ from pydantic import Field, field_validator
 
 from uavaccel.config import Config
 from uavaccel.errors import UserError
-from uavaccel.resources import experiment
 from uavaccel.sim.lane.file import LaneFile, lane_written_out
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
-from uavaccel.wire.latency import LatencyConfig
-from uavaccel.yaml_io import load_yaml
+from uavaccel.wire.latency import LatencyConfig, shipped_latency
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -105,4 +103,4 @@ class LaneTask(Config):
         """The given latency model, or the one that ships."""
         if self.latency is not None:
             return self.latency
-        return LatencyConfig.model_validate(load_yaml(experiment("latency.yaml"))["latency"])
+        return shipped_latency(self.profile)

@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.clock import Pacer
+from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.sim.executor import Executor
+from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.world import LEVEL, START_M, FlightError, World
@@ -53,6 +55,7 @@ class _Continue:
     """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
 
     reply: DeferredReply
+    begun_ns: int = 0
     end_tick: int | None = None
     end_wall_ns: int | None = None
 
@@ -79,6 +82,9 @@ class Trace:
     enabled: bool = False
 
 
+_UNBOUND = Executor()
+
+
 class Simulation:
     """Clock, commands and recorder over one `World`.
 
@@ -94,10 +100,14 @@ class Simulation:
         wall_ns: int = 0,
         catch_up_wall_ns: int | None = None,
         timer_lateness_ns: Callable[[], int] = lambda: 0,
+        executor: Executor = _UNBOUND,
+        frames: Frames | None = None,
     ) -> None:
         self.world = world
         self.profile: Profile = world.profile
-        self.pacer = Pacer(clock_speed, self.profile.tick_ns)
+        self.executor, self.frames = executor, frames or Frames()
+        self.clock_speed = positive_clock_speed(clock_speed)  # as asked for; the pacer's is what comes of it
+        self.pacer = Pacer(self._executed_speed(), self.profile.tick_ns)
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
@@ -112,10 +122,8 @@ class Simulation:
 
     # --- time -------------------------------------------------------------------------------------
 
-    @property
-    def clock_speed(self) -> Fraction:
-        """Requested simulated seconds a wall second."""
-        return self.pacer.clock_speed
+    def _executed_speed(self) -> Fraction:
+        return self.executor.speed(self.clock_speed, self.profile.tick_ns)
 
     @property
     def time_ns(self) -> int:
@@ -127,7 +135,15 @@ class Simulation:
         return self._time0_ns + tick * self.profile.tick_ns
 
     def advance_to(self, wall_ns: int) -> None:
-        """Fly every tick that is due by `wall_ns`, and end what ends on the way."""
+        """Fly every tick that is due by `wall_ns`, end what ends on the way, and show what frames show."""
+        if not self.paused:
+            for frame_ns in self.frames.between(self._wall_ns, wall_ns):
+                self._advance_to(frame_ns)
+                if not self.paused:
+                    self.frames.show(self.world.data)
+        self._advance_to(wall_ns)
+
+    def _advance_to(self, wall_ns: int) -> None:
         if self.catch_up_wall_ns is not None and wall_ns - self._wall_ns > self.catch_up_wall_ns:
             self._drop_backlog(wall_ns)
         while not self.paused:
@@ -202,7 +218,8 @@ class Simulation:
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
-        self.pacer.set_clock_speed(clock_speed, wall_ns)
+        self.clock_speed = positive_clock_speed(clock_speed)
+        self.pacer.set_clock_speed(self._executed_speed(), wall_ns)
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""
@@ -223,8 +240,11 @@ class Simulation:
 
     def _release_continue(self, wall_ns: int) -> None:
         if self._continue:
-            reply, self._continue = self._continue.reply, None
-            reply.resolve(self.kinematics(), wall_ns)
+            period, self._continue = self._continue, None
+            over_ns = self.frames.continue_over(period.begun_ns, wall_ns)
+            if over_ns > wall_ns:  # the frame that it waits for shows where the physics has stopped
+                self.frames.show(self.world.data)
+            period.reply.resolve(self.kinematics(), over_ns)
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
         """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
@@ -233,7 +253,7 @@ class Simulation:
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self._continue = _Continue(DeferredReply())
+        period = self._continue = _Continue(DeferredReply(), wall_ns)
         if self.profile.exact_times:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
@@ -310,6 +330,7 @@ class Simulation:
         self._command = self._continue = None
         self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
         self.failure = None
+        self.frames.forget()
         self.speed = Speed()
         self._wall_ns = wall_ns
         self.pacer.anchor(wall_ns, self.world.tick)

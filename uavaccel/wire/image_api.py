@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,8 +55,12 @@ class ImageApi:
         camera = self.simulation.world.camera(WIDTH, HEIGHT)
         if kind not in PICTURES:
             raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
-        image: NDArray[Any] = getattr(camera, kind)(self.simulation.world.data)
+        image: NDArray[Any] = getattr(camera, kind)(self._shown())
         return image
+
+    def _shown(self) -> mujoco.MjData:
+        """What there is to see: the present, or what a modelled renderer shows."""
+        return self.simulation.frames.scene(self.simulation.world.data)
 
     def raw_image(self, kind: Any) -> dict[str, Any]:
         """Our own: one picture as bytes, with its shape and NumPy type."""
@@ -105,7 +110,7 @@ class ImageApi:
     def _floats(self, image_type: int) -> NDArray[np.float32]:
         depth = self.picture("depth") if image_type in (DEPTH_PLANAR, DEPTH_VIS) else None
         if image_type == DEPTH_PERSPECTIVE:
-            depth = self.simulation.world.camera(WIDTH, HEIGHT).depth_perspective(self.simulation.world.data)
+            depth = self.simulation.world.camera(WIDTH, HEIGHT).depth_perspective(self._shown())
         if depth is None:  # AirSim gives the first channel of any other image
             return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
         return np.clip(depth / DEPTH_VIS_FAR_M, 0, 1) if image_type == DEPTH_VIS else depth

@@ -23,6 +23,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
+from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
@@ -39,7 +40,8 @@ CHANNELS = {
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 _BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
-SHIPPED = "latency.yaml"
+SHIPPED = {"native": "latency.yaml", "airsim": "latency_airsim.yaml"}  # by profile
+_NO_FAULTS = FaultConfig()
 
 # Behind a validator of one's own pydantic takes no list for a tuple.
 Numbers = Annotated[
@@ -75,14 +77,17 @@ class LatencyConfig(Config):
     "pause@10ms" holds after a wait of about 10 ms, "pause" after any other.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
-    server ends (it matters to the `airsim` profile's continue-for alone).
+    server ends (it matters to the `airsim` profile's continue-for alone). `platform` is what the simulator costs
+    beside its messages; `name` is for the reader of a run.
     """
 
+    name: str = ""
     quantiles: Numbers = QUANTILES
     request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     reply_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     issue_us: Numbers = (0.0,) * len(QUANTILES)
     timer_us: Numbers = (0.0,) * len(QUANTILES)
+    platform: PlatformConfig = PlatformConfig()
 
     @field_validator("request_us", "reply_us")
     @classmethod
@@ -121,9 +126,15 @@ ZERO_LATENCY = LatencyConfig()
 
 
 @cache
-def shipped_latency() -> LatencyConfig:
-    """The model that ships, as measured by `uavaccel calibrate`."""
-    return read_latency(experiment(SHIPPED))
+def shipped_latency(profile: str = "native") -> LatencyConfig:
+    """The model that ships for a profile: measured by `uavaccel calibrate`, or AirSim's as experiments/fit_airsim.py
+    found it.
+    """
+    return read_latency(experiment(SHIPPED[profile]))
+
+
+def _of_the_profile(fields: dict[str, Any]) -> LatencyConfig:
+    return shipped_latency(fields.get("profile", "native"))
 
 
 def read_latency(path: Path) -> LatencyConfig:
@@ -150,9 +161,10 @@ def _from_file(value: Any) -> Any:
 LatencyModel = Annotated[
     LatencyConfig,
     BeforeValidator(_from_file, json_schema_input_type=LatencyConfig | str),
-    Field(default_factory=shipped_latency),
+    Field(default_factory=_of_the_profile),
 ]
-"""Type of a configuration's field `latency`: a block or a YAML file's name; the shipped model where none is given."""
+"""Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships
+for the `profile`, a field that has to stand before it."""
 
 
 class Latency:
@@ -163,22 +175,33 @@ class Latency:
         self._seed = seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
         self._wait_ns: int | None = None
+        self.stall_ns = round(config.platform.stall_us * 1e3)
 
     def waited(self, wait_ns: int) -> None:
         """A command or a continue-for took so long, and both ends may have slept."""
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
-        return self._draw("request", channel, self._config.request_us)
+        return self._draw("request", channel, self._config.request_us) + self._fault_ns("request")
 
     def reply_ns(self, channel: str) -> int:
-        return self._draw("reply", channel, self._config.reply_us)
+        return self._draw("reply", channel, self._config.reply_us) + self._fault_ns("reply")
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})
 
     def timer_ns(self) -> int:
         return self._draw("timer", "", {"": self._config.timer_us})
+
+    def _fault_ns(self, direction: str) -> int:
+        """How long a fault of the connection holds up the next message of a direction."""
+        faults = self._config.platform.faults
+        if faults == _NO_FAULTS:
+            return 0
+        key = ("fault", direction)
+        if key not in self._streams:
+            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}"))
+        return next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
         if self._config is ZERO_LATENCY:  # which flights by the million draw from
@@ -195,8 +218,11 @@ class Latency:
         if not any(table):
             while True:
                 yield 0
-        key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
-        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+        generator = self._generator(name)
         while True:
             uniform = generator.random(_BLOCK)
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
+
+    def _generator(self, name: str) -> np.random.Generator:
+        key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
+        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))

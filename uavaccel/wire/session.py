@@ -133,7 +133,14 @@ class VirtualSession:
         height_m: float = START_HEIGHT_M,
     ) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed or np.random.SeedSequence(0))
-        simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
+        platform = self._latency.platform
+        simulation = Simulation(
+            self._world,
+            clock_speed,
+            timer_lateness_ns=latency.timer_ns,
+            executor=platform.executor(),
+            frames=platform.new_frames(),
+        )
         transport: Any = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
         return _start(Client(transport, clock_speed), clock_speed, lane, height_m)
 

@@ -1,0 +1,72 @@
+"""What a modelled simulator costs beside its messages: its ticks, its frames, and a connection that fails at times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from uavaccel.config import Config
+from uavaccel.sim.executor import Executor
+from uavaccel.sim.frames import Frames
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
+STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algorithm waits for (TCP_DELACK_MIN)
+
+
+class FrameConfig(Config):
+    """Unreal's frames (uavaccel.sim.frames)."""
+
+    hz: NotNegative = 0.0
+    """Frames per wall second; 0: an image is drawn when it is asked for."""
+    stale_pose: bool = False
+    """Images show the pose of the last frame before a pause."""
+    after_continue: bool = False
+    """A continue-for replies only once a frame was drawn since it began."""
+
+
+class FaultConfig(Config):
+    """Shares of the messages, of either direction, that something happens to."""
+
+    dropped: Share = 0.0
+    """Lost, and sent again after TCP's least time-out of 200 ms."""
+    stalled: Share = 0.0
+    """Held until a delayed acknowledgement comes, 40 ms."""
+    late: Share = 0.0
+    """Late by `late_us`."""
+    late_us: NotNegative = 10_000.0
+
+
+class PlatformConfig(Config):
+    """The simulator's side of a modelled wall clock; by default it costs nothing and nothing fails."""
+
+    tick_us: NotNegative = 0.0
+    """Wall time that a tick of physics takes; the speed saturates at the tick over it."""
+    integer_clock_speed: bool = False
+    """A ClockSpeed above 1 loses its fraction, as in AirSim."""
+    stall_us: NotNegative = 0.0
+    """A request that follows a command whose reply is still out waits so long after it: 40 000 for AirSim's client
+    on a connection with Nagle's algorithm and delayed acknowledgements."""
+    frames: FrameConfig = FrameConfig()
+    faults: FaultConfig = FaultConfig()
+
+    def executor(self) -> Executor:
+        return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
+
+    def new_frames(self) -> Frames:
+        """Frames of a game of its own."""
+        hz, each = self.frames.hz, self.frames
+        return Frames(round(1e9 / hz) if hz else 0, each.stale_pose, each.after_continue)
+
+
+def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:
+    """What each message of a stream is held up by; one number is drawn for each."""
+    at = np.cumsum([faults.dropped, faults.stalled, faults.late])
+    delays = (RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0)
+    while True:
+        for uniform in generator.random(1024):
+            yield delays[int(np.searchsorted(at, uniform, side="right"))]
