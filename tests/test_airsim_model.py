@@ -40,7 +40,7 @@ def new_client(clock_speed: float, **platform: Any) -> Client:
         world_of(AIRSIM),
         clock_speed,
         executor=config.platform.executor(),
-        frames=config.platform.new_frames(),
+        frames=config.platform.new_frames(draws.frame_ns),
     )
     client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True))
     client.start_game(clock_speed)
@@ -158,25 +158,34 @@ def test_a_platform_that_cannot_be_is_refused(bad: dict[str, Any]) -> None:
 # --- frames -------------------------------------------------------------------------------------------------
 
 
-def test_frames_fall_on_multiples_of_their_period() -> None:
-    frames = Frames(period_ns=16 * MS, stale_pose=True)
-    assert [frames.next_ns(wall) for wall in (0, 1, 16 * MS - 1, 16 * MS)] == [
-        16 * MS,
-        16 * MS,
-        16 * MS,
-        32 * MS,
-    ]
-    assert frames.between(0, 48 * MS) == [16 * MS, 32 * MS, 48 * MS]
-    assert frames.between(16 * MS, 31 * MS) == []
-    assert Frames().next_ns(5) == 5
-    assert Frames().between(0, MS) == []
+def test_the_game_ticks_on_multiples_of_the_period_after_a_moment_up_to_another() -> None:
+    frames = Frames(16 * MS, stale_pose=True)
+    assert list(frames.ticks(0, 48 * MS)) == [16 * MS, 32 * MS, 48 * MS]
+    assert list(frames.ticks(16 * MS, 31 * MS)) == []
+    assert list(Frames(16 * MS).ticks(0, 48 * MS)) == []
+    assert list(Frames(stale_pose=True).ticks(0, 48 * MS)) == []
 
 
-@pytest.mark.parametrize(("wall_ms", "over_ms"), [(9.0, 16.0), (16.5, 16.5), (40.0, 40.0)])
-def test_a_continue_for_waits_for_a_frame_since_it_began(wall_ms: float, over_ms: float) -> None:
-    frames = Frames(16 * MS, after_continue=True)
-    assert frames.continue_over(2 * MS, round(wall_ms * MS)) == round(over_ms * MS)
-    assert Frames(16 * MS).continue_over(2 * MS, 9 * MS) == 9 * MS
+def test_an_image_and_a_continue_for_wait_for_their_frames_paused() -> None:
+    """The request 1 ms, the frame, the reply 1 ms; and no simulated time passes meanwhile."""
+    client = new_client(10.0, frames={"hz": 62.5, "after_continue": True})
+    waits = iter([5 * MS, 11 * MS])
+    client.transport._api.simulation.frames.wait_ns = lambda: next(waits)  # type: ignore[attr-defined]
+    client.pause()
+    start, start_ns = client.kinematics(), client.now_ns()
+    state = client.continue_for(30 * MS)
+    assert state.time_ns - start.time_ns == 30 * MS
+    assert client.now_ns() - start_ns == (1 + 3 + 5 + 1) * MS
+    client.transport.wait(client.transport.send("uavaccelImage", ("none",), blocking=True))
+    assert client.now_ns() - start_ns == (1 + 3 + 5 + 1 + 1 + 11 + 1) * MS
+    assert client.call("uavaccelState")[0] == state.time_ns
+
+
+def test_waits_for_a_frame_are_even_up_to_two_periods() -> None:
+    config = LatencyConfig(platform=PlatformConfig.model_validate({"frames": {"hz": 50.0}}))
+    draws = Latency(config, np.random.SeedSequence(3))
+    waits_ms = np.array([draws.frame_ns() for _ in range(20_000)]) / MS
+    assert np.quantile(waits_ms, [0.0, 0.25, 0.5, 0.75, 1.0]) == pytest.approx([0, 10, 20, 30, 40], abs=0.6)
 
 
 def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
@@ -194,18 +203,6 @@ def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
     shown = simulation.frames.scene(world.data).qpos.copy()
     assert np.array_equal(shown, world.data.qpos), "the world, which both flew, stands at the last frame now"
     assert not np.array_equal(paused, position(again))
-
-
-def test_the_frame_that_ends_a_continue_for_shows_where_the_physics_stopped() -> None:
-    simulation = simulate(10.0, AIRSIM, frames=Frames(16 * MS, stale_pose=True, after_continue=True))
-    simulation.pause(0)
-    simulation.fly_velocity(NORTH, 2.0, 0)
-    reply = simulation.continue_for(50 * MS, 0)  # 5 ms of wall time
-    simulation.advance_to(5 * MS)
-    assert reply.due_wall_ns == 16 * MS
-    data = simulation.world.data
-    assert simulation.frames.scene(data) is not data
-    assert np.array_equal(simulation.frames.scene(data).qpos, data.qpos)
 
 
 def test_a_new_game_has_shown_nothing_yet() -> None:

@@ -55,7 +55,6 @@ class _Continue:
     """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
 
     reply: DeferredReply
-    begun_ns: int = 0
     end_tick: int | None = None
     end_wall_ns: int | None = None
 
@@ -137,8 +136,8 @@ class Simulation:
     def advance_to(self, wall_ns: int) -> None:
         """Fly every tick that is due by `wall_ns`, end what ends on the way, and show what frames show."""
         if not self.paused:
-            for frame_ns in self.frames.between(self._wall_ns, wall_ns):
-                self._advance_to(frame_ns)
+            for tick_ns in self.frames.ticks(self._wall_ns, wall_ns):
+                self._advance_to(tick_ns)
                 if not self.paused:
                     self.frames.show(self.world.data)
         self._advance_to(wall_ns)
@@ -240,11 +239,8 @@ class Simulation:
 
     def _release_continue(self, wall_ns: int) -> None:
         if self._continue:
-            period, self._continue = self._continue, None
-            over_ns = self.frames.continue_over(period.begun_ns, wall_ns)
-            if over_ns > wall_ns:  # the frame that it waits for shows where the physics has stopped
-                self.frames.show(self.world.data)
-            period.reply.resolve(self.kinematics(), over_ns)
+            reply, self._continue = self._continue.reply, None
+            reply.resolve(self.kinematics(), self.frames.continued(wall_ns))
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
         """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
@@ -253,7 +249,7 @@ class Simulation:
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self._continue = _Continue(DeferredReply(), wall_ns)
+        period = self._continue = _Continue(DeferredReply())
         if self.profile.exact_times:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks

@@ -193,6 +193,11 @@ class Latency:
     def timer_ns(self) -> int:
         return self._draw("timer", "", {"": self._config.timer_us})
 
+    def frame_ns(self) -> int:
+        """How long a frame is waited for: even up to two periods."""
+        longest_us = 2 * self._config.platform.frame_ns() / 1e3
+        return self._draw("frame", "", {"": tuple(longest_us * share for share in self._config.quantiles)})
+
     def _fault_ns(self, direction: str) -> int:
         """How long a fault of the connection holds up the next message of a direction."""
         faults = self._config.platform.faults

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated
 
 import numpy as np
@@ -26,7 +26,7 @@ class FrameConfig(Config):
     stale_pose: bool = False
     """Images show the pose of the last frame before a pause."""
     after_continue: bool = False
-    """A continue-for replies only once a frame was drawn since it began."""
+    """The reply of a continue-for waits for a frame too, the simulation paused."""
 
 
 class FaultConfig(Config):
@@ -57,10 +57,13 @@ class PlatformConfig(Config):
     def executor(self) -> Executor:
         return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
 
-    def new_frames(self) -> Frames:
-        """Frames of a game of its own."""
-        hz, each = self.frames.hz, self.frames
-        return Frames(round(1e9 / hz) if hz else 0, each.stale_pose, each.after_continue)
+    def frame_ns(self) -> int:
+        """From one frame to the next; 0 without frames."""
+        return round(1e9 / self.frames.hz) if self.frames.hz else 0
+
+    def new_frames(self, wait_ns: Callable[[], int]) -> Frames:
+        """The frames of one game; `wait_ns` draws how long one is waited for."""
+        return Frames(self.frame_ns(), self.frames.stale_pose, self.frames.after_continue, wait_ns)
 
 
 def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:

@@ -139,7 +139,7 @@ class VirtualSession:
             clock_speed,
             timer_lateness_ns=latency.timer_ns,
             executor=platform.executor(),
-            frames=platform.new_frames(),
+            frames=platform.new_frames(latency.frame_ns),
         )
         transport: Any = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
         return _start(Client(transport, clock_speed), clock_speed, lane, height_m)

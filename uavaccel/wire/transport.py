@@ -210,8 +210,9 @@ class VirtualTransport:
             call.deferred = value
         else:
             call.value = value
-            drawn_ns = self._api.simulation.frames.drawn_after(self._handled_ns)
-            ready_ns = drawn_ns if call.channel == "image" else self._handled_ns
+            ready_ns = self._handled_ns
+            if call.channel == "image":
+                ready_ns = self._api.simulation.frames.drawn(ready_ns)
             call.reply_wall_ns = ready_ns + self._latency.reply_ns(call.channel)
         self._unanswered = None if blocking else call
         if not blocking:
