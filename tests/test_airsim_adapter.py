@@ -1,5 +1,9 @@
 """ADSC and TCSC fly through the names and meanings of AirSim's own client."""
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,8 +11,10 @@ from tests.airsim_client import MultirotorClient, RPCError
 from tests.serving import running_server
 from uavaccel.commands import COMMANDS, MissionClient, tcsc
 from uavaccel.commands.airsim_adapter import AirSimAdapter
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.wire.session import open_session
+
+pytestmark = pytest.mark.wall_clock
 
 CLOCK_SPEED = 20.0
 EAST = VelocityGoal((0.0, 1.0, 0.0))
@@ -69,3 +75,66 @@ def test_a_refused_command_raises() -> None:
         adapter = AirSimAdapter(client, 1.0, vehicle_name="Nobody")
         with pytest.raises(RPCError, match="Nobody"):
             adapter.join(adapter.move_async(EAST, 1.0))
+
+
+class FakeAirSim:
+    """AirSim's client without AirSim: notes its calls, answers a state of distinct numbers."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        def call(*params: Any) -> Any:
+            self.calls.append((name, *params))
+            return STATE if name == "getMultirotorState" else f"{name}'s future"
+
+        return call
+
+
+def vector(x: float) -> SimpleNamespace:
+    return SimpleNamespace(w_val=x, x_val=x + 1, y_val=x + 2, z_val=x + 3)
+
+
+STATE = SimpleNamespace(
+    timestamp=7.0,
+    kinematics_estimated=SimpleNamespace(
+        position=vector(10), orientation=vector(20), linear_velocity=vector(30), angular_velocity=vector(40),
+        linear_acceleration=vector(50), angular_acceleration=vector(60),
+    ),
+)  # fmt: skip
+
+
+def test_every_field_and_unit_of_airsims() -> None:
+    fake = FakeAirSim()
+    adapter = AirSimAdapter(fake, 4, "Drone1")
+    assert adapter.clock_speed == 4.0
+    three = {name: (x + 1, x + 2, x + 3) for name, x in zip("pvwab", (10, 30, 40, 50, 60), strict=True)}
+    expected = Kinematics(7, three["p"], (20, 21, 22, 23), three["v"], three["w"], three["a"], three["b"])
+    assert adapter.kinematics() == expected
+    assert adapter.gather(expected) is expected
+    assert adapter.continue_for(2_000_000_000) == expected
+    level = {"is_rate": False, "yaw_or_rate": math.degrees(0.5)}
+    assert adapter.move_async(NORTH_AT_HEIGHT, 2.0) == "moveByVelocityZAsync's future"
+    adapter.move_async(EAST, 3.0)
+    adapter.pause()
+    adapter.run()
+    assert fake.calls == [
+        ("getMultirotorState", "Drone1"),
+        ("simContinueForTime", 0.5),  # wall seconds
+        ("getMultirotorState", "Drone1"),
+        ("moveByVelocityZAsync", 1.0, 0.0, -10.5, 2.0, 0, level, "Drone1"),
+        ("moveByVelocityAsync", 0.0, 1.0, 0.0, 3.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "Drone1"),
+        ("simPause", True),
+        ("simPause", False),
+    ]
+
+
+def test_a_join_waits_for_the_deadline_or_for_the_future() -> None:
+    adapter, got = AirSimAdapter(FakeAirSim(), 1.0), []
+    future = SimpleNamespace(get=lambda: got.append("waited"))
+    deadline_ns = adapter.now_ns() + 2_000_000
+    assert adapter.join(future, deadline_ns) is False
+    assert adapter.now_ns() >= deadline_ns
+    assert not got
+    assert adapter.join(future) is True
+    assert got == ["waited"]

@@ -63,6 +63,7 @@ def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
     return name, draw(st.lists(values, min_size=method.required, max_size=method.most))
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(calls())
 def test_any_arguments(call: tuple[str, list[Any]]) -> None:

@@ -1,10 +1,7 @@
-"""The camera: known geometry, pictures of the moment, contexts that come and go, and machines without OpenGL."""
+"""The camera: known geometry, and pictures of the moment."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
@@ -14,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
-from uavaccel.bench.camera import bench_camera
+from tests.scenes import Scene
 from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
-from uavaccel.sim import gl
 from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
@@ -57,9 +54,10 @@ def posts() -> mujoco.MjModel:
 
 
 @pytest.fixture
-def lane() -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    data = mujoco.MjData(model)
+def lane(lane_scene: Scene) -> Scene:
+    """The lane of seed 0, the vehicle at its start."""
+    model, data = lane_scene
+    mujoco.mj_resetData(model, data)
     apply_layout(model, data, draw_layout(0))
     return model, data
 
@@ -126,7 +124,7 @@ def test_segmentation_names_what_is_seen(posts: mujoco.MjModel, eye: Camera) -> 
 
 
 @needs_opengl
-def test_the_lane_is_worth_seeing(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+def test_the_lane_is_worth_seeing(lane: Scene) -> None:
     model, data = lane
     with Camera(model) as camera:
         picture, seen = camera.colour(data), camera.segmentation(data)
@@ -137,7 +135,7 @@ def test_the_lane_is_worth_seeing(lane: tuple[mujoco.MjModel, mujoco.MjData]) ->
 
 
 @needs_opengl
-def test_moved_obstacles_and_less_light_are_seen(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+def test_moved_obstacles_and_less_light_are_seen(lane: Scene) -> None:
     model, data = lane
     with Camera(model) as camera:
         before = camera.colour(data)
@@ -152,7 +150,7 @@ def test_moved_obstacles_and_less_light_are_seen(lane: tuple[mujoco.MjModel, muj
 
 
 @needs_opengl
-def test_a_picture_is_of_the_pose_at_that_moment(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+def test_a_picture_is_of_the_pose_at_that_moment(lane: Scene) -> None:
     """MuJoCo's own places lag a step behind the pose; the camera's must not."""
     model, data = lane
     with Camera(model) as camera:
@@ -172,7 +170,7 @@ def test_looking_does_not_change_the_flight() -> None:
         world = World("lane", NATIVE)
         world.set_lane(draw_layout(1))
         world.reset()
-        world.fly_velocity((1.0, 0.4, 0.0), height_held=False, yaw=0.2, yaw_is_rate=True)
+        world.fly_velocity(VelocityGoal((1.0, 0.4, 0.0), yaw=0.2))
         for _ in range(20):
             world.advance(50)
             if looks:
@@ -183,7 +181,7 @@ def test_looking_does_not_change_the_flight() -> None:
 
 
 @needs_opengl
-def test_same_data_same_bytes_in_every_kind(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+def test_same_data_same_bytes_in_every_kind(lane: Scene) -> None:
     """Whatever was drawn in between, by whichever of two cameras."""
     model, data = lane
     with Camera(model) as first, Camera(model, 64, 36) as second:
@@ -197,7 +195,7 @@ def test_same_data_same_bytes_in_every_kind(lane: tuple[mujoco.MjModel, mujoco.M
 
 
 @needs_opengl
-def test_pictures_fill_what_is_given_and_are_not_reused(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
+def test_pictures_fill_what_is_given_and_are_not_reused(lane: Scene) -> None:
     model, data = lane
     with Camera(model) as camera:
         kinds = (camera.colour, camera.gray, camera.depth, camera.depth_perspective, camera.segmentation)
@@ -212,153 +210,6 @@ def test_pictures_fill_what_is_given_and_are_not_reused(lane: tuple[mujoco.MjMod
 
 
 @needs_opengl
-def test_contexts_open_and_close_many_times(lane: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
-    model, data = lane
-    with Camera(model) as kept:
-        wanted = kept.colour(data)
-        for _ in range(5):
-            other = Camera(model, 32, 18)
-            assert other.colour(data).any()
-            other.close()
-            other.close()
-            assert gl.describe_renderer() == kept.renderer
-            assert np.array_equal(kept.colour(data), wanted)
-    with pytest.raises(ValueError, match="closed"):
-        kept.colour(data)
-
-
-@needs_opengl
 def test_a_camera_that_is_not_there(posts: mujoco.MjModel) -> None:
     with pytest.raises(UserError, match="no camera 'tail' in the scene; there is front_center"):
         Camera(posts, camera="tail")
-
-
-LOOK = """
-import mujoco, sys
-from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
-model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-camera, dropped = Camera(model), Camera(model, 32, 18)
-print(camera.colour(mujoco.MjData(model)).any())
-del dropped
-{end}
-"""
-
-
-def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-
-
-@needs_opengl
-@pytest.mark.parametrize(
-    ("end", "status", "said"),
-    [("", 0, ""), ("sys.exit(3)", 3, ""), ("1 / 0", 1, "ZeroDivisionError: division by zero\n")],
-)
-def test_nothing_is_said_at_exit(end: str, status: int, said: str) -> None:
-    done = run_python(LOOK.format(end=end))
-    assert done.stdout == "True\n"
-    assert done.returncode == status
-    assert done.stderr.endswith(said)
-    assert done.stderr.count("Error") == said.count("Error")
-    assert "Exception ignored" not in done.stderr
-
-
-WORKERS = """
-import sys
-from joblib import Parallel, delayed
-sys.path.insert(0, {folder!r})
-from test_camera_worker import look
-if __name__ == "__main__":
-    print(Parallel(n_jobs=2)(delayed(look)(index) for index in range(3)))
-"""
-WORKER = """
-import mujoco
-from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
-
-kept = []
-
-def look(index):
-    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    kept.append(Camera(model, 32, 18))
-    return bool(kept[-1].colour(mujoco.MjData(model)).any())
-"""
-
-
-@needs_opengl
-def test_workers_end_without_noise(tmp_path: os.PathLike[str]) -> None:
-    folder = os.fspath(tmp_path)
-    with open(os.path.join(folder, "test_camera_worker.py"), "w", encoding="utf-8") as module:
-        module.write(WORKER)
-    done = run_python(WORKERS.format(folder=folder))
-    assert done.stdout == "[True, True, True]\n"
-    assert done.stderr == ""
-
-
-def test_without_opengl_one_line_names_the_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
-    monkeypatch.setattr(sys, "platform", "linux")
-    with pytest.raises(UserError, match=r"libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 \(Debian\)$"):
-        gl.make_context(8, 8)
-
-
-def test_images_that_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    with pytest.raises(UserError, match="MUJOCO_GL=off switches images off"):
-        gl.choose_backend()
-
-
-def test_a_backend_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.setitem(sys.modules, "mujoco.egl", None)
-    with pytest.raises(UserError, match=r"does not work with MUJOCO_GL=egl .*install libegl1"):
-        gl.make_context(8, 8)
-
-
-def test_a_probe_that_crashes_is_no_backend(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl, "_PROBE", "import os; os.abort()")
-    gl._first_that_works.cache_clear()
-    assert gl._first_that_works() is None
-    gl._first_that_works.cache_clear()
-
-
-def test_flying_needs_no_opengl() -> None:
-    code = (
-        "import sys\n"
-        "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
-        "from uavaccel.sim.lane.layout import draw_layout\n"
-        "world = World('lane', NATIVE); world.set_lane(draw_layout(0)); world.reset(); world.advance(10)\n"
-        "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-
-
-@needs_opengl
-def test_the_bench_measures_ours_and_the_bare_loop() -> None:
-    figures = bench_camera(rounds=1)
-    assert figures["frames_per_s"] > 0
-    assert figures["bare_frames_per_s"] > 0
-    assert (figures["width"], figures["height"]) == (256, 144)
-    assert figures["gl_software"] == gl.describe_renderer().software
-
-
-def test_a_gl_that_is_not_there_is_one_line_wherever_mujoco_is_imported() -> None:
-    command = [sys.executable, "-m", "uavaccel", "run", "dp1", "--dry-run"]
-    done = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert done.stderr.startswith("uavaccel: error: MUJOCO_GL=glsl does not work here")
-    assert len(done.stderr.splitlines()) == 1

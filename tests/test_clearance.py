@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim import clearance
 from uavaccel.sim.clearance import Clearance
+from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.world import World
@@ -30,13 +34,14 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
     rng = np.random.default_rng(seed)
     for _ in range(40):
         heading, speed = rng.uniform(-1, 1), rng.choice([1.0, 3.0, 8.0])
-        goal = (speed * math.cos(heading), speed * math.sin(heading), -height_m * rng.uniform(0.2, 1.2))
-        world.fly_velocity(goal, True, 0.0, True)
+        velocity = (speed * math.cos(heading), speed * math.sin(heading), 0.0)
+        world.fly_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2)))
         for ticks in (165, 165, 170):
             world.advance(ticks)
     return world.samples().tobytes(), world.collision_tick, world.collision_object
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["lane", "blocks"])
 @pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=lambda profile: profile.name)
 def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str, profile: object) -> None:
@@ -53,36 +58,185 @@ def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str,
     assert scene == "blocks" or None not in collisions
 
 
-@settings(max_examples=60, deadline=None)
+# --- the bound, by brute force ----------------------------------------------------------------------------
+
+
+def turned_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The attitude whose thrust, along the body's -z, points there (NED unit vector)."""
+    up = np.array([0.0, 0.0, -1.0])
+    axis, cosine = np.cross(up, direction), float(up @ direction)
+    if cosine < -1 + 1e-9:
+        return (0.0, 1.0, 0.0, 0.0)
+    w = math.sqrt((1 + cosine) / 2)
+    x, y, z = axis / (2 * w)
+    return (w, float(x), float(y), float(z))
+
+
+def rocket(world: World) -> None:
+    """Full thrust whatever happens, and no turning: the worst that a flight may be."""
+    world.parameters["min_throttle"] = 1.0
+    world.parameters["rate_gain"] = 0.0
+    for name in ("rotor_input", "rotor_lagged", "rotor_output"):
+        world.state[name] = 1.0
+
+
+TARGETS = {  # a place near, and the direction to what is to be hit
+    "ground": ((5.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "wall": ((5.0, 5.0, -8.0), (0.0, 1.0, 0.0)),
+    "post": ((20.0 - 0.5, 0.3, -6.0), (1.0, 0.0, 0.0)),
+}
+POSTS = {
+    "obstacles": [{"x_m": 20.0, "y_m": 0.3, "half_side_m": 0.5}, {"x_m": 40.0, "y_m": 0.0, "radius_m": 0.5}]
+}
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 4.0, 14.0])
+@pytest.mark.parametrize("wind_m_s", [0.0, 18.0])
+@pytest.mark.parametrize("target", TARGETS)
+def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_m_s: float) -> None:
+    """Straight at it from many distances, thrust, speed and wind all towards it: frozen at the same tick and place."""
+    world = lane_world()
+    world.set_lane(layout_from(POSTS, "test"))
+    place, direction = (np.array(vector) for vector in TARGETS[target])
+    usual, touchy = world._clearance, Touchy(world.model, world.data)
+    for distance_m in (0.4, 0.5, 0.7, 1.0, 1.5, 2.2, 3.0, 4.0):
+        ends = []
+        for world._clearance in (usual, touchy):
+            world.reset()
+            rocket(world)
+            world.state["wind"] = wind_m_s * direction
+            start = tuple(place - distance_m * direction)
+            world.place(start, turned_to(direction), tuple(speed_m_s * direction))
+            for _ in range(400):
+                world.advance(1)
+            ends.append((world.collision_tick, world.collision_object, world.kinematics()))
+        world._clearance = usual
+        assert ends[0] == ends[1]
+        assert ends[0][0] is not None
+
+
+@settings(max_examples=200, deadline=None)
 @given(
-    seed=st.integers(0, 20),
-    north_m=st.floats(-5, 150),
+    seed=st.integers(0, 2**32),
+    speed_m_s=st.floats(0, 15),
+    wind_m_s=st.floats(0, 20),
+    height_m=st.floats(0.0, 60.0),
+)
+def test_no_flight_accelerates_more_than_the_strongest(
+    seed: int, speed_m_s: float, wind_m_s: float, height_m: float
+) -> None:
+    """Newton's law in numpy: thrust, drag on the widest face and weight in a line, up to the gust's gain of speed."""
+    world = lane_world()
+    gains = world.parameters
+    rng = np.random.default_rng(seed)
+    density = 1.2250 * (1 - 0.0065 * (gains["ground_altitude_m"] + height_m) / 288.15) ** 4.2559
+    airspeed = speed_m_s + wind_m_s + rng.uniform(0, clearance.GUST_M_S)
+    share = np.append(rng.normal(size=2) * rng.choice([0, 0.1, 1]), 1.0)
+    along = np.abs(share / np.linalg.norm(share))
+    drag = np.linalg.norm(gains["drag_factor_m2"] * density * (airspeed * along) ** 2)
+    thrust = 4 * gains["max_thrust_n"] * density / 1.2250
+    strongest = (thrust + drag) / gains["mass_kg"] + gains["gravity_m_s2"]
+    assert clearance._strongest_acceleration(gains, speed_m_s + wind_m_s) >= strongest
+
+
+@settings(max_examples=200, deadline=None)
+@given(distance_m=st.floats(1e-3, 50), speed_m_s=st.floats(0, 15), strongest=st.floats(1, 200))
+def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, strongest: float) -> None:
+    """In steps of a thousandth of it: neither there yet, nor faster by more than a gust; and no time is given away."""
+    free_s = clearance._time_to(distance_m, speed_m_s, strongest)
+    times = np.linspace(0, free_s, 1001)
+    gained = strongest * times
+    travelled = np.append(0, np.cumsum(np.diff(times) * (speed_m_s + (gained[1:] + gained[:-1]) / 2)))
+    assert travelled[-1] <= distance_m * (1 + 1e-9)
+    assert gained[-1] <= clearance.GUST_M_S * (1 + 1e-9)
+    assert travelled[-1] > 0.999 * distance_m or gained[-1] > 0.999 * clearance.GUST_M_S
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    north_m=st.floats(-5, 60),
     east_m=st.floats(-4.5, 4.5),
     height_m=st.floats(0.4, 15),
     velocity_m_s=st.tuples(*[st.floats(-15, 15)] * 3),
+    wind_m_s=st.tuples(*[st.floats(-10, 10)] * 3),
 )
-def test_what_is_called_free_is_out_of_reach(
-    seed: int, north_m: float, east_m: float, height_m: float, velocity_m_s: tuple[float, float, float]
+def test_the_free_time_is_that_to_the_nearest_of_ground_walls_and_posts(
+    north_m: float,
+    east_m: float,
+    height_m: float,
+    velocity_m_s: tuple[float, float, float],
+    wind_m_s: tuple[float, float, float],
 ) -> None:
+    """Distances in numpy; the hull fits into a ball of its own half diagonal. Within MuJoCo's own distance, too."""
     world = lane_world()
-    world.set_lane(draw_layout(seed))
+    world.set_lane(layout_from(POSTS, "test"))
     world.place((north_m, east_m, -height_m), velocity_m_s=velocity_m_s)
+    world.state["wind"] = wind_m_s
     free_s = world._clearance.free_s(world.parameters, world.state)
-    if free_s == 0.0:
-        return
+    centres = np.array([[75.0, 5.1, 10.0], [75.0, -5.1, 10.0], [20.0, 0.3, 10.0], [40.0, 0.0, 10.0]])
+    halves = np.array([[85.0, 0.1, 10.0], [85.0, 0.1, 10.0], [0.5, 0.5, 10.0], [0.5, 0.5, 10.0]])
+    outside = np.maximum(np.abs(np.array([north_m, east_m, height_m]) - centres) - halves, 0.0)
+    nearest_m = min(np.linalg.norm(outside, axis=1).min(), height_m)
+    room_m = nearest_m - math.hypot(0.3418, 0.045) - 0.01
+    speed = float(np.linalg.norm(world.state["velocity"]))
+    airspeed = speed + float(np.linalg.norm(wind_m_s))
+    strongest = clearance._strongest_acceleration(world.parameters, airspeed)
+    assert free_s == pytest.approx(clearance._time_to(room_m, speed, strongest), abs=1e-9)
     hull = world.model.geom("quadrotor_hull").id
-    nearest_m = min(
-        mujoco.mj_geomDistance(world.model, world.data, hull, geom, 50.0, None)
+    true_m = min(
+        mujoco.mj_geomDistance(world.model, world.data, hull, geom, 70.0, None)
         for geom in np.flatnonzero(world.model.geom_bodyid == 0)
     )
-    assert math.hypot(*velocity_m_s) * free_s < nearest_m
+    assert free_s == 0.0 or room_m < true_m
+
+
+def test_among_things_that_move_by_themselves_nothing_is_ever_free() -> None:
+    bodies = "<body name='{}' pos='0 0 {}'><freejoint/><geom size='.1'/></body>"
+    text = bodies.format("quadrotor", 10) + bodies.format("ball", 30)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    world = lane_world()
+    world.reset()
+    assert Clearance(model, data).free_s(world.parameters, world.state) == 0.0
+    assert world._clearance.free_s(world.parameters, world.state) > 0.1
+
+
+@pytest.mark.parametrize("poison", [math.nan, math.inf])
+def test_a_flight_that_diverged_is_never_free(poison: float) -> None:
+    world = lane_world()
+    world.reset()
+    world.state["velocity"] = (poison, 0.0, 0.0)
+    assert world._clearance.free_s(world.parameters, world.state) == 0.0
+    world.reset()
+
+
+def test_what_is_moved_is_seen_at_once() -> None:
+    """The vehicle to a wall, or a post to the vehicle, while contacts are left out."""
+    for move in ("vehicle", "post"):
+        world = lane_world()
+        world.set_lane(layout_from({"obstacles": []}, "test"))
+        world.reset((12.0, 0.0, -10.0))
+        world.advance(40)
+        assert world.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+        if move == "vehicle":
+            world.place((12.0, 4.7, -10.0))
+        else:
+            world.set_lane(layout_from({"obstacles": [{"x_m": 12.0, "y_m": 0.3, "radius_m": 0.4}]}, "test"))
+        world.advance(2)
+        assert world.collision_object == ("wall_east" if move == "vehicle" else "obstacle_00")
 
 
 _worlds: list[World] = []
 
 
 def lane_world() -> World:
-    """One for all examples: it takes long to make."""
+    """One for all examples, as made: it takes long to make."""
     if not _worlds:
         _worlds.append(World("lane", NATIVE))
+        _as_made.append(_worlds[0]._parameters.copy())
+    _worlds[0]._parameters[:] = _as_made[0]
+    _worlds[0].state["wind"] = 0.0
     return _worlds[0]
+
+
+_as_made: list[NDArray[np.void]] = []

@@ -166,6 +166,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         load_yaml(tmp_path)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(), PLAIN, max_size=4))
 def test_plain_data_survives_yaml(mapping: dict[str, Any]) -> None:
     assert parse_yaml(dump_yaml(mapping), source="text") == mapping

@@ -12,7 +12,7 @@ import typer
 from tests.opengl import needs_opengl
 from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, configure
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.training.config import TrainConfig
 
@@ -33,6 +33,7 @@ def test_programs_have_thirty_lines_at_most() -> None:
     assert max(len(code.splitlines()) for code in PYTHON) <= 30
 
 
+@pytest.mark.slow
 @needs_opengl
 @pytest.mark.parametrize("code", PYTHON)
 def test_programs_run(code: str) -> None:
@@ -50,9 +51,9 @@ def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     given = command.make_context(name, options).params
     if name == "view":  # sets no keys
         return
-    options = {key: given[key] for key in ("command", "timing", "profile", "games", "seed")}
-    options |= {"clock_speed": given["clock"], "agent": given.get("agent")}
-    configure(RunRequest(given.get("experiment", name), options, given["overrides"] or []))
+    keys = {key: given[key] for key in ("command", "timing", "profile", "games", "seed")}
+    keys |= {"clock_speed": given["clock"], "agent": given.get("agent")}
+    configure(RunRequest(given.get("experiment", name), keys, given["overrides"] or []))
 
 
 def test_other_programs_come_with_the_package() -> None:

@@ -128,6 +128,7 @@ def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Progress, "flown", counting)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
 def test_the_same_bytes_whatever_jobs_and_interruptions(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -297,7 +298,7 @@ MISTAKES = {
     "--profile px4": "'native' or 'airsim'",
     "--rounds 0": "must be above 0",
     "--games 0": "must be above 0",
-    "--seed -1": "must be 0 or more",
+    "--seed -1": "should be greater than or equal to 0",
     "--set path=triangle": "path",
     "--set path=[]": "path",
     "--set path=[[1,0]]": "path",

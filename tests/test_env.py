@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -24,10 +25,10 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_lear
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.senses import DEPTH_FAR_M
+from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
-from uavaccel.vision.observation import NEUTRAL
+from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"
 IMAGE = (3, 36, 64)
@@ -59,7 +60,7 @@ def crash(environment: ObstacleLane, index: int) -> tuple[Any, float, bool, bool
 # --- Gymnasium --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [NAME, f"uavaccel:{NAME}"])
+@pytest.mark.parametrize("name", [NAME, f"uavaccel.envs:{NAME}"])
 def test_gymnasium_makes_it_by_name(name: str) -> None:
     environment = gymnasium.make(name, observation="state", max_commands=1)
     environment.reset(seed=0)
@@ -67,9 +68,18 @@ def test_gymnasium_makes_it_by_name(name: str) -> None:
     environment.close()
 
 
-@pytest.mark.parametrize("first", ["import gymnasium, uavaccel", "import uavaccel, gymnasium"])
-def test_it_is_registered_whichever_is_imported_first(first: str) -> None:
-    program = f"{first}; print(gymnasium.spec({NAME!r}).id)"
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [
+        ("import gymnasium, uavaccel", NAME),
+        ("import gymnasium", f"uavaccel:{NAME}"),
+        ("import gymnasium", f"uavaccel.envs:{NAME}"),
+        ("import uavaccel, gymnasium", f"uavaccel.envs:{NAME}"),
+        ("import uavaccel.envs, gymnasium", NAME),
+    ],
+)
+def test_it_is_registered_as_the_documentation_says(first: str, name: str) -> None:
+    program = f"{first}; print(gymnasium.make({name!r}, observation='state').spec.id)"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert said.stdout.strip() == NAME
 
@@ -147,6 +157,55 @@ def test_its_spec_is_json() -> None:
     again.close()
 
 
+FORKED = """
+import multiprocessing, warnings
+import gymnasium
+from gymnasium.vector import AsyncVectorEnv
+
+warnings.filterwarnings("ignore")  # Gymnasium warns of each worker's error
+make = lambda: gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0", max_commands=2)
+parent = make()
+parent.reset(seed=0)
+for context in ("fork", "spawn"):
+    vector = AsyncVectorEnv([make, make], context=context)
+    try:
+        print(context, vector.reset(seed=0)[0].shape)
+    except Exception as error:
+        print(context, error)
+    vector.close(terminate=True)
+parent.step(2)
+print(multiprocessing.active_children())
+"""
+
+
+@needs_opengl
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
+def test_workers_forked_from_a_process_that_has_drawn_say_what_to_do() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED], check=True, capture_output=True, text=True, timeout=300
+    )
+    forked, spawned, left = done.stdout.splitlines()
+    assert "start workers by spawn" in forked
+    assert spawned == "spawn (2, 3, 36, 64)"
+    assert left == "[]"
+
+
+def test_workers_from_a_program_without_a_file_find_the_environment() -> None:
+    """As from a notebook: nothing but the name tells a spawned process where the environment comes from."""
+    program = (
+        "import gymnasium\n"
+        "from gymnasium.vector import AsyncVectorEnv\n"
+        "make = lambda: gymnasium.make('uavaccel.envs:uavaccel/Hover-v0')\n"
+        "vector = AsyncVectorEnv([make, make], context='spawn')\n"
+        "print(vector.reset(seed=0)[0].shape)\n"
+        "vector.close()"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300
+    )
+    assert said.stdout.strip() == "(2, 13)"
+
+
 # --- lanes ------------------------------------------------------------------------------------------------------
 
 
@@ -215,7 +274,7 @@ def test_a_collision_ends_the_game_and_blanks_the_frames_that_are_missing() -> N
     assert info["distance_m"] == info["position_m"][0] == pytest.approx(free_m, abs=0.01)
     assert -1.0 < reward < -0.9
     assert np.ptp(observation[0]) > 0  # it was still on its way at the first sample
-    assert (observation[1:] == NEUTRAL).all()
+    assert (observation[1:] == NEUTRAL_LEVEL).all()
 
 
 def test_the_walls_end_a_game_too() -> None:
@@ -262,7 +321,7 @@ def test_events_are_neutral_before_anything_moved() -> None:
         start, seen = fly(environment, [AHEAD])
     assert start.shape == IMAGE
     assert start.dtype == np.uint8
-    assert (start == NEUTRAL).all()
+    assert (start == NEUTRAL_LEVEL).all()
     assert np.ptp(seen) > 20
 
 
@@ -270,7 +329,7 @@ def test_events_are_neutral_before_anything_moved() -> None:
 def test_history_keeps_the_frames_of_the_commands_before() -> None:
     with lane(history=2) as environment:
         start, first, second = fly(environment, [AHEAD, HARD_WEST])
-    assert (start == NEUTRAL).all()
+    assert (start == NEUTRAL_LEVEL).all()
     np.testing.assert_array_equal(first[3:], second[:3])
 
 
@@ -303,7 +362,7 @@ def test_the_state_is_that_of_the_vehicle() -> None:
 @needs_opengl
 def test_blank_images_show_nothing() -> None:
     with lane(blank_images=True) as environment:
-        assert all((seen == NEUTRAL).all() for seen in fly(environment, [AHEAD, HARD_WEST]))
+        assert all((seen == NEUTRAL_LEVEL).all() for seen in fly(environment, [AHEAD, HARD_WEST]))
 
 
 # --- timings ----------------------------------------------------------------------------------------------------
@@ -336,20 +395,25 @@ def test_time_passes_for_adsc_alone_while_the_agent_thinks(command: str) -> None
 
 @needs_opengl
 @pytest.mark.parametrize("timing", ["lockstep", "virtual"])
-def test_a_journal_brings_another_environment_to_the_same_point(timing: str) -> None:
-    with (
-        lane(command="adsc", timing=timing, clock_speed=10.0) as first,
-        lane(command="adsc", timing=timing, clock_speed=10.0) as second,
-    ):
-        first.reset(seed=3)
-        first.charge(0.004)
+@pytest.mark.parametrize("task", [{"dvs_preset": "noisy", "history": 2}, {"command": "adsc"}], ids=str)
+def test_a_saved_game_goes_on_elsewhere_to_the_same_bytes(timing: str, task: dict[str, Any]) -> None:
+    task = {**task, "timing": timing, "clock_speed": 10.0, "difficulty": {"wind_m_s": 2.0}}
+    with lane(**task) as first, lane(**task) as second:
         fly(first, [2, 1], seed=4)
         first.charge(0.01, "learning")
         seen = first.step(3)[0]
-        journal = json.loads(json.dumps(first.journal()))
-        np.testing.assert_array_equal(second.replay(journal), seen)
-        np.testing.assert_array_equal(first.step(2)[0], second.step(2)[0])
-        assert first.reset()[1]["lane"] == second.reset()[1]["lane"]
+        first.charge(0.004)
+        file = io.BytesIO()
+        np.savez(file, **first.get_state())
+        file.seek(0)
+        np.testing.assert_array_equal(second.set_state(np.load(file)), seen)
+        ends = []
+        for environment in (first, second):
+            flown = [environment.step(action) for action in (2, 0, 0, 4)]
+            start = environment.reset()
+            flown += [environment.step(HARD_WEST)]
+            ends.append(([(step[0].tobytes(), *step[1:]) for step in flown], start[0].tobytes(), start[1]))
+        assert ends[0] == ends[1]
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

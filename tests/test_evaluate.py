@@ -99,6 +99,7 @@ def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> No
     assert [summary["wilson_low"], summary["wilson_high"]] == pytest.approx([0.3006, 0.9544], abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory, jobs: int) -> None:
     evaluate_agent(request("straight", tmp_path / "run", jobs=jobs), None, False)
@@ -159,6 +160,7 @@ def test_evaluations_are_reported_side_by_side(tmp_path: Path, straight: RunDire
     assert (tmp_path / "run" / COMPARISON).read_bytes() != alone
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_view_films_an_evaluated_game(
     tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
@@ -174,6 +176,7 @@ def test_view_films_an_evaluated_game(
 # --- policies ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "keys",
     [
@@ -222,6 +225,7 @@ def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
     assert summary["distance_m_median"] > 50.0
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_view_flies_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     train_into(tmp_path / "training", tiny_config(games=1))
@@ -232,6 +236,7 @@ def test_view_flies_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         view_game(str(tmp_path / "training"), "4", None)
 
 
+@pytest.mark.slow
 def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
     config = tiny_config()
     environment = make_lanes(config.task, 1)
@@ -244,6 +249,7 @@ def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
         load_policy(tmp_path)
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_a_trainings_run_directory_is_an_agent(tmp_path: Path) -> None:
     train_into(tmp_path / "training", tiny_config(games=1))

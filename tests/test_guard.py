@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +73,40 @@ def test_a_camera_that_reuses_its_buffer_is_not_taken_for_an_identical_image() -
     assert acquire(GuardState(100.0), request).reason is Verdict.STEADY
 
 
+def test_an_image_is_identical_to_the_one_just_before_alone() -> None:
+    taken = acquire(GuardState(100.0), camera([grey(200), grey(201), grey(200), grey(200)]))
+    assert (taken.retries, taken.reason) == (3, Verdict.IDENTICAL)
+    other = grey(200)
+    other[0, 0, 0] += 1  # of almost the same brightness
+    taken = acquire(GuardState(100.0), camera([grey(200), other, grey(100)]))
+    assert (taken.retries, taken.reason) == (2, Verdict.STEADY)
+
+
+def test_suspects_leave_the_reference_as_it_is_and_the_accepted_one_becomes_it() -> None:
+    state, verdict = judge(GuardState(100.0), grey(200), GuardSettings())
+    assert (verdict, state.reference_brightness, state.retries) == (Verdict.RETRY, 100.0, 1)
+    state, verdict = judge(state, grey(200), GuardSettings())
+    assert (verdict, state.retries, state.suspect) == (Verdict.IDENTICAL, 0, None)
+    assert state.reference_brightness == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "level", "verdict"),
+    [
+        (GuardSettings(max_change=0.5), 149, "steady"),
+        (GuardSettings(max_change=0.5), 151, "retry"),
+        (GuardSettings(max_change=0.5, min_brightness=60), 59, "retry"),
+        (GuardSettings(max_change=0.5, min_brightness=60), 60, "steady"),
+        (GuardSettings(max_change=0.0), 100, "steady"),
+    ],
+)
+def test_limits_are_relative_to_the_reference_and_the_floor_is_absolute(
+    settings: GuardSettings, level: int, verdict: str
+) -> None:
+    reference = mean_brightness(grey(100))
+    assert judge(GuardState(reference), grey(level), settings)[1] == verdict
+
+
 def test_without_retries_every_image_is_taken() -> None:
     off = GuardSettings(max_retries=0)
     assert acquire(GuardState(100.0), camera([grey(0)]), off).retries == 0
@@ -93,6 +128,7 @@ def test_brightness_is_the_mean_luma_of_grey_and_colour() -> None:
     assert mean_brightness(rgb[:, :, 0]) == pytest.approx(float(rgb[:, :, 0].mean()))
 
 
-def test_negative_limits_are_refused() -> None:
+@pytest.mark.parametrize("limit", [{"max_change": -0.1}, {"min_brightness": -1}, {"max_retries": -1}])
+def test_negative_limits_are_refused(limit: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="negative"):
-        GuardSettings(max_retries=-1)
+        GuardSettings(**limit)

@@ -1,53 +1,36 @@
-"""The obstacle lane: how hard it is, that it can be flown, and that its obstacles are where the layout says."""
+"""The obstacle lane: how hard it is, what is drawn for it, and a lane of one's own."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.resources import asset
-from uavaccel.sim.lane import path as lane_path
-from uavaccel.sim.lane.file import layout_from, load_layout
+from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
-    HULL_RADIUS_M,
     LENGTH_M,
     MAX_OBSTACLES,
     WIDTH_M,
     Difficulty,
     LaneLayout,
-    blocked,
-    clearance_m,
+    Split,
     draw_layout,
     free_distance_m,
     lane_seed,
 )
-from uavaccel.sim.lane.path import plan_path
-from uavaccel.sim.lane.scene import apply_layout, collision_object, obstacle_geoms
-from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.world import World
+from uavaccel.wire.image_api import lane_layout
+from uavaccel.yaml_io import load_yaml
 
-Scene = tuple[mujoco.MjModel, mujoco.MjData]
 EVALUATION_LANES = [draw_layout(lane_seed("evaluation", index)) for index in range(300)]
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    return model, mujoco.MjData(model)
-
-
-def one_post(x_m: float, y_m: float, half_width_m: float = 0.4, cylinder: bool = False) -> LaneLayout:
-    shape = "radius_m" if cylinder else "half_side_m"
-    return layout_from({"obstacles": [{"x_m": x_m, "y_m": y_m, shape: half_width_m}]}, "test")
 
 
 def equal(a: LaneLayout, b: LaneLayout) -> bool:
@@ -55,44 +38,17 @@ def equal(a: LaneLayout, b: LaneLayout) -> bool:
     return all(np.array_equal(getattr(a, field), getattr(b, field)) for field in fields)
 
 
+# --- drawn lanes --------------------------------------------------------------------------------------------------
+
+
 def test_straight_flight_fails() -> None:
     """Straight ahead at most 5 % of 300 evaluation lanes are free, at the best lateral offset at most 10 %."""
     offsets = np.arange(-4.65, 4.66, 0.05)
-    free = np.array([[not blocked(layout, y) for y in offsets] for layout in EVALUATION_LANES])
-    assert np.mean([not blocked(layout, 0.0) for layout in EVALUATION_LANES]) <= 0.05
+    free = np.array(
+        [[free_distance_m(layout, y) == LENGTH_M for y in offsets] for layout in EVALUATION_LANES]
+    )
+    assert np.mean([free_distance_m(layout, 0.0) == LENGTH_M for layout in EVALUATION_LANES]) <= 0.05
     assert free.mean(axis=0).max() <= 0.10
-
-
-@pytest.mark.parametrize("index", range(0, 300, 10))
-def test_every_lane_has_a_path(index: int) -> None:
-    """Five headings at 1 m/s and SimpleFlight's slow answer at 10 m, where it is slowest, are enough."""
-    layout = EVALUATION_LANES[index]
-    plan = plan_path(layout)
-    assert 150 <= len(plan) <= 175
-    assert {round(float(np.hypot(*command)), 9) for command in plan} == {lane_path.SPEED_M_S}
-    assert plan == plan_path(layout)
-
-
-def test_the_simulator_flies_a_planned_path_to_the_end() -> None:
-    world = World("lane", NATIVE)
-    layout = EVALUATION_LANES[0]
-    world.set_lane(layout)
-    world.reset()
-    clearance = []
-    for north, east in plan_path(layout, height_m=10.0):
-        world.fly_velocity((north, east, -10.0), height_held=True, yaw=0.0, yaw_is_rate=False)
-        for _ in range(4):
-            world.advance(125)
-            clearance.append(clearance_m(layout, world.kinematics().position_m[:2]))
-    assert world.collision_tick is None
-    assert world.kinematics().position_m[0] >= LENGTH_M
-    assert min(clearance) > 0.2
-
-
-def test_a_walled_off_lane_has_no_path() -> None:
-    posts = [{"x_m": 20.0, "y_m": y, "half_side_m": 1.0} for y in range(-4, 5, 2)]
-    with pytest.raises(UserError, match="no path"):
-        plan_path(layout_from({"obstacles": posts}, "test"))
 
 
 def test_layouts_are_reproducible_and_differ_by_seed() -> None:
@@ -101,140 +57,155 @@ def test_layouts_are_reproducible_and_differ_by_seed() -> None:
     assert not equal(draw_layout(7), draw_layout(7, Difficulty(row_spacing_m=6.0)))
 
 
-def test_no_lane_is_in_both_splits() -> None:
-    evaluation = {lane_seed("evaluation", index) for index in (0, 1, EVALUATION_SEEDS - 1)}
-    training = {lane_seed("training", index) for index in (0, 1, EVALUATION_SEEDS - 1)}
-    assert max(evaluation) < min(training)
-    with pytest.raises(ValueError, match="must be at least 0"):
-        lane_seed("evaluation", EVALUATION_SEEDS)
+@pytest.mark.parametrize(("split", "first"), [("evaluation", 0), ("training", 1_000_000)])
+def test_a_million_lanes_belong_to_each_split_and_none_to_both(split: Split, first: int) -> None:
+    assert [lane_seed(split, index) for index in (0, 1, 999_999)] == [first, first + 1, first + 999_999]
+    for index in (-1, EVALUATION_SEEDS):
+        with pytest.raises(ValueError, match="must be at least 0"):
+            lane_seed(split, index)
 
 
 @settings(max_examples=50, deadline=None)
 @given(
     seed=st.integers(0, 2**63),
     per_row=st.integers(0, 4),
+    first=st.floats(2.0, 30.0),
     spacing=st.floats(3.0, 40.0),
     gap=st.floats(0.8, 2.0),
 )
-def test_rows_keep_their_distances(seed: int, per_row: int, spacing: float, gap: float) -> None:
-    difficulty = Difficulty(obstacles_per_row=per_row, row_spacing_m=spacing, min_gap_m=gap, half_width_m=0.3)
+def test_rows_keep_their_distances(seed: int, per_row: int, first: float, spacing: float, gap: float) -> None:
+    """From the first up to half a spacing before the end, unless there are too few obstacles for so many."""
+    difficulty = Difficulty(
+        first_row_m=first, obstacles_per_row=per_row, row_spacing_m=spacing, min_gap_m=gap, half_width_m=0.3
+    )
     layout = draw_layout(seed, difficulty)
-    assert len(layout) <= MAX_OBSTACLES
+    wanted = [first + spacing * row for row in range(100) if first + spacing * row < 150.0 - spacing / 2]
+    np.testing.assert_allclose(layout.x_m, np.repeat(wanted[: 64 // max(per_row, 1)], per_row))
     assert np.all(np.abs(layout.y_m) <= WIDTH_M / 2)
-    assert np.all(layout.x_m < LENGTH_M)
+    assert (layout.half_width_m == 0.3).all()
+    assert not layout.round.any()
     if per_row:
-        rows = layout.y_m.reshape(-1, per_row)
-        assert np.all(np.diff(rows, axis=1) >= 0.6 + gap - 1e-9)
-        assert np.allclose(np.diff(layout.x_m[::per_row]), spacing)
+        assert np.all(np.diff(layout.y_m.reshape(-1, per_row), axis=1) >= 0.6 + gap - 1e-9)
 
 
-def test_difficulty_sets_light_textures_and_wind() -> None:
-    plain = draw_layout(3, Difficulty(light=(1.0, 1.0), texture_variation=0.0))
-    assert plain.light == 1.0
-    assert not plain.texture.any()
-    assert plain.wind_m_s == (0.0, 0.0, 0.0)
-    assert np.hypot(*draw_layout(3, Difficulty(wind_m_s=4.0)).wind_m_s[:2]) == pytest.approx(4.0)
+def drawn(difficulty: Difficulty, count: int = 2000) -> list[LaneLayout]:
+    return [draw_layout(seed, difficulty) for seed in range(count)]
+
+
+def assert_uniform(values: NDArray[np.float64], low: float, high: float) -> None:
+    """By its ends, and by the largest distance of the sample's distribution from the straight line."""
+    share = np.sort((values - low) / (high - low))
+    assert 0.0 <= share[0] < 0.01
+    assert 0.99 < share[-1] <= 1.0
+    assert np.abs(share - (np.arange(len(share)) + 0.5) / len(share)).max() < 2.0 / len(share) ** 0.5
+
+
+def test_light_sun_and_wind_are_drawn_evenly() -> None:
+    layouts = drawn(Difficulty(light=(0.2, 0.6), wind_m_s=4.0, obstacles_per_row=1, row_spacing_m=100.0))
+    assert_uniform(np.array([layout.light for layout in layouts]), 0.2, 0.6)
+    assert_uniform(np.array([layout.sun_azimuth_rad for layout in layouts]), -1.0, 1.0)
+    north, east, down = np.array([layout.wind_m_s for layout in layouts]).T
+    np.testing.assert_allclose(np.hypot(north, east), 4.0)
+    assert not down.any()
+    assert_uniform(np.arctan2(east, north), -np.pi, np.pi)
+
+
+def test_what_is_drawn_by_default() -> None:
+    """Calm, between 0.7 of daylight and all of it, 14 rows of two posts from 10 m on."""
+    layouts = drawn(Difficulty(), 500)
+    assert {layout.wind_m_s for layout in layouts} == {(0.0, 0.0, 0.0)}
+    assert_uniform(np.array([layout.light for layout in layouts]), 0.7, 1.0)
+    np.testing.assert_array_equal(layouts[0].x_m, np.repeat(np.arange(10.0, 141.0, 10.0), 2))
+    assert (layouts[0].half_width_m == 0.4).all()
+
+
+@pytest.mark.parametrize(("varied", "share"), [(1.0, 1.0), (0.5, 0.5), (0.0, 0.0)])
+def test_a_share_of_the_textures_is_drawn_evenly(varied: float, share: float) -> None:
+    layouts = drawn(Difficulty(texture_variation=varied))
+    textures = np.concatenate([layout.texture for layout in layouts])
+    for indices, kinds in (
+        (textures, 4),
+        (np.array([layout.wall_texture for layout in layouts]), 2),
+        (np.array([layout.ground_texture for layout in layouts]), 2),
+    ):
+        counts = np.bincount(indices, minlength=kinds) / len(indices)
+        wanted = np.full(kinds, share / kinds) + (1 - share) * (np.arange(kinds) == 0)
+        np.testing.assert_allclose(counts, wanted, atol=4 * 0.5 / len(indices) ** 0.5)
+    walls, grounds = (
+        [getattr(layout, name) for layout in layouts] for name in ("wall_texture", "ground_texture")
+    )
+    if share:
+        assert abs(np.corrcoef(walls, grounds)[0, 1]) < 0.1
+
+
+def test_lateral_places_are_uniform_among_those_that_keep_the_gap() -> None:
+    """Less the least distance to those before, a row is as many sorted uniform numbers; and rows differ."""
+    layouts = drawn(
+        Difficulty(obstacles_per_row=3, half_width_m=0.5, min_gap_m=1.5, row_spacing_m=60.0), 1500
+    )
+    rows = np.array([layout.y_m.reshape(-1, 3)[:2] for layout in layouts])
+    slack = rows + 5.0 - 2.5 * np.arange(3)
+    assert_uniform(slack.ravel(), 0.0, 5.0)
+    np.testing.assert_allclose(slack.mean(axis=(0, 1)), 5.0 * np.array([1, 2, 3]) / 4, atol=0.1)
+    assert abs(np.corrcoef(slack[:, 0, 1], slack[:, 1, 1])[0, 1]) < 0.1
 
 
 def test_a_row_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(UserError, match=r"difficulty\.yaml: .*need .* m; the lane is 10 m wide"):
+    with pytest.raises(UserError, match=r"difficulty\.yaml: .*need 11.4 m; the lane is 10 m wide"):
         validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 3.0}, "difficulty.yaml")
+    assert validate(Difficulty, {"obstacles_per_row": 4, "min_gap_m": 2.5}, "difficulty.yaml")
 
 
-@pytest.mark.parametrize("cylinder", [False, True])
-def test_free_distance_is_where_mujoco_finds_the_contact(scene: Scene, cylinder: bool) -> None:
-    model, data = scene
-    layout = one_post(30.0, 1.0, cylinder=cylinder)
-    apply_layout(model, data, layout)
-    for offset in (0.3, 0.5, 1.0, 1.6):
-        touch = free_distance_m(layout, offset)
-        assert clearance_m(layout, (touch, offset)) == pytest.approx(0.0, abs=1e-9)
-        for north, found in ((touch - 0.02, ""), (touch + 0.02, "obstacle_00")):
-            assert place_and_step(model, data, north, offset) == found
+# --- a lane of one's own ------------------------------------------------------------------------------------------
+
+WRITTEN = """
+obstacles:
+  - {x_m: 12, y_m: 0.5, half_side_m: 0.4}
+  - {x_m: 20, y_m: -2, radius_m: 0.6, texture: yellow}
+wall_texture: brick
+ground_texture: grass
+light: 0.8
+sun_azimuth_rad: -0.3
+wind_m_s: [1, -2, 0.5]
+"""
 
 
-def test_free_distance_beside_everything() -> None:
-    layout = one_post(30.0, 1.0)
-    assert free_distance_m(layout, 1.0 + 0.4 + HULL_RADIUS_M + 0.001) == LENGTH_M
-    assert free_distance_m(layout, 4.9) == 0.0
-
-
-def place_and_step(
-    model: mujoco.MjModel, data: mujoco.MjData, x_m: float, y_m: float, z_m: float = -10.0
-) -> str:
-    """Name of what the drone touches when it is at a NED place."""
-    data.qpos[:7] = (x_m, -y_m, -z_m, 1.0, 0.0, 0.0, 0.0)
-    data.qvel[:] = 0.0
-    mujoco.mj_step(model, data)
-    assert (data.sensor("collision").data[0] > 0) == bool(collision_object(model, data))
-    return collision_object(model, data)
-
-
-def test_walls_and_ground_are_hit_and_named(scene: Scene) -> None:
-    model, data = scene
-    apply_layout(model, data, draw_layout(0))
-    assert place_and_step(model, data, 3.0, 4.7) == "wall_east"
-    assert place_and_step(model, data, 3.0, -4.7) == "wall_west"
-    assert place_and_step(model, data, 3.0, 0.0, z_m=-0.02) == "ground"
-    assert place_and_step(model, data, 3.0, 0.0) == ""
-
-
-def test_every_obstacle_of_a_new_layout_is_hit_where_it_stands(scene: Scene) -> None:
-    """MuJoCo's tree of bounding boxes follows the obstacles: none is missed, and nothing is left behind."""
-    model, data = scene
-    for seed in (1, 2):
-        layout = draw_layout(seed)
-        apply_layout(model, data, layout)
-        for index, (x, y) in enumerate(zip(layout.x_m, layout.y_m, strict=True)):
-            assert (
-                place_and_step(model, data, x - 0.6, float(np.clip(y, -4.4, 4.4))) == f"obstacle_{index:02d}"
-            )
-    apply_layout(model, data, layout_from({"obstacles": []}, "test"))
-    assert all(
-        place_and_step(model, data, x, y) == ""
-        for x, y in zip(layout.x_m, layout.y_m.clip(-4, 4), strict=True)
-    )
-
-
-def test_a_flight_ends_at_the_step_of_the_collision() -> None:
-    world = World("lane", NATIVE)
-    layout = one_post(3.0, 0.0)
-    world.set_lane(layout)
-    world.reset()
-    world.fly_velocity((1.0, 0.0, 0.0), height_held=False, yaw=0.0, yaw_is_rate=True)
-    world.advance(5000)
-    assert world.collision_tick is not None
-    assert world.collision_object == "obstacle_00"
-    assert world.kinematics().position_m[0] == pytest.approx(free_distance_m(layout, 0.0), abs=0.02)
-
-
-def test_a_layout_survives_the_reset_of_the_data(scene: Scene) -> None:
-    model, data = scene
-    apply_layout(model, data, one_post(30.0, 1.0))
-    mujoco.mj_resetData(model, data)
-    assert place_and_step(model, data, 29.5, 1.0) == "obstacle_00"
-
-
-def test_too_many_obstacles_and_other_scenes_are_refused(scene: Scene) -> None:
-    blocks = mujoco.MjModel.from_xml_path(str(asset("mjcf/blocks.xml")))
-    assert len(obstacle_geoms(scene[0])) == MAX_OBSTACLES
-    with pytest.raises(UserError, match="the scene 0"):
-        apply_layout(blocks, mujoco.MjData(blocks), draw_layout(0))
-
-
-def test_a_layout_of_ones_own(tmp_path: Path) -> None:
+def test_a_lane_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "lane.yaml"
-    path.write_text(
-        "obstacles:\n"
-        "  - {x_m: 12, y_m: 0.5, half_side_m: 0.4}\n"
-        "  - {x_m: 20, y_m: -2, radius_m: 0.6, texture: yellow}\n"
-        "light: 0.8\n"
-    )
-    layout = load_layout(path)
-    assert layout.round.tolist() == [False, True]
-    assert layout.half_width_m.tolist() == [0.4, 0.6]
-    assert layout.texture.tolist() == [0, 2]
-    assert layout.light == 0.8
+    path.write_text(WRITTEN)
+    expected = LaneLayout(
+        x_m=np.array([12.0, 20.0]), y_m=np.array([0.5, -2.0]), half_width_m=np.array([0.4, 0.6]),
+        round=np.array([False, True]), texture=np.array([0, 2]), wall_texture=1, ground_texture=1,
+        light=0.8, sun_azimuth_rad=-0.3, wind_m_s=(1.0, -2.0, 0.5),
+    )  # fmt: skip
+    assert equal(layout_from(load_yaml(path), str(path)), expected)
+    lane = parse_lane(str(path))
+    assert isinstance(lane, LaneFile)
+    assert equal(lane_layout(lane.model_dump()), expected)
+    assert parse_lane(load_yaml(path)) == lane
+    path.write_text(WRITTEN.replace("radius_m", "radius"))
+    with pytest.raises(UserError, match=r"lane\.yaml: .*obstacles.1.radius"):
+        parse_lane(str(path))
+
+
+def test_a_lane_that_says_little_is_bright_calm_and_plain() -> None:
+    layout = layout_from({"obstacles": []}, "test")
+    assert (layout.light, layout.wind_m_s, layout.sun_azimuth_rad) == (1.0, (0.0, 0.0, 0.0), 0.5)
+    assert (layout.wall_texture, layout.ground_texture, len(layout)) == (0, 0, 0)
+
+
+def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
+    assert equal(lane_layout(5), draw_layout(5))
+    assert equal(lane_layout({"seed": 5}), draw_layout(5))
+    windy = {"seed": 5, "difficulty": {"wind_m_s": 3.0}}
+    assert equal(lane_layout(windy), draw_layout(5, Difficulty(wind_m_s=3.0)))
+    assert parse_lane(windy) is windy
+    assert parse_lane(5) == 5
+    for wrong in (True, 1.5, {"seed": "a"}):
+        with pytest.raises(ValueError, match="a lane is a seed"):
+            lane_layout(wrong)
+    with pytest.raises(UserError, match=r"difficulty: .*wind_m_s"):
+        lane_layout({"seed": 5, "difficulty": {"wind_m_s": -1.0}})
 
 
 @pytest.mark.parametrize(
@@ -243,11 +214,14 @@ def test_a_layout_of_ones_own(tmp_path: Path) -> None:
         ({}, "key 'obstacles' is missing"),
         ({"obstacles": [], "lihgt": 1}, "did you mean 'light'"),
         ({"obstacles": [{"x_m": 9, "y_m": 0}]}, "obstacles.0 = .*radius_m"),
+        ({"obstacles": [{"x_m": 9, "y_m": 0, "radius_m": 1, "half_side_m": 1}]}, "obstacles.0 = .*radius_m"),
         ({"obstacles": [{"x_m": 9, "y_m": "left", "radius_m": 1}]}, "obstacles.0.y_m"),
-        ({"obstacles": [{"x_m": 0.5, "y_m": 0, "radius_m": 0.4}]}, "within 0.3418 m of the start"),
+        ({"obstacles": [{"x_m": 151, "y_m": 0, "radius_m": 1}]}, "obstacles.0.x_m"),
+        ({"obstacles": [{"x_m": 9, "y_m": -5.1, "radius_m": 1}]}, "obstacles.0.y_m"),
+        ({"obstacles": [{"x_m": 0.7, "y_m": 0, "radius_m": 0.4}]}, "within 0.3418 m of the start"),
         ({"obstacles": [{"x_m": 9, "y_m": 0, "radius_m": 1}] * (MAX_OBSTACLES + 1)}, "at most 64"),
     ],
 )
-def test_a_wrong_layout_is_refused(mapping: dict[str, object], said: str) -> None:
+def test_a_wrong_lane_is_refused(mapping: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=f"lane.yaml: .*{said}"):
         layout_from(mapping, "lane.yaml")

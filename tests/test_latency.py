@@ -104,14 +104,19 @@ def test_latencies_follow_their_quantiles() -> None:
 
 
 def test_seeds_and_their_children_draw_other_numbers() -> None:
-    config = LatencyConfig(request_us={"call": RISING_US}, reply_us={"call": RISING_US}, issue_us=RISING_US)
-    games = {
-        tuple(latency_of(config, seed, *key).request_ns("call") for _ in range(1)) for seed, key in
-        [(0, ()), (1, ()), (0, (1,)), (0, (2,)), (0, (1, 2))]
-    }  # fmt: skip
+    requests_us = {"call": RISING_US, "move": RISING_US}
+    config = LatencyConfig(request_us=requests_us, reply_us={"call": RISING_US}, issue_us=RISING_US)
+    seeds: list[tuple[int, ...]] = [(0,), (1,), (0, 1), (0, 2), (0, 1, 2)]
+    games = {latency_of(config, *seed).request_ns("call") for seed in seeds}
     assert len(games) == 5
     latency = latency_of(config)
-    assert len({latency.request_ns("call"), latency.reply_ns("call"), latency.issue_ns()}) == 3
+    kinds = {
+        latency.request_ns("call"),
+        latency.request_ns("move"),
+        latency.reply_ns("call"),
+        latency.issue_ns(),
+    }
+    assert len(kinds) == 4
 
 
 @given(st.lists(st.sampled_from(CHANNELS), max_size=60), st.integers(0, 2**32 - 1))

@@ -24,11 +24,13 @@ def test_there_are_blocks_of_two_kinds() -> None:
     assert README.count("```") == 2 * len(BLOCKS)
 
 
+@pytest.mark.wall_clock
 @pytest.mark.parametrize("code", [code for code in PYTHON if "import airsim" not in code])
 def test_programs_run(code: str) -> None:
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 
+@pytest.mark.wall_clock
 @pytest.mark.parametrize("code", [code for code in PYTHON if "import airsim" in code])
 def test_airsim_scripts_fly(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Against a client with AirSim's names, on a port that is free."""
@@ -42,6 +44,7 @@ def test_airsim_scripts_fly(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
         exec(compile(code, "README.md", "exec"), {})
 
 
+@pytest.mark.wall_clock
 @pytest.mark.parametrize("line", SHELL)
 def test_commands_run(line: str, tmp_path: Path) -> None:
     program, command, *options = line.split()

@@ -134,7 +134,7 @@ def replay(world: World, case: str) -> Flight:
         if event.kind == "cmd_issue":
             wall_ns = simulation.pacer.wall_due(world.tick)
             api.call("moveByVelocity", (*event.velocity, T_MOVE_S[case], *options), wall_ns)
-    return Flight(np.array(states), np.array(simulation.commands, float).reshape(-1, 2))
+    return Flight(np.array(states), simulation.commands.ticks().astype(float))
 
 
 def start_at_rest(world: World) -> None:

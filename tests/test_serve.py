@@ -7,14 +7,29 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.airsim_client import MultirotorClient
-from uavaccel.cli.serve import ServeOptions, address_of, clock_speed_of, recordings_of, serve, simulation_of
+from tests.simulating import simulate
+from uavaccel.cli.serve import (
+    PERIOD_NS,
+    Report,
+    ServeOptions,
+    address_of,
+    clock_speed_of,
+    recordings_of,
+    serve,
+    simulation_of,
+)
+from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
+from uavaccel.wire.api import Api
 from uavaccel.wire.recorder import FILE_NAME
 from uavaccel.wire.settings import Settings
+
+pytestmark = pytest.mark.wall_clock
 
 COMMAND = [sys.executable, "-m", "uavaccel", "serve"]
 ROOT = Path(__file__).parents[1]
@@ -125,3 +140,69 @@ def test_wind_and_recorder_reach_the_simulation() -> None:
     simulation = simulation_of(ServeOptions(), settings, 1.0)
     assert simulation.world.state["wind"].tolist() == [2.0, 0.0, 0.0]
     assert simulation.profile.recorder_ticks == 100
+
+
+class AirSimServer(SimpleNamespace):
+    """What a Report looks at: a clock that the test moves and a simulation at 10x."""
+
+    def __init__(self) -> None:
+        self.simulation = simulate(10.0)
+        super().__init__(clock=VirtualClock(), api=Api(self.simulation, render=False))
+
+    def pass_time(self, wall_ns: int, lost_ns: int = 0) -> None:
+        self.clock.charge(wall_ns)
+        self.simulation.advance_to(self.clock.now_ns())
+        self.simulation.speed.lost_wall_ns += lost_ns
+
+
+def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> None:
+    server = AirSimServer()
+    report = Report(server)  # type: ignore[arg-type]
+    server.pass_time(100_000_000)
+    server.simulation.reset(server.clock.now_ns())
+    report.each_turn()
+    server.simulation.set_clock_speed(20, server.clock.now_ns())
+    server.pass_time(300_000_000)
+    report.each_turn()
+    assert capsys.readouterr().out == "", "no period is over"
+    report.finish()
+    assert capsys.readouterr().out == "stopped; requested 20x, achieved 17.50x over 0.4 s\n"
+
+
+def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest.CaptureFixture[str]) -> None:
+    server = AirSimServer()
+    report = Report(server)  # type: ignore[arg-type]
+
+    def period(lost_ns: int) -> str:
+        server.pass_time(PERIOD_NS, lost_ns)
+        report.each_turn()
+        return capsys.readouterr().out
+
+    assert period(PERIOD_NS // 250) == (""), "less than half a percent"
+    assert period(PERIOD_NS // 100).startswith(
+        "warning: the machine does not keep up; requested 10x, achieved 10.00x"
+    )
+    assert period(PERIOD_NS // 100) == ""
+    assert "of wall time lost" in period(PERIOD_NS // 10)
+    server.simulation.failure = "mjWARN_BADQPOS"
+    assert period(0) == "warning: the flight cannot go on (mjWARN_BADQPOS); a reset starts anew\n"
+    assert period(0) == ""
+    server.simulation.failure = None
+    assert period(0) == ""
+    server.simulation.failure = "mjWARN_BADQPOS"
+    assert "cannot go on" in period(0)
+
+
+def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = AirSimServer()
+    report = Report(server)  # type: ignore[arg-type]
+
+    def full() -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(server.api.recorder, "keep", full)
+    server.pass_time(PERIOD_NS)
+    report.each_turn()
+    assert capsys.readouterr().out == "warning: the recording ends here: no space left\n"

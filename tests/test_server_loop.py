@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import selectors
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -11,11 +12,13 @@ import pytest
 
 from tests.simulating import simulate
 from uavaccel.clock import MonotonicClock, VirtualClock
+from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Connection, Server
 from uavaccel.wire.server_process import ready_simulation
+from uavaccel.wire.transport import SocketTransport
 
 MS = 1_000_000
 MOVE = ("moveByVelocity", [1.0, 0.0, 0.0, 0.1, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""])
@@ -136,7 +139,7 @@ def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
     simulation.pause(0)
     connection, client = connected(server)
     with client:
-        requests = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
+        requests: list[Any] = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
         client.sendall(b"".join(rpc.pack_request(*request) for request in requests))
         server._read(connection)
         server._flush()
@@ -166,6 +169,20 @@ def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(
     assert second[1:] == [2, "rpclib: server could not find function 'fly' with argument count 0.", None]
 
 
+def test_a_notification_gets_no_answer(stepped: tuple[Server, SteppedClock]) -> None:
+    server, _ = stepped
+    server.api.simulation.pause(0)
+    connection, client = connected(server)
+    with client:
+        for method in ("simPause", "fly"):
+            client.sendall(msgpack.packb([rpc.NOTIFY, method, [False]]))
+        client.sendall(rpc.pack_request(1, "ping", []))
+        server._read(connection)
+        server._flush()
+        assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
+    assert not server.api.simulation.paused, "it was heeded"
+
+
 def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Server, SteppedClock]) -> None:
     server, _ = stepped
     text = "x" * (1 << 20)
@@ -177,10 +194,12 @@ def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Serve
         server._read(connection)
         server._flush()
         assert connection.unsent, "the buffers of both ends hold less"
+        assert server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         client.settimeout(60)
         while connection.unsent:
             received += client.recv(1 << 20)
             server._send(connection)
+        assert not server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         while len(received) < 8 * len(rpc.pack_response(1, None, text)):
             received += client.recv(1 << 20)
     assert received == rpc.pack_response(1, None, text) * 8
@@ -191,26 +210,49 @@ def test_each_turn_reads_flies_and_answers() -> None:
     simulation = simulate(10.0, wall_ns=MonotonicClock().now_ns())
     simulation.reset(MonotonicClock().now_ns())
     server = Server(Api(simulation, render=False), port=0)
-    turns = 0
+    ticks: list[int] = []
     with socket.create_connection(server.address) as client:
         client.sendall(rpc.pack_request(1, "ping", []))
 
         def count() -> None:
-            nonlocal turns
-            turns += 1
-            if simulation.world.tick >= 5 and turns >= 20:
+            ticks.append(simulation.world.tick)
+            if len(ticks) == 150:
                 server.stop()
 
         server.serve(count)
         assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
         assert client.recv(1) == b"", "it hung up when it ended"
+    assert ticks[-1] > ticks[100], "no message has come for long, and it flies on"
 
 
 def test_a_server_process_starts_settled_and_running_on_the_machines_clock() -> None:
     before_ns = MonotonicClock().now_ns()
     simulation = ready_simulation("blocks", AIRSIM, 3.0)
-    assert (simulation.world.tick, simulation.paused, simulation.clock_speed) == (0, False, 3)
+    assert (simulation.world.tick, simulation.paused, float(simulation.clock_speed)) == (0, False, 3.0)
     assert simulation.catch_up_wall_ns == AIRSIM.catch_up_wall_ns
     assert simulation.pacer.wall_due(0) >= before_ns
     assert simulation.kinematics().position_m == (0.0, 0.0, -10.0)
     simulation.world.close()
+
+
+# --- addresses ----------------------------------------------------------------------------------------------
+
+
+def test_a_port_in_use_is_one_line(stepped: tuple[Server, SteppedClock]) -> None:
+    with pytest.raises(
+        UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"
+    ):
+        Server(Api(simulate()), port=stepped[0].address[1])
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_there_cannot_be_is_one_line(port: int) -> None:
+    with pytest.raises(UserError, match=f"port must be 0 to 65535, not {port}"):
+        Server(Api(simulate()), port=port)
+
+
+def test_no_server_is_one_line() -> None:
+    unused = Server(Api(simulate()), port=0)
+    unused.close()
+    with pytest.raises(UserError, match="start one with `uavaccel serve`"):
+        SocketTransport(*unused.address)

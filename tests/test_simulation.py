@@ -9,7 +9,7 @@ from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim import autopilot
-from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.wire.api import Api
 
 TICK_NS = NATIVE.tick_ns
@@ -111,6 +111,25 @@ def test_position_hold_sets_in_60_ms_after_the_last_goal(gap_ticks: int) -> None
     simulation.fly_velocity(NORTH, 0.2, wall_ns)
     go_to(simulation, 100 + gap_ticks + 99)
     assert simulation.world.state["xy_mode"] == autopilot.VELOCITY
+
+
+@pytest.mark.parametrize(
+    ("profile", "cancelled", "held"),
+    [(NATIVE, 40, 70)] + [(AIRSIM, 42 + n, 63) for n in range(7)] + [(AIRSIM, 49, 70)],
+)
+@pytest.mark.parametrize("call", ["cancelLastTask", "hover"])
+def test_after_a_cancel_position_hold_counts_from_the_last_goal(
+    profile: Profile, cancelled: int, held: int, call: str
+) -> None:
+    """Every tick sets it anew in `native`, every seventh after the acceptance in `airsim`: 20 ms on a grid of 3 ms."""
+    simulation = simulate(1.0, profile)
+    wall_ns = go_to(simulation, 5)
+    simulation.fly_velocity(NORTH, 5.0, wall_ns)
+    Api(simulation).call(call, [], go_to(simulation, 5 + cancelled))
+    go_to(simulation, 5 + held - 1)
+    assert simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    go_to(simulation, 5 + held)
+    assert simulation.world.state["xy_mode"] == autopilot.POSITION
 
 
 def test_position_hold_brings_the_drone_to_rest() -> None:

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
 from uavaccel.errors import UserError
-from uavaccel.sim import world
+from uavaccel.sim import recording as recordings
+from uavaccel.sim import samples
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
 CATCH_UP_NS = NATIVE.catch_up_wall_ns
@@ -28,7 +30,7 @@ CATCH_UP_NS = NATIVE.catch_up_wall_ns
 def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) -> None:
     """The recorder runs from the game's start and starts again when the first command is accepted."""
     simulation = simulate(100, profile)
-    simulation.world.start_recording()
+    simulation.record()
     wall_ns = go_to(simulation, 37)
     assert len(simulation.recording().samples) > 1
     simulation.fly_velocity(NORTH, 1.0, wall_ns)
@@ -45,7 +47,7 @@ def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) 
 
 def test_samples_are_the_states_at_their_ticks() -> None:
     simulation = simulate()
-    simulation.world.start_recording()
+    simulation.record()
     simulation.fly_velocity(NORTH, 1.0, 0)
     states = []
     for tick in range(0, 501, 25):
@@ -58,7 +60,7 @@ def test_samples_are_the_states_at_their_ticks() -> None:
 
 def test_arrays_of_a_recording_have_decimal_times() -> None:
     simulation = simulate()
-    simulation.world.start_recording()
+    simulation.record()
     for tick in (5, 505):
         simulation.fly_velocity(NORTH, 1.0, go_to(simulation, tick))
     go_to(simulation, 1005)
@@ -78,26 +80,38 @@ def test_arrays_of_a_recording_have_decimal_times() -> None:
 
 
 def test_a_full_recorder_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world, "SAMPLE_CAPACITY", 8)
-    simulation = Simulation(world.World("blocks", NATIVE))
-    simulation.world.start_recording()
+    monkeypatch.setattr(samples, "SAMPLE_CAPACITY", 8)
+    simulation = Simulation(World("blocks", NATIVE))
+    simulation.record()
     go_to(simulation, 11 * NATIVE.recorder_ticks)
     recording = simulation.recording()
     assert recording.samples[:, 0].tolist() == [25 * i for i in range(8)]
     assert recording.dropped == 4
-    simulation.world.start_recording()
+    simulation.record()
     assert (len(simulation.recording().samples), simulation.recording().dropped) == (1, 0)
 
 
 def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     simulation = simulate()
-    simulation.world.start_recording()
+    simulation.record()
     simulation.fly_velocity(NORTH, 0.1, 0)
     simulation.reset(go_to(simulation, 100))
     assert not simulation.world.recording
     go_to(simulation, 100)
     recording: Recording = simulation.recording()
     assert recording.commands.shape == (0, 2)
+
+
+def test_a_full_command_log_keeps_the_time_of_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
+    simulation = simulate()
+    simulation.record()
+    for tick in (10, 30, 50, 70, 90):
+        simulation.fly_velocity(NORTH, 0.02, go_to(simulation, tick))
+    go_to(simulation, 110)
+    kept = simulation.recording()
+    assert kept.commands.tolist() == [[40, 50], [60, 70], [80, 90]]
+    assert kept.samples[:, 0].tolist() == [0, 25, 50, 75, 100]
 
 
 # --- speed ----------------------------------------------------------------------------------------------
@@ -161,7 +175,7 @@ def test_lost_time_never_changes_the_step() -> None:
 
     def positions(wait_ns: int) -> tuple[NDArray[np.float64], Simulation]:
         simulation = simulate(10, catch_up_wall_ns=CATCH_UP_NS)
-        simulation.world.start_recording()
+        simulation.record()
         simulation.fly_velocity(NORTH, 20.0, 0)
         wall_ns = 0
         while simulation.world.tick < 10_000:
@@ -194,7 +208,7 @@ def test_a_flight_that_cannot_be_integrated_is_a_failure_and_no_wait_for_ever(
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     simulation = simulate(100)
-    simulation.world.start_recording()
+    simulation.record()
     command = simulation.fly_velocity(NORTH, 1.0, 0)
     wall_ns = go_to(simulation, 100)
     simulation.world.data.qvel[0] = poison
@@ -249,7 +263,7 @@ def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: f
 
     def flown(looks_ns: list[int]) -> NDArray[np.float64]:
         simulation = simulate(clock_speed)
-        simulation.world.start_recording()
+        simulation.record()
         ends = [simulation.pacer.wall_due(tick) for tick in (100, 180)]
         simulation.fly_velocity(NORTH, 0.2, 0)
         for wall_ns in [look for look in looks_ns if look < ends[1]]:

@@ -20,8 +20,7 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import learning_rhythm, make_model
@@ -31,6 +30,8 @@ from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.flights import CHECKPOINTS
+
+pytestmark = pytest.mark.slow
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
@@ -340,6 +341,7 @@ def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) 
     ("keys", "said"),
     [
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
+        ({"algorithm": "sac"}, "algorithm = 'sac': wants continuous actions"),
         ({"options": {"learning_tempo": 1}}, "options of double_dqn: .*learning_tempo"),
     ],
 )

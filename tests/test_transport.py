@@ -161,6 +161,15 @@ def test_a_wall_timer_is_late_by_what_is_drawn_and_says_when_it_was_due() -> Non
     ]
 
 
+def test_a_wall_timer_ends_on_the_dot_whoever_asks_next() -> None:
+    """A message that comes long after it does not let the simulation run until then."""
+    client = new_client(10.0, AIRSIM)
+    t_start = client.kinematics().time_ns
+    client.transport.send("simContinueForTime", (0.03,), blocking=False)
+    client.transport.clock.sleep_until(client.now_ns() + 100 * MS)
+    assert client.kinematics().time_ns - t_start == (30_000 + TIMER_US) // 300 * 3 * MS
+
+
 # --- a socket -----------------------------------------------------------------------------------------------
 
 
@@ -258,9 +267,10 @@ def test_an_answer_comes_before_the_moment_it_was_expected_at(ends: tuple[Socket
 def test_a_server_that_has_gone_is_an_error(ends: tuple[SocketTransport, Peer]) -> None:
     transport, peer = ends
     call = transport.send("ping", (), blocking=True)
+    assert len(peer.requests()) == 1  # with nothing unread it ends politely
     peer.connection.close()
-    with pytest.raises(ConnectionError):
-        transport.wait(call)
+    with pytest.raises(ConnectionError, match="the server closed the connection"):
+        transport.wait(call, transport.clock.now_ns() + 10**9)
 
 
 def test_what_a_socket_may_change_is_not_known_any_more(ends: tuple[SocketTransport, Peer]) -> None:

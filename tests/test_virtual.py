@@ -150,16 +150,6 @@ def test_the_wall_time_of_lockstep_is_the_simulated_time_over_clock_speed() -> N
         assert client.speed()["real_time_factor"] == 50
 
 
-@pytest.mark.parametrize("command", ["adsc", "tcsc"])
-def test_a_continue_for_and_a_join_are_never_faster_than_the_clock(command: str) -> None:
-    client = start(100, LOOPBACK)
-    fly(client, command)
-    speed = client.speed()
-    assert 0 < speed["simulated_ns"] <= 100 * speed["wall_ns"]
-    assert client.now_ns() > 4 * 10**9 // 100
-    assert speed["lost_wall_ns"] == 0
-
-
 # --- repeatability ----------------------------------------------------------------------------------------
 
 

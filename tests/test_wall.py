@@ -18,6 +18,8 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session, VirtualSession, WallSession
 
+pytestmark = pytest.mark.wall_clock
+
 NORTH = VelocityGoal((1.0, 0.0, 0.0))
 SEED = np.random.SeedSequence(0)
 
@@ -84,13 +86,6 @@ def test_a_continue_for_is_exact_and_never_early(session: Session, duration_ns: 
     assert state.time_ns - start.time_ns == duration_ns
     assert client.call("simIsPaused") is True
     assert client.kinematics() == state, "the clock stands"
-
-
-def test_airsims_continue_for_time_counts_wall_seconds(session: Session) -> None:
-    client = session.start_game(50, SEED)
-    start_ns = client.kinematics().time_ns
-    client.call("simContinueForTime", 0.01)
-    assert client.kinematics().time_ns - start_ns == 500_000_000
 
 
 def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Session) -> None:

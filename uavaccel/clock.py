@@ -72,7 +72,7 @@ class Pacer:
     Exact: `ticks_due(wall_due(n)) == n` for every n. With floats a virtual clock could spin for ever.
     """
 
-    def __init__(self, clock_speed: float, tick_ns: int) -> None:
+    def __init__(self, clock_speed: float | Fraction, tick_ns: int) -> None:
         self.tick_ns = tick_ns
         self._wall0_ns = 0
         self._tick0 = 0
@@ -96,6 +96,11 @@ class Pacer:
         """Let `tick` be due at `wall_ns`."""
         self._wall0_ns, self._tick0 = wall_ns, tick
 
+    @property
+    def anchored(self) -> tuple[int, int]:
+        """Wall time in ns and tick of the last `anchor`."""
+        return self._wall0_ns, self._tick0
+
     def ticks_due(self, wall_ns: int) -> int:
         """The last tick due at `wall_ns`."""
         return self._tick0 + (wall_ns - self._wall0_ns) * self._numerator // self._tick_wall
@@ -105,7 +110,7 @@ class Pacer:
         return self._wall0_ns + ceil_div((tick - self._tick0) * self._tick_wall, self._numerator)
 
 
-def positive_clock_speed(clock_speed: float) -> Fraction:
+def positive_clock_speed(clock_speed: float | Fraction) -> Fraction:
     """The exact decimal that was written. Raises UserError unless it is a finite number above 0."""
     try:
         speed = exact(clock_speed)

@@ -110,10 +110,14 @@ class RunDirectory:
         return path
 
     def write_text(self, name: str, text: str) -> Path:
+        """Write a text file of the run all at once; its path."""
+        return self.write_bytes(name, text.encode())
+
+    def write_bytes(self, name: str, content: bytes) -> Path:
         """Write a file of the run all at once; its path."""
         path = self.file(name)
         with replacing(path) as file:
-            file.write(text.encode())
+            file.write(content)
         return path
 
     def write_json(self, name: str, value: Any) -> Path:

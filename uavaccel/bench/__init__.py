@@ -1,1 +1,1 @@
-"""Instruments: what this machine does, measured; each figure beside the bound that it is judged by."""
+"""Instruments: what this machine does, each measurement beside the bound that it is judged by."""

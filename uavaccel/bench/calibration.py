@@ -21,7 +21,7 @@ from uavaccel.wire.session import WallSession
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1
 BATCH = 24  # commands between two readings of the server's trace
-_STAY = VelocityGoal((0.0, 0.0, 0.0))
+STAY = VelocityGoal((0.0, 0.0, 0.0))
 
 Samples = dict[str, list[int]]
 OnBatch = Callable[[int, int], None]
@@ -46,15 +46,15 @@ class Latencies:
         """The YAML block `latency`."""
         return {
             "quantiles": list(QUANTILES),
-            "request_us": {name: microseconds(self.request[name]) for name in sorted(self.request)},
-            "reply_us": {name: microseconds(self.reply[name]) for name in sorted(self.reply)},
-            "issue_us": microseconds(self.issue),
-            **({"timer_us": microseconds(self.timer)} if self.timer else {}),
+            "request_us": {name: quantiles_us(self.request[name]) for name in sorted(self.request)},
+            "reply_us": {name: quantiles_us(self.reply[name]) for name in sorted(self.reply)},
+            "issue_us": quantiles_us(self.issue),
+            **({"timer_us": quantiles_us(self.timer)} if self.timer else {}),
         }
 
 
-def microseconds(samples_ns: Sequence[int]) -> list[float]:
-    """The samples' quantiles, to a tenth of a microsecond."""
+def quantiles_us(samples_ns: Sequence[int]) -> list[float]:
+    """Quantiles of samples in ns, to a tenth of a microsecond."""
     return [round(float(value) / 1e3, 1) for value in np.quantile(samples_ns, QUANTILES)]
 
 
@@ -85,7 +85,7 @@ def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: La
     command.begin(client)
     client.trace(True)
     for _ in range(BATCH):
-        for _ in command.fly(traced, _STAY, t_move_s, t_move_s):
+        for _ in command.fly(traced, STAY, t_move_s, t_move_s):
             pass
     _gather(tracing, client.trace(False), latencies)
 

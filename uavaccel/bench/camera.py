@@ -1,4 +1,4 @@
-"""How many frames a second the camera takes in the lane, beside a bare loop of MuJoCo's own two calls."""
+"""How many frames per second the camera takes in the lane, beside a bare loop of MuJoCo's own two calls."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FRAMES_AT_EACH = 10
 
 
 def bench_camera(rounds: int = 5) -> dict[str, Any]:
-    """Frames a second of `Camera.colour` and of a bare loop, the best of `rounds` passes along the lane.
+    """Frames per second of `Camera.colour` and of a bare loop, the best of `rounds` passes along the lane.
 
     The bare loop is mjr_render and mjr_readPixels in the same GL context with the same settings; what ours adds is
     poses, scene, field of view and turning the picture over. The two take turns, so that both meet the same load.

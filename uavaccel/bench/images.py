@@ -1,4 +1,4 @@
-"""Benchmarks of seeing: frames a second, one picture over the wire, events of a frame. They need OpenGL."""
+"""Benchmarks of vision: frames per second, one image over the wire, DVS events of a frame. They need OpenGL."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.bench.camera import bench_camera as frame_rates
-from uavaccel.bench.speed import Figure, seconds
+from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import NATIVE
@@ -22,31 +23,33 @@ LANE = 0
 T_SAMPLE_S = 0.33
 
 
-def bench_camera() -> Iterator[Figure]:
+def bench_camera() -> Iterator[Measurement]:
     """Frames of the lane against a bare loop of MuJoCo's two calls, in one process."""
     rates = frame_rates()
     renderer = f"{rates['gl_renderer']}, LP_NUM_THREADS={rates['lp_num_threads']}"
-    yield Figure("frames of 256x144", rates["frames_per_s"], "frames/s", rates["bare_frames_per_s"], renderer)
-    yield Figure("frames over the bare loop", rates["ratio_to_bare"], "", note="aim 0.9")
+    yield Measurement(
+        "frames of 256x144", rates["frames_per_s"], "frames/s", rates["bare_frames_per_s"], renderer
+    )
+    yield Measurement("frames over the bare loop", rates["ratio_to_bare"], "", note="aim 0.9")
 
 
-def bench_image() -> Iterator[Figure]:
+def bench_image() -> Iterator[Measurement]:
     """One gray picture, asked for over the wire, on top of the bare render."""
     with WallSession("lane", "native") as session:
         client = session.start_game(1.0, np.random.SeedSequence(0), lane=LANE)
         client.image("gray")
-        wire_s = median(seconds(lambda: client.image("gray")) for _ in range(PICTURES))
+        wire_s = median(elapsed_s(lambda: client.image("gray")) for _ in range(PICTURES))
     world = World("lane", NATIVE)
     world.set_lane(draw_layout(LANE))
     camera, out = world.camera(256, 144), np.empty((144, 256, 3), np.uint8)
     camera.colour(world.data)
-    bare_s = median(seconds(lambda: camera.render_again(out)) for _ in range(PICTURES))
+    bare_s = median(elapsed_s(lambda: camera.render_again(out)) for _ in range(PICTURES))
     world.close()
-    yield Figure("picture over the wire", wire_s * 1e3, "ms", bare_s * 1e3, "bound: the bare render")
-    yield Figure("what the wire adds", (wire_s - bare_s) * 1e3, "ms", 0.8, "bound: the aim")
+    yield Measurement("picture over the wire", wire_s * 1e3, "ms", bare_s * 1e3, "bound: the bare render")
+    yield Measurement("what the wire adds", (wire_s - bare_s) * 1e3, "ms", 0.8, "bound: the aim")
 
 
-def bench_dvs() -> Iterator[Figure]:
+def bench_dvs() -> Iterator[Measurement]:
     """Events of the frames of a flight through the lane, one core."""
     frames = lane_frames()
     sensor = make_sensor(PRESETS["clean"], (144, 256), 0)
@@ -58,9 +61,9 @@ def bench_dvs() -> Iterator[Figure]:
             nonlocal state
             state, _, _ = step(sensor, state, frame, t_s)
 
-        took.append(seconds(count))
+        took.append(elapsed_s(count))
     note = f"median of {len(took)} frames of a planned flight; bound: the aim"
-    yield Figure("DVS, a frame", median(took) * 1e3, "ms", 0.6, note)
+    yield Measurement("DVS, per frame", median(took) * 1e3, "ms", 0.6, note)
 
 
 def lane_frames() -> list[NDArray[np.uint8]]:
@@ -72,7 +75,7 @@ def lane_frames() -> list[NDArray[np.uint8]]:
     camera = world.camera(256, 144)
     frames = [camera.gray(world.data)]
     for north, east in plan_path(layout):
-        world.fly_velocity((north, east, -10.0), True, 0.0, True)
+        world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0))
         for slice_ticks in (165, 165, 170):
             world.advance(slice_ticks)
             frames.append(camera.gray(world.data))

@@ -11,8 +11,8 @@ MAX_LOAD_PER_CORE = 0.5
 MAX_TIMER_P90_US = 200.0
 
 
-def check_host() -> dict[str, Any]:
-    """Load, timer grain and a verdict in words, to be written beside the numbers they qualify."""
+def check_machine() -> dict[str, Any]:
+    """Load, lateness of short sleeps, and a verdict in words, to be written beside the numbers that they qualify."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     late_us = [ns / 1e3 for ns in timer_grain_ns()]
     load, median_us, p90_us = os.getloadavg()[0], late_us[len(late_us) // 2], late_us[len(late_us) * 9 // 10]

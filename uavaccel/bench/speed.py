@@ -1,4 +1,4 @@
-"""Benchmarks: what this machine does, each figure beside the bound that it is to be judged by.
+"""Benchmarks: what this machine does, each measurement beside the bound that it is to be judged by.
 
 Every number is measured on the machine's clock. A ratio's two sides are measured in turn, in the same run.
 """
@@ -29,7 +29,7 @@ CLOCK_SPEED = 100.0
 ROUNDS = 4
 
 
-class Figure(NamedTuple):
+class Measurement(NamedTuple):
     """One measured number; `bound` is what it is compared with, in the same unit."""
 
     name: str
@@ -39,7 +39,7 @@ class Figure(NamedTuple):
     note: str = ""
 
 
-def seconds(work: Callable[[], object]) -> float:
+def elapsed_s(work: Callable[[], object]) -> float:
     """Wall time of one call."""
     clock = MonotonicClock()
     start_ns = clock.now_ns()
@@ -47,52 +47,54 @@ def seconds(work: Callable[[], object]) -> float:
     return (clock.now_ns() - start_ns) / NS_PER_S
 
 
-def bench_hot_loop() -> Iterator[Figure]:
+def bench_hot_loop() -> Iterator[Measurement]:
     """Autopilot, rotors, drag and physics against bare `mj_step` on the same model, on one core."""
     world = World("blocks", NATIVE)
     world.advance(STEPS)
     ours, bare = [], []
     for _ in range(REPEATS):
         world.reset()
-        ours.append(STEPS / seconds(lambda: world.advance(STEPS)))
+        ours.append(STEPS / elapsed_s(lambda: world.advance(STEPS)))
         world.reset()
-        bare.append(STEPS / seconds(lambda: mujoco.mj_step(world.model, world.data, nstep=STEPS)))
+        bare.append(STEPS / elapsed_s(lambda: mujoco.mj_step(world.model, world.data, nstep=STEPS)))
     ratio = median(a / b for a, b in zip(ours, bare, strict=True))
-    yield Figure(
+    yield Measurement(
         "hot loop", median(ours), "steps/s", median(bare), "bound: mj_step(nstep=100_000), same model"
     )
-    yield Figure(
+    yield Measurement(
         "hot loop over mj_step", ratio, "", note="median of the ratios of neighbouring runs; aim 0.75"
     )
 
 
-def bench_tcsc() -> Iterator[Figure]:
+def bench_tcsc() -> Iterator[Measurement]:
     """Round trips, and TCSC and ADSC on this machine's clock at ClockSpeed 100."""
     with WallSession("blocks", "native") as session:
         round_trip_s = _round_trip_s(session)
-        yield Figure("round trip of a call", round_trip_s * 1e6, "us", note=f"median of {PINGS} pings")
+        yield Measurement("round trip of a call", round_trip_s * 1e6, "us", note=f"median of {PINGS} pings")
         for t_move_s in (1.0, 0.1):
-            calls = _calls_a_command(session, t_move_s)
+            calls = _calls_per_command(session, t_move_s)
             bound = t_move_s / (t_move_s / CLOCK_SPEED + calls * round_trip_s)
             speed = median(_speedup(session, "tcsc", t_move_s, t_move_s) for _ in range(REPEATS))
             note = f"{ROUNDS} rounds; bound: T/(T/k + {calls:g} calls x round trip)"
-            yield Figure(f"TCSC, T_move {t_move_s:g} s", speed, "x", bound, note)
-            yield Figure(f"TCSC over its bound, T_move {t_move_s:g} s", speed / bound, "", note="aim 0.95")
+            yield Measurement(f"TCSC, T_move {t_move_s:g} s", speed, "x", bound, note)
+            yield Measurement(
+                f"TCSC over its bound, T_move {t_move_s:g} s", speed / bound, "", note="aim 0.95"
+            )
             adsc = median(_speedup(session, "adsc", t_move_s, t_move_s) for _ in range(REPEATS))
-            yield Figure(f"ADSC, T_move {t_move_s:g} s", adsc, "x", CLOCK_SPEED)
+            yield Measurement(f"ADSC, T_move {t_move_s:g} s", adsc, "x", CLOCK_SPEED)
         sampled = median(_speedup(session, "tcsc", 1.0, 0.05) for _ in range(REPEATS))
-        yield Figure(
+        yield Measurement(
             "TCSC, T_move 1 s, T_sample .05 s", sampled, "x", note="the client samples, not the recorder"
         )
 
 
 def _round_trip_s(session: Session) -> float:
     client = session.start_game(1.0, np.random.SeedSequence(0))
-    return median(seconds(lambda: client.call("ping")) for _ in range(PINGS))
+    return median(elapsed_s(lambda: client.call("ping")) for _ in range(PINGS))
 
 
-def _calls_a_command(session: Session, t_move_s: float) -> float:
-    """Messages that the client sends in one TCSC."""
+def _calls_per_command(session: Session, t_move_s: float) -> float:
+    """Messages that the client sends for one TCSC."""
     client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
     tracing = TracingTransport(client.transport)
     counted = Client(tracing, CLOCK_SPEED)
@@ -114,10 +116,10 @@ def _speedup(session: Session, command_name: str, t_move_s: float, t_sample_s: f
             for _ in command.fly(client, VelocityGoal(velocity), t_move_s, t_sample_s):
                 pass
 
-    return len(path) * t_move_s / seconds(fly)
+    return len(path) * t_move_s / elapsed_s(fly)
 
 
-def bench_virtual() -> Iterator[Figure]:
+def bench_virtual() -> Iterator[Measurement]:
     """How fast a simulated wall clock runs: DP1's longest game, one process."""
     session = VirtualSession("blocks", "native")
     for name in sorted(COMMANDS):
@@ -126,8 +128,8 @@ def bench_virtual() -> Iterator[Figure]:
             client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
             command = COMMANDS[name]
             command.begin(client)
-            rates.append(96 / seconds(lambda: _fly_all(client, name)))  # noqa: B023  called at once
-        yield Figure(f"lockstep {name.upper()}, 24 rounds of 1 s", median(rates), "simulated s/s")
+            rates.append(96 / elapsed_s(lambda: _fly_all(client, name)))  # noqa: B023  called at once
+        yield Measurement(f"lockstep {name.upper()}, 24 rounds of 1 s", median(rates), "simulated s/s")
 
 
 def _fly_all(client: Client, name: str) -> None:
@@ -136,7 +138,7 @@ def _fly_all(client: Client, name: str) -> None:
             pass
 
 
-def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Figure]:
+def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Measurement]:
     """A free-running server under a steady load of calls: achieved speed, and what its memory does."""
     with WallSession("blocks", "native") as session:
         client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
@@ -148,8 +150,8 @@ def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Figure
             client.kinematics()
             if call % int(calls_per_s) == 0:
                 memory.append(session.server_memory_mib())
-        yield Figure("achieved speed", client.speed()["real_time_factor"], "x", CLOCK_SPEED)
+        yield Measurement("achieved speed", client.speed()["real_time_factor"], "x", CLOCK_SPEED)
         settled = memory[len(memory) // 10 :]
-        yield Figure(
+        yield Measurement(
             "server memory at the end", settled[-1], "MiB", settled[0], "bound: after a tenth of the time"
         )

@@ -5,14 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Table
 
+from uavaccel.bench.agreement import Agreement, check_agreement
 from uavaccel.bench.calibration import calibrate
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import describe_renderer
+from uavaccel.wire.latency import read_latency, shipped_latency
 from uavaccel.yaml_io import dump_yaml
 
-console = Console(highlight=False)
+console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 def _can_draw() -> bool:
@@ -28,10 +31,12 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
     """Measure and write `out`. Raises UserError if it exists."""
     if out.exists():
         raise UserError(f"{out}: exists; take another --out")
-    verdict = check_host()["verdict"]
-    console.print(f"host check: {verdict}")
+    verdict = check_machine()["verdict"]
+    console.print(f"machine check: {verdict}")
     block = calibrate(profile, commands, images=_can_draw()).block()
-    out.write_text(f"# Measured by `uavaccel calibrate`; host: {verdict}\n" + dump_yaml({"latency": block}))
+    out.write_text(
+        f"# Measured by `uavaccel calibrate`; machine: {verdict}\n" + dump_yaml({"latency": block})
+    )
     names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
     for kind in names:
         for channel, table in block[kind].items():
@@ -41,3 +46,39 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
                 f"{kind[:-3]:8} {channel:13} median {table[middle]:7.1f} us, 99 % {table[-3]:7.1f} us"
             )
     console.print(f"{out}: use it with --set latency={out}")
+
+
+def show_agreement(latency: Path | None, profile: str, games: int) -> None:
+    """Fly the same games on the machine's clock and on the simulated one; their quantiles side by side."""
+    if games < 1:
+        raise UserError(f"--games {games}: must be 1 or more")
+    model = shipped_latency() if latency is None else read_latency(latency)
+    console.print(
+        f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}"
+    )
+    table = Table(
+        "command", "clock", "T_move s", "", "wall", "wall again", "virtual", "", box=None, pad_edge=False
+    )
+    found = list(check_agreement(model, profile, games))
+    for each in found:
+        table.add_row(*_row(each))
+    console.print(
+        "10, 50 and 90 % quantiles; agreement: median within 20 %, the others within 1.5 times wall v wall"
+    )
+    console.print(table)
+    console.print(f"{sum(each.agrees for each in found)} of {len(found)} agree")
+
+
+def _row(each: Agreement) -> tuple[str, ...]:
+    quantiles = (
+        " ".join(f"{value:.3g}" for value in run) for run in (each.wall, each.wall_again, each.virtual)
+    )
+    verdict = "agrees" if each.agrees else f"differs, median by {each.median_off:.0%}"
+    return (
+        each.command.upper(),
+        f"{each.clock_speed:g}x",
+        f"{each.t_move_s:g}",
+        each.quantity,
+        *quantiles,
+        verdict,
+    )

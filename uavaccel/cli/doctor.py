@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
@@ -90,14 +90,14 @@ def findings() -> Iterator[Finding]:
 
 def measuring() -> Iterator[Finding]:
     """Whether a wall clock measures anything here."""
-    host = check_host()
-    yield Finding("cores", f"{host['cores']}, load {host['load_1min']:.2f}")
+    machine = check_machine()
+    yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
     yield Finding(
         "timers",
-        f"a sleep ends {host['timer_late_median_us']:.0f} us late (median), "
-        f"{host['timer_late_p90_us']:.0f} us (90th percentile)",
+        f"a sleep ends {machine['timer_late_median_us']:.0f} us late (median), "
+        f"{machine['timer_late_p90_us']:.0f} us (90th percentile)",
     )
-    yield Finding("timing", f"wall: {host['verdict']}", host["verdict"] != "quiet")
+    yield Finding("timing", f"wall: {machine['verdict']}", machine["verdict"] != "quiet")
 
 
 def hot_loop() -> Finding:

@@ -107,11 +107,35 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("latency.yaml"),
     commands: Annotated[int, typer.Option(help="Commands of each kind to fly, about.")] = 1500,
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+    check: Annotated[
+        bool, typer.Option("--check", help="Fly the same games on both clocks, and compare; writes nothing.")
+    ] = False,
+    latency: Annotated[Path | None, typer.Option(help="Of --check: the model; else the shipped one.")] = None,
+    games: Annotated[int, typer.Option(help="Of --check: games of each kind.")] = 20,
 ) -> None:
-    """Measure this machine's message latencies for the virtual timing to draw from."""
-    from uavaccel.cli.calibrate import write_calibration
+    """Measure this machine's message latencies for the virtual timing to draw from, or check a model of them."""
+    from uavaccel.cli.calibrate import show_agreement, write_calibration
 
-    write_calibration(out, commands, profile)
+    if check:
+        show_agreement(latency, profile, games)
+    else:
+        write_calibration(out, commands, profile)
+
+
+@app.command()
+def advise(
+    t_move: Annotated[float, typer.Option("--t-move", help="Seconds of a command.")] = 1.0,
+    error: Annotated[float, typer.Option(help="Metres that a trajectory may be off.")] = 0.1,
+    rounds: Annotated[int, typer.Option(help="Rounds of the square path.")] = 4,
+    latency: Annotated[
+        Path | None, typer.Option(help="Latency model; `calibrate` writes one. Without it the shipped one.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+) -> None:
+    """Say how fast ADSC may fly within an error, and what TCSC would gain."""
+    from uavaccel.cli.advise import AdviceRequest, show_advice
+
+    show_advice(AdviceRequest(t_move, error, rounds, latency, profile))
 
 
 @app.command()
@@ -175,7 +199,7 @@ def _task_options(
 def bench(
     names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
     soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,
-    out: Annotated[Path | None, typer.Option(help="JSON file to keep the figures in.")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file to keep the measurements in.")] = None,
 ) -> None:
     """Measure this machine: hot loop, round trips, TCSC, rendering."""
     from uavaccel.cli.bench import run_benches

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uavaccel.cli.run import console, report_run
 from uavaccel.records import RunDirectory
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import suite_of
 
 
 def report_runs(run_dirs: Sequence[Path]) -> None:
@@ -18,6 +18,6 @@ def report_runs(run_dirs: Sequence[Path]) -> None:
         run = RunDirectory(run_dir)
         report_run(run)
         together[str(run.config()["suite"])].append(run)
-    for name, runs in together.items():
-        if len(runs) > 1 and (path := find_suite(name, str(runs[0].path), Path.cwd()).compare(runs)):
+    for runs in together.values():
+        if len(runs) > 1 and (path := suite_of(runs[0]).compare(runs)):
             console.print(str(path), markup=False)

@@ -14,16 +14,16 @@ from pydantic import BaseModel
 from rich.console import Console
 from rich.table import Table
 
-from uavaccel.bench.machine import check_host
+from uavaccel.bench.machine import check_machine
 from uavaccel.cli.progress import Progress
 from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, resolve, timing_of
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
+from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import begin_run, check_jobs, run_suite
-from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable
+from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable, configuration
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
 
@@ -72,10 +72,7 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
         mapping |= suite.quick
         given.setdefault("timing", "wall")
     options = {key: value for name in given for key, value in [place(suite, name, given[name])]}
-    complete = suite.complete(merged(mapping, options, request.overrides))
-    config = resolve(suite.config, complete, source)
-    suite.check(config)
-    return suite, config
+    return suite, configuration(suite, merged(mapping, options, request.overrides), source)
 
 
 def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
@@ -115,8 +112,8 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Any]:
     manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
     manifest.update(suite.provenance(config))
     if timing_of(config) == "wall":
-        manifest["host_check"] = check_host()
-        console.print(f"host check: {manifest['host_check']['verdict']}")
+        manifest["host_check"] = check_machine()
+        console.print(f"machine check: {manifest['host_check']['verdict']}")
     return manifest
 
 
@@ -168,8 +165,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 def report_run(run: RunDirectory) -> Summary:
     """Write a run's report; show its result and where its figures are."""
-    config_file = str(run.path / "config.yaml")
-    suite = find_suite(run.config().get("suite"), config_file, Path.cwd())
+    suite = suite_of(run)
     summary = suite.report(run)
     if headline := suite.headline(summary):
         console.print(headline)

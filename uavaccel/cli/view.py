@@ -16,7 +16,7 @@ from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import lane_case
 from uavaccel.suites.experiment import resolve
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import suite_of
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -33,8 +33,7 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
         name, film = _fly_policy(source, case or lane_case(0))
     else:
         run = RunDirectory(source)
-        suite = find_suite(run.config().get("suite"), str(run.path / "config.yaml"), Path.cwd())
-        folder, (name, film) = run.path, suite.film(run, case)
+        folder, (name, film) = run.path, suite_of(run).film(run, case)
     folder = out or folder / "view"
     console.print(str(write_video(film, folder / f"{name}.mp4")), markup=False)
     console.print(str(write_contact_sheet(film, folder / f"{name}.png")), markup=False)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from uavaccel.units import seconds_to_ns
+from collections.abc import Callable
+from itertools import pairwise
+
+from uavaccel.units import NS_PER_S, seconds_to_ns
 
 TAIL = (
     0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
@@ -22,3 +25,12 @@ def samples_due(t_move_s: float, t_sample_s: float) -> list[int]:
         due.append(due[-1] + t_wakeup)
         left -= t_wakeup
     return due[1:]
+
+
+def check_times(t_move_s: float, t_sample_s: float, check_duration: Callable[[float, str], None]) -> None:
+    """Raise what `check_duration(seconds, name)` raises for a command's duration or that of one of its slices."""
+    check_duration(t_move_s, "t_move_s")
+    check_duration(min(t_sample_s, t_move_s), "t_sample_s")
+    due_ns = [0, *samples_due(t_move_s, t_sample_s)]
+    for slice_ns in {later - earlier for earlier, later in pairwise(due_ns)}:
+        check_duration(slice_ns / NS_PER_S, "t_sample_s")

@@ -1,4 +1,4 @@
-"""Figure 5: STLC against the number of rounds, a row a command and a column a ClockSpeed."""
+"""Boxes of STLC over the number of rounds, a row per command and a column per ClockSpeed (the paper's Figure 5)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from uavaccel.draw import style
 
@@ -16,14 +17,19 @@ AccuracyBoxes = Mapping[tuple[str, float, int], Sequence[float]]
 
 
 def draw_accuracy(boxes: AccuracyBoxes, path: Path, source: str) -> Path:
-    """Draw STLC boxes from `boxes[command, clock_speed, rounds]`, one value a game, T_moves pooled.
+    """Write `plot_accuracy` as a PNG; returns `path`."""
+    return style.save(plot_accuracy(boxes, source), path)
 
-    Identical games give a box of zero width, drawn as the thick line it is. Returns `path`.
+
+def plot_accuracy(boxes: AccuracyBoxes, source: str) -> Figure:
+    """STLC boxes of `boxes[command, clock_speed, rounds]`, one value per game.
+
+    Identical games give a box of zero width, drawn as the thick line it is.
     """
     commands = sorted({command for command, _, _ in boxes})
     clocks = sorted({clock for _, clock, _ in boxes})
     rounds = sorted({n for _, _, n in boxes})
-    with style.look():
+    with style.project_style():
         width_in = 2.0 + 1.9 * max(len(clocks), 2)
         figure = style.new_figure(
             width_in, 1.2 + 2.3 * max(len(commands), 1), "Accuracy of the trajectories: STLC", source
@@ -33,12 +39,12 @@ def draw_accuracy(boxes: AccuracyBoxes, path: Path, source: str) -> Path:
         )
         if not boxes:
             style.note(grid[0, 0], "no games to compare")
-            return style.save(figure, path)
+            return figure
         for (row, column), axes in np.ndenumerate(grid):
             cell = {n: boxes.get((commands[row], clocks[column], n), ()) for n in rounds}
             _draw_boxes(axes, cell, style.COMMAND_COLOUR.get(commands[row], style.GREEN))
         _label(grid, commands, clocks, _lowest(boxes))
-        return style.save(figure, path)
+        return figure
 
 
 def _draw_boxes(axes: Axes, cell: Mapping[int, Sequence[float]], colour: str) -> None:

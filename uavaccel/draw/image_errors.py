@@ -1,4 +1,4 @@
-"""Figure 7: position error over DVS-ED, a point an image, a colour a ClockSpeed, a panel a command."""
+"""Position error over DVS-ED: a point per image, a colour per ClockSpeed, a panel per command (paper's Figure 7)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from uavaccel.draw import style
 
@@ -26,23 +28,52 @@ class ImageCloud:
     dvs_ed_percent: np.ndarray
     position_error_m: np.ndarray
 
+    @property
+    def at_zero(self) -> NDArray[np.bool_]:
+        """Which images have neither error, (images,)."""
+        exact: NDArray[np.bool_] = (self.dvs_ed_percent == 0) & (self.position_error_m == 0)
+        return exact
+
 
 def draw_images(clouds: Sequence[ImageCloud], path: Path, source: str) -> Path:
-    """Draw the clouds; both axes are common to all panels; returns `path`."""
-    commands = sorted({cloud.command for cloud in clouds}, reverse=True)
+    """Write `plot_images` as a PNG; returns `path`."""
+    return style.save(plot_images(clouds, source), path)
+
+
+def plot_images(clouds: Sequence[ImageCloud], source: str) -> Figure:
+    """The clouds; both axes are common to all panels.
+
+    A command whose images are all at 0, 0 gets no panel, which would be empty, but a line below the others'.
+    """
+    commands = sorted({cloud.command for cloud in clouds if not cloud.at_zero.all()}, reverse=True)
+    exact = sorted({cloud.command for cloud in clouds} - set(commands), reverse=True)
     clocks = sorted({cloud.clock_speed for cloud in clouds})
-    with style.look():
+    with style.project_style():
         title = "Position error and DVS-ED of each image against the run at 1x"
-        figure = style.new_figure(2.4 + 3.6 * max(len(commands), 1), 4.4, title, source)
+        at_zero = [_all_at_zero(command, clouds) for command in exact]
+        below = "\n".join([*at_zero, source])
+        figure = style.new_figure(2.4 + 3.6 * max(len(commands), 1), 4.4, title, below)
         panels = figure.subplots(1, max(len(commands), 1), sharex=True, sharey=True, squeeze=False)[0]
-        if not clouds:
-            style.note(panels[0], "no accelerated game to compare with a run at 1x")
-            return style.save(figure, path)
+        if not commands:
+            some = (
+                "every image has no error at all"
+                if exact
+                else "no accelerated game to compare with a run at 1x"
+            )
+            style.note(panels[0], some)
+            return figure
         for axes, command in zip(panels, commands, strict=True):
             _draw_panel(axes, [cloud for cloud in clouds if cloud.command == command], clocks)
         panels[0].set_ylabel("position error, m")
         _set_scales(panels[0])
-        return style.save(figure, path)
+        return figure
+
+
+def _all_at_zero(command: str, clouds: Sequence[ImageCloud]) -> str:
+    own = sorted((cloud for cloud in clouds if cloud.command == command), key=lambda cloud: cloud.clock_speed)
+    clocks = ", ".join(style.clock_label(cloud.clock_speed) for cloud in own)
+    images = sum(cloud.at_zero.size for cloud in own)
+    return f"{style.command_name(command)} at {clocks}: all {images} images at 0, 0"
 
 
 def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float]) -> None:
@@ -50,14 +81,13 @@ def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float
     for cloud in sorted(clouds, key=lambda cloud: -cloud.clock_speed):
         place = clocks.index(cloud.clock_speed)
         colour, marker = style.CYCLE[place % len(style.CYCLE)], _MARKERS[place % len(_MARKERS)]
-        at_zero = (cloud.dvs_ed_percent == 0) & (cloud.position_error_m == 0)
-        away = ~at_zero
+        away = ~cloud.at_zero
         x, y = cloud.dvs_ed_percent[away], cloud.position_error_m[away]
         axes.scatter(x, y, s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
-        if at_zero.any():
+        if cloud.at_zero.any():
             size = (5.0 + 4.5 * place) ** 2
             axes.scatter(0, 0, s=size, facecolors="none", edgecolors=colour, linewidths=1.6, clip_on=False)
-        label = f"{style.clock_label(cloud.clock_speed)}: {_count(at_zero)}"
+        label = f"{style.clock_label(cloud.clock_speed)}: {_count(cloud.at_zero)}"
         axes.scatter([], [], s=22, c=colour, marker=marker, label=label)
     axes.set_xlabel("DVS-ED, % of the pixels")
     handles, labels = axes.get_legend_handles_labels()
@@ -70,14 +100,12 @@ def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float
     axes.legend(handles[::-1], labels[::-1], title=style.command_name(clouds[0].command), ncols=2, **above)
 
 
-def _count(at_zero: np.ndarray) -> str:
+def _count(at_zero: NDArray[np.bool_]) -> str:
     if at_zero.all():
         return f"all {at_zero.size} at 0, 0"
-    return (
-        f"{np.count_nonzero(at_zero)} of {at_zero.size} at 0, 0"
-        if at_zero.any()
-        else f"{at_zero.size} images"
-    )
+    if at_zero.any():
+        return f"{np.count_nonzero(at_zero)} of {at_zero.size} at 0, 0"
+    return f"{at_zero.size} image{'s' if at_zero.size > 1 else ''}"
 
 
 def _set_scales(axes: Axes) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
-Picture = NDArray[np.uint8]
+Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
 
 GROUND, OUTSIDE, WALL = (240, 240, 240), (222, 222, 222), (110, 110, 110)
 OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), (178, 114, 0), (0, 94, 213), (115, 158, 0)
@@ -20,7 +20,7 @@ SUBPIXEL = 4  # bits
 
 
 class View(NamedTuple):
-    """A north-east rectangle as a picture: the pixel of the origin, and the axes' steps in pixels a metre."""
+    """A north-east rectangle as a picture: the pixel of the origin, and the axes' steps in pixels per metre."""
 
     size: tuple[int, int]  # width, height
     origin: NDArray[np.float64]
@@ -35,7 +35,7 @@ class View(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Pixels a metre."""
+        """Pixels per metre."""
         return float(np.abs(self.north + self.east).max())
 
 
@@ -55,7 +55,7 @@ def follow(place_m: ArrayLike, size: tuple[int, int]) -> View:
     return View(size, origin, np.array([0.0, -scale]), np.array([scale, 0.0]))
 
 
-def draw_lane(layout: LaneLayout, view: View) -> Picture:
+def draw_lane(layout: LaneLayout, view: View) -> Bgr:
     """Ground, walls, goal and obstacles; (height, width, 3) blue, green, red."""
     picture = np.full((view.size[1], view.size[0], 3), OUTSIDE, np.uint8)
     half = WIDTH_M / 2
@@ -73,7 +73,7 @@ def draw_lane(layout: LaneLayout, view: View) -> Picture:
     return picture
 
 
-def draw_track(picture: Picture, view: View, track_m: ArrayLike) -> Picture:
+def draw_track(picture: Bgr, view: View, track_m: ArrayLike) -> Bgr:
     """Draw places flown (n, 2), and the drone at the last one, onto a lane's picture; returns it."""
     track = np.asarray(track_m)
     cv2.polylines(picture, [view.pixels(track)], False, TRACK, 2, cv2.LINE_AA, SUBPIXEL)
@@ -82,7 +82,7 @@ def draw_track(picture: Picture, view: View, track_m: ArrayLike) -> Picture:
 
 
 def _box(
-    picture: Picture,
+    picture: Bgr,
     view: View,
     south_west: tuple[float, float],
     north_east: tuple[float, float],
@@ -94,7 +94,7 @@ def _box(
 
 
 def _disc(
-    picture: Picture, view: View, place_m: ArrayLike, radius_m: float, colour: tuple[int, int, int]
+    picture: Bgr, view: View, place_m: ArrayLike, radius_m: float, colour: tuple[int, int, int]
 ) -> None:
     centre = view.pixels(place_m)
     radius = round(radius_m * view.scale * (1 << SUBPIXEL))

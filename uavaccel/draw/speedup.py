@@ -1,4 +1,4 @@
-"""Figure 6: effective speed-up over ClockSpeed, a panel a command, a line a T_move, the ideal dashed."""
+"""Effective speed-up over ClockSpeed: a panel per command, a line per T_move, the ideal dashed (paper's Figure 6)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from uavaccel.draw import style
 
@@ -27,23 +29,35 @@ class SpeedupCurve:
 
 
 def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds: int) -> Path:
-    """Draw the curves of the games of `rounds` rounds; returns `path`."""
+    """Write `plot_speedup` as a PNG; returns `path`."""
+    return style.save(plot_speedup(curves, source, rounds), path)
+
+
+def plot_speedup(curves: Sequence[SpeedupCurve], source: str, rounds: int) -> Figure:
+    """The curves of the games of `rounds` rounds; speed-ups on a logarithmic axis, so that 1 to 10x can be read."""
     commands = sorted({curve.command for curve in curves})
-    with style.look():
+    with style.project_style():
         title = f"Effective speed-up over ADSC at 1x, {style.rounds_label(rounds)}"
         figure = style.new_figure(2.0 + 3.6 * max(len(commands), 1), 4.2, title, source)
         panels = figure.subplots(1, max(len(commands), 1), sharex=True, sharey=True, squeeze=False)[0]
         if not curves:
             style.note(panels[0], "no speed-up without ADSC games at 1x")
-            return style.save(figure, path)
+            return figure
         t_moves = sorted({curve.t_move_s for curve in curves})
         clocks = np.unique(np.concatenate([curve.clock_speed for curve in curves]))
         for axes, command in zip(panels, commands, strict=True):
             _draw_panel(axes, [curve for curve in curves if curve.command == command], t_moves, clocks)
             axes.set_title(style.command_name(command))
-        panels[0].set(ylabel="effective speed-up", ylim=(0, None))
+        panels[0].set(ylabel="effective speed-up", yscale="log")
+        _set_speedup_ticks(panels[0])
         panels[0].legend(loc="upper left")
-        return style.save(figure, path)
+        return figure
+
+
+def _set_speedup_ticks(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}x")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_panel(

@@ -1,4 +1,4 @@
-"""The one look of all figures: colour-blind-safe, drawn without a display, the same bytes every time."""
+"""The style that all figures share: colour-blind-safe, drawn without a display, the same bytes every time."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from uavaccel.files import replacing
 
 # Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -39,8 +41,8 @@ _SETTINGS: dict[Any, Any] = {
 
 
 @contextmanager
-def look() -> Iterator[None]:
-    """The project's matplotlib settings, for the time of drawing one figure and saving it."""
+def project_style() -> Iterator[None]:
+    """The project's matplotlib settings, while one figure is made or saved."""
     with mpl.rc_context(_SETTINGS):
         yield
 
@@ -63,7 +65,8 @@ def note(axes: Axes, text: str) -> None:
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG without dates or versions, so that equal figures are equal files; returns `path`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    with project_style(), replacing(path) as file:
+        figure.savefig(file, format="png", metadata={"Software": None})
     return path
 
 

@@ -1,4 +1,4 @@
-"""Figure 3: a real-time trajectory and the best and the worst accelerated replica, in three dimensions."""
+"""Up to three flights in three dimensions (the paper's Figure 3: a trajectory, its best and its worst replica)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from uavaccel.draw import style
 
@@ -25,8 +27,13 @@ class TrajectoryLine:
 
 
 def draw_trajectories(lines: Sequence[TrajectoryLine], path: Path, source: str, title: str) -> Path:
-    """Draw up to three flights from above and the side, height upwards; returns `path`."""
-    with style.look():
+    """Write `plot_trajectories` as a PNG; returns `path`."""
+    return style.save(plot_trajectories(lines, source, title), path)
+
+
+def plot_trajectories(lines: Sequence[TrajectoryLine], source: str, title: str) -> Figure:
+    """Up to three flights from above and the side, height upwards."""
+    with style.project_style():
         figure = style.new_figure(7.2, 6.0, title, source)
         axes: Any = figure.add_subplot(projection="3d")
         for line, colour in zip(lines, _COLOURS, strict=False):
@@ -35,7 +42,7 @@ def draw_trajectories(lines: Sequence[TrajectoryLine], path: Path, source: str, 
         _scale(axes, lines)
         if lines:
             axes.legend(loc="upper left", bbox_to_anchor=(-0.05, 0.98))
-        return style.save(figure, path)
+        return figure
 
 
 def _scale(axes: Any, lines: Sequence[TrajectoryLine]) -> None:
@@ -52,4 +59,11 @@ def _scale(axes: Any, lines: Sequence[TrajectoryLine]) -> None:
     axes.set_ylim(east - half_m, east + half_m)
     axes.set_zlim(-down - half_height_m, -down + half_height_m)
     axes.set_box_aspect((1, 1, 0.45))
-    axes.locator_params(axis="z", nbins=4)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_ticks(_ticks(*axis.get_view_interval()))
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Two to six round numbers, none next to the corner, where two axes would write over each other."""
+    ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
+    return [float(tick) for tick in ticks if low + 0.08 * (high - low) <= tick <= high]

@@ -1,4 +1,4 @@
-"""Figure 4: the message trellis of commands, drawn from recorded traces.
+"""The message trellis of commands, drawn from recorded traces (the paper's Figure 4).
 
 A trace is a list of events in time order, each with the keys "source" ("client" or "server"), "event" (str),
 "wall_s" and "sim_s" (float). Client events are "call <method>" and "return <method>", server events
@@ -38,13 +38,18 @@ class Message:
 
 
 def draw_trellis(traces: Mapping[str, Trace], path: Path, source: str) -> Path:
-    """Draw one trellis a trace, side by side, named by the mapping's keys; returns `path`.
+    """Write `plot_trellis` as a PNG; returns `path`."""
+    return style.save(plot_trellis(traces, source), path)
+
+
+def plot_trellis(traces: Mapping[str, Trace], source: str) -> Figure:
+    """One trellis per trace, side by side, named by the mapping's keys.
 
     Time runs downwards by events, not to scale: wall milliseconds stand at the client, simulated seconds at
     the server. The server's line is thick while simulated time runs.
     """
     longest = max((min(len(trace), MOST_EVENTS) for trace in traces.values()), default=1)
-    with style.look():
+    with style.project_style():
         size_in = (5.0 * max(len(traces), 1), 2.0 + 0.2 * longest)
         figure = style.new_figure(*size_in, "Messages of one command", source)
         panels = figure.subplots(1, max(len(traces), 1), sharey=True, squeeze=False)[0]
@@ -55,7 +60,7 @@ def draw_trellis(traces: Mapping[str, Trace], path: Path, source: str) -> Path:
             axes.set_title(name)
         if traces:
             _legend(figure)
-        return style.save(figure, path)
+        return figure
 
 
 def messages(trace: Trace) -> list[Message]:
@@ -146,5 +151,5 @@ def _draw_event(axes: Axes, row: int, event: Event, wall0_s: float, sim0_s: floa
 
 
 def _legend(figure: Figure) -> None:
-    lines = [Line2D([], [], label=label, **look) for label, look in _LEGEND.items()]
+    lines = [Line2D([], [], label=label, **line_style) for label, line_style in _LEGEND.items()]
     figure.legend(handles=lines, loc="outside upper right", ncols=len(lines))

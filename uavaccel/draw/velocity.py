@@ -1,4 +1,4 @@
-"""Figure 2: velocity over simulated time, real time on top of the fastest run, with the commands' ends."""
+"""Velocity over simulated time, a panel per flight, with the commands' ends (the paper's Figure 2)."""
 
 from __future__ import annotations
 
@@ -32,14 +32,19 @@ class VelocityPanel:
     command_end_s: np.ndarray
 
 
-def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str) -> Path:
-    """Draw the panels one above the other on one time axis; returns `path`.
+def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str, title: str = "Velocity") -> Path:
+    """Write `plot_velocity` as a PNG; returns `path`."""
+    return style.save(plot_velocity(panels, source, title), path)
+
+
+def plot_velocity(panels: Sequence[VelocityPanel], source: str, title: str) -> Figure:
+    """The panels one above the other on one time axis.
 
     A dashed line is the end of a command, grey the time in which no command ran: latency times ClockSpeed.
     """
-    with style.look():
+    with style.project_style():
         rows = max(len(panels), 1)
-        figure = style.new_figure(8.0, 1.2 + 2.1 * rows, "Two steps forward, one back", source)
+        figure = style.new_figure(8.0, 1.2 + 2.1 * rows, title, source)
         all_axes = list(figure.subplots(rows, 1, sharex=True, sharey=True, squeeze=False)[:, 0])
         if not panels:
             style.note(all_axes[0], "no flight recorded")
@@ -47,7 +52,7 @@ def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str) -> P
             _draw_panel(axes, panel, _components(panels))
         if panels:
             _label(figure, all_axes)
-        return style.save(figure, path)
+        return figure
 
 
 def _components(panels: Sequence[VelocityPanel]) -> list[int]:

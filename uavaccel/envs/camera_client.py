@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kinematics import Kinematics
+from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.perturb import PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
@@ -24,34 +24,61 @@ class Sample(NamedTuple):
     retries: int
 
 
-class CameraClient(Client):
-    """A `Client` that gathers pictures of `kind`, gray or colour, through the guard.
+class CameraClient:
+    """A `MissionClient` around `client` that gathers pictures of `kind`, gray or colour, through the guard.
 
     `perturbation` spoils a share of the pictures on their way, for testing a pipeline; off by default.
     """
 
     def __init__(
         self,
-        inner: Client,
+        client: Client,
         kind: str = "gray",
         guard: GuardSettings | None = None,
         perturbation: PerturbationSettings | None = None,
     ) -> None:
-        super().__init__(inner.transport, inner.clock_speed)
+        self.client = client
         self._kind = kind
         self._guard, self._guard_state = guard or GuardSettings(), GuardState()
         self._perturbation = perturbation
         self._received = 0
 
-    def gather(self, state: Kinematics) -> Sample:
-        """The picture of this moment. The simulation has to stand still."""
+    def gather(self, state: Kinematics) -> Any:
+        """The picture of this moment, as a `Sample`. The simulation has to stand still."""
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
         return Sample(state, acquisition.image, acquisition.retries)
 
     def _receive(self) -> NDArray[Any]:
-        image = self.image(self._kind)
+        image = self.client.image(self._kind)
         self._received += 1
         if self._perturbation is None:
             return image
         return perturb_share(image, self._perturbation, self._received)[0]
+
+    # --- the client's own -------------------------------------------------------------------------
+
+    @property
+    def clock_speed(self) -> float:
+        return self.client.clock_speed
+
+    def now_ns(self) -> int:
+        return self.client.now_ns()
+
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Any:
+        return self.client.move_async(goal, t_move_s)
+
+    def join(self, future: Any, deadline_ns: int | None = None) -> bool:
+        return self.client.join(future, deadline_ns)
+
+    def pause(self) -> None:
+        self.client.pause()
+
+    def run(self) -> None:
+        self.client.run()
+
+    def continue_for(self, duration_ns: int) -> Kinematics:
+        return self.client.continue_for(duration_ns)
+
+    def kinematics(self) -> Kinematics:
+        return self.client.kinematics()

@@ -31,12 +31,21 @@ class Stopwatch:
     def phase(self, phase: str) -> Iterator[None]:
         """What passes inside belongs to `phase`, and to nothing afterwards."""
         self.switch(phase)
-        yield
-        self.switch(None)
+        try:
+            yield
+        finally:
+            self.switch(None)
 
     def add(self, phase: str, duration_s: float) -> None:
         """Time known from elsewhere."""
         self._spent_ns[phase] += round(duration_s * NS_PER_S)
+
+    def get_state(self) -> dict[str, int]:
+        """Nanoseconds so far, by phase; between two phases."""
+        return dict(self._spent_ns)
+
+    def set_state(self, state: dict[str, int]) -> None:
+        self._spent_ns = dict(state)
 
     def spent_s(self) -> dict[str, float]:
         """Seconds so far, by phase."""

@@ -1,32 +1,60 @@
-"""Configuration of the obstacle lane as a learning task: all that the paper leaves open is chosen here."""
+"""A learning task: what is drawn at reset, what an action means, what is seen, and reward, success and ends.
+
+The cut is that of dm_control: physics, environment and task are three things. A task is a configuration, whose keys are
+the environment's keywords, and a few pure functions of what happened, each of which a subclass may replace.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
-from pydantic import Field, field_validator
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
+from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
+from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.file import LaneFile, lane_written_out
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
+from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
-from uavaccel.wire.latency import LatencyConfig, shipped_latency
+from uavaccel.wire.latency import LatencyModel
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
+Count = Annotated[int, Field(ge=1)]
+Course = Mapping[str, Any]
+AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-class LaneTask(Config):
-    """What an `ObstacleLane` environment is made of. T_move, T_sample and speed are the paper's (III-C1)."""
+class Moment(NamedTuple):
+    """What is known at a game's start and at the end of each command."""
 
-    split: Split = "training"
-    """Which lanes are drawn; no lane is both a training and an evaluation lane."""
-    difficulty: Difficulty = Difficulty()
-    lane: LaneFile | None = None
-    """One lane for all games, instead of drawn ones: written out, or the name of its YAML file."""
-    observation: Literal["dvs", "state", "colour", "depth"] = "dvs"
+    state: Kinematics
+    """Of the last sample."""
+    position_m: Vector
+    """Where the vehicle is, or where it hit something: NED."""
+    collision: str | None
+    """What it hit."""
+    commands: int
+    """Flown so far."""
+    course: Course
+    """The task's own: what it drew, and what became of it. Plain numbers, lists and mappings."""
+
+
+class Task(Config):
+    """Keys that all tasks share, and the functions that make one; those below `actions` are to be replaced."""
+
+    scene: ClassVar[str] = "blocks"
+    reset_options: ClassVar[tuple[str, ...]] = ()
+    """Keys that `reset(options=...)` may have."""
+    sees_start: ClassVar[bool] = True
+    """Whether the first observation is of the start; else its frames are blank."""
+
+    observation: Literal["dvs", "state", "colour", "depth"] = "state"
     history: Annotated[int, Field(ge=1, le=8)] = 1
     """Commands whose frames are in one observation, the newest last."""
     blank_images: bool = False
@@ -36,43 +64,30 @@ class LaneTask(Config):
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
 
     command: Literal["adsc", "tcsc"] = "tcsc"
-    t_move_s: Positive = 1.0
-    t_sample_s: Positive = 0.33
+    t_move_s: Positive = 0.2
+    t_sample_s: Positive = 0.2
     speed_m_s: Positive = 1.0
-    headings_deg: tuple[float, ...] = (-60.0, -30.0, 0.0, 30.0, 60.0)
-    """The actions: directions of flight, 0 along the lane, positive to the east."""
-    altitude_m: Positive = 2.0
-    """Height that every command holds, as AirSim's moveByVelocityZ; SimpleFlight answers slower the higher it is."""
-    max_commands: Annotated[int, Field(ge=1)] = 300
-
-    progress_reward: float = 0.1
-    """A metre northwards."""
-    collision_reward: float = -1.0
-    goal_reward: float = 0.0
+    altitude_m: Positive = 10.0
+    """Of the start."""
+    max_commands: Count = 100
 
     timing: Literal["wall", "virtual", "lockstep"] = "lockstep"
     clock_speed: Positive = 1.0
     profile: Literal["native", "airsim"] = "native"
     t_th_wall_s: NotNegative = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
-    latency: LatencyConfig | None = None
-    """The latency model that `virtual` draws from; the shipped one where none is given."""
+    latency: LatencyModel
+    """The latency model that `virtual` draws from, or the YAML file of one; the shipped one where none is given."""
     image_processing_s: NotNegative = 0.0003
     """What the DVS of one frame costs the simulated wall clock of `virtual`."""
     report_host_times: bool = False
     """Whether infos have `host_phase_s`, measured on this machine's clock: never the same twice."""
 
-    @field_validator("lane", mode="before")
-    @classmethod
-    def _written_out(cls, lane: Any) -> Any:
-        return lane_written_out(lane)
-
-    @field_validator("headings_deg")
-    @classmethod
-    def _any_heading(cls, headings: tuple[float, ...]) -> tuple[float, ...]:
-        if not headings:
-            raise ValueError("needs at least one heading")
-        return headings
+    @model_validator(mode="after")
+    def _times_fit(self) -> Self:
+        profile = PROFILES[self.profile]
+        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
+        return self
 
     @property
     def t_th_ns(self) -> int:
@@ -86,21 +101,82 @@ class LaneTask(Config):
         latency_s = min(self.t_th_wall_s * self.clock_speed, 0.1 * self.t_sample_s)
         return max(seconds_to_ns(latency_s), profile.tick_ns)
 
+    # --- senses -----------------------------------------------------------------------------------
+
     @property
-    def typical_s(self) -> float:
-        """Simulated seconds of a game that gets far, for estimates."""
-        return min(self.max_commands * self.t_move_s, 1.3 * LENGTH_M / self.speed_m_s)
+    def frames_per_command(self) -> int:
+        return len(samples_due(self.t_move_s, self.t_sample_s))
 
-    def wire_lane(self, index: int) -> dict[str, Any]:
-        """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""
-        if self.lane is not None:
-            return self.lane.model_dump(mode="json")
-        if not 0 <= index < EVALUATION_SEEDS:
-            raise UserError(f"lane {index} does not exist: lanes are 0 to {EVALUATION_SEEDS - 1}")
-        return {"seed": lane_seed(self.split, index), "difficulty": self.difficulty.model_dump(mode="json")}
+    def sensor(self) -> Sensor:
+        """What turns samples into frames."""
+        blank = np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
+        return make_sensor(self.observation, self.features, blank, self.dvs_preset, self.dvs_seed)
 
-    def latency_model(self) -> LatencyConfig:
-        """The given latency model, or the one that ships."""
-        if self.latency is not None:
-            return self.latency
-        return shipped_latency(self.profile)
+    def observation_space(self) -> spaces.Box:
+        """Of the frames of `history` commands, stacked along the first axis."""
+        blank = self.sensor().blank
+        shape = (self.frames_per_command * self.history * blank.shape[0], *blank.shape[1:])
+        if blank.dtype == np.uint8:
+            return spaces.Box(0, 255, shape, np.uint8)
+        return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
+        """A frame of observation "state"."""
+        return state_fields(state)
+
+    # --- actions: by default a velocity ---------------------------------------------------------------
+
+    def action_space(self) -> spaces.Space[Any]:
+        """North, east and down: shares of `speed_m_s`."""
+        return spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+    def goal(self, action: Any) -> VelocityGoal:
+        """The velocity that an action of the space asks for."""
+        north, east, down = (float(share) * self.speed_m_s for share in action)
+        return VelocityGoal((north, east, down))
+
+    # --- a game ---------------------------------------------------------------------------------------
+
+    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+        """What a game is about. Raises UserError for an option that cannot be."""
+        return {}
+
+    def layout(self, course: Course) -> Any:
+        """The scene of a game as Client.set_lane takes it; None: as it is."""
+        return None
+
+    def advance(self, before: Moment, now: Moment) -> Course:
+        """The course after a command."""
+        return now.course
+
+    def reward(self, before: Moment, now: Moment) -> float:
+        """Of one command."""
+        return 0.0
+
+    def success(self, now: Moment) -> bool:
+        """Whether the game is won; it is over then."""
+        return False
+
+    def failure(self, now: Moment) -> bool:
+        """Whether it is lost."""
+        return now.collision is not None
+
+    def info(self, now: Moment) -> dict[str, Any]:
+        """What infos have beside the keys of `FlightEnv`."""
+        return dict(now.course)
+
+
+def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.float64]) -> list[Any]:
+    """A reset option of positions (..., 3), NED, in the shape of `drawn`'s; `drawn` where it is not given.
+
+    Raises UserError where it is no list of finite numbers of that form.
+    """
+    try:
+        given = np.array(options.get(name, drawn), float)
+    except (TypeError, ValueError):
+        given = np.array(np.nan)
+    if given.ndim != drawn.ndim or given.shape[-1:] != (3,) or not np.isfinite(given).all() or not given.size:
+        form = "[north, east, down]" if drawn.ndim == 1 else "[[north, east, down], ...]"
+        raise UserError(f"reset: option {name} = {options[name]!r} must be {form} in metres")
+    positions: list[Any] = given.tolist()
+    return positions

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest, fisher_exact
 
 RESAMPLES = 2000
 
@@ -47,14 +47,8 @@ def wilson_interval(successes: int, games: int, level: float = 0.95) -> tuple[fl
     """Wilson score interval of a success ratio, in [0, 1]; ValueError unless 0 <= successes <= games > 0."""
     if games <= 0 or not 0 <= successes <= games:
         raise ValueError(f"need 0 <= successes <= games > 0, got {successes} of {games}")
-    z = float(norm.ppf(0.5 + level / 2.0))
-    ratio = successes / games
-    centre = ratio + z * z / (2 * games)
-    half = z * np.sqrt(ratio * (1 - ratio) / games + z * z / (4 * games * games))
-    scale = 1 + z * z / games
-    low = 0.0 if successes == 0 else float((centre - half) / scale)  # exact where rounding would miss the end
-    high = 1.0 if successes == games else float((centre + half) / scale)
-    return low, high
+    interval = binomtest(successes, games).proportion_ci(level, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 class McNemar(NamedTuple):
@@ -81,3 +75,9 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
 
 def _median(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.median(values, axis=-1))
+
+
+def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are one."""
+    table = np.array([[successes, games - successes] for successes, games in (first, second)])
+    return float(fisher_exact(table).pvalue)

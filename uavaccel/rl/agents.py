@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.rl.policy import WEIGHTS, Policy, load_policy, observed_frames

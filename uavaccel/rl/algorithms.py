@@ -21,6 +21,8 @@ from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.network import LaneFeatures
 
+ALGORITHMS = "double_dqn, dqn, ppo, a2c"
+
 DOUBLE_DQN_DEFAULTS: dict[str, Any] = {
     "learning_rate": 3e-4,
     "buffer_size": 150_000,
@@ -85,12 +87,16 @@ class ByGames:
 
 
 def algorithm_class(name: str) -> type[BaseAlgorithm]:
-    """DoubleDQN, or a class of stable-baselines3. Raises UserError if there is none of that name."""
+    """DoubleDQN, or a class of stable-baselines3. Raises UserError if there is none for discrete actions."""
     if name == "double_dqn":
         return DoubleDQN
     found = getattr(stable_baselines3, name.upper(), None)
     if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
-        raise UserError(f"algorithm = {name!r} is unknown; there are double_dqn, dqn, ppo, a2c")
+        raise UserError(f"algorithm = {name!r} is unknown; there are {ALGORITHMS}")
+    if name.lower() not in ALGORITHMS.split(", "):
+        raise UserError(
+            f"algorithm = {name!r}: wants continuous actions, the lane's are discrete: {ALGORITHMS}"
+        )
     return found
 
 

@@ -18,6 +18,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
+from uavaccel.sim.saved import State, part, under
 
 _COUNTERS = (
     "num_timesteps",
@@ -47,8 +48,8 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, notes: dict[str, Any]) -
         "random": random.getstate(),
         "numpy": _numpy_state(),
         "actions": model.action_space.np_random.bit_generator.state,
-        "journals": model.get_env().env_method("journal"),  # type: ignore[union-attr]
     }
+    _save_games(checkpoint / "games.npz", model)
     with replacing(checkpoint / _COMPLETE) as file:
         file.write(json.dumps(state).encode())
     for older in folder.iterdir():
@@ -77,8 +78,7 @@ def load_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> tuple[dict[str, A
     state = json.loads((checkpoint / _COMPLETE).read_text())
     for name, value in state["counters"].items():
         setattr(model, name, value)
-    model._last_obs = _replay(model, state["journals"])
-    model._last_episode_starts = np.array([not journal["steps"] for journal in state["journals"]])
+    _load_games(checkpoint / "games.npz", model)
     state["torch"], state["cuda"] = learner["torch"], learner["cuda"]
     return state["notes"], state
 
@@ -125,13 +125,25 @@ def _load_buffer(path: Path, model: BaseAlgorithm) -> None:
             getattr(buffer, name)[: len(stored)] = stored
 
 
-def _replay(model: BaseAlgorithm, journals: list[dict[str, Any]]) -> np.ndarray:
-    """Fly the games that were under way to where they were; the observations (n, ...)."""
-    environment = model.get_env()
-    if environment is None or environment.num_envs != len(journals):
-        raise UserError(f"the checkpoint has {len(journals)} environments; go on with as many")
-    seen = [
-        environment.env_method("replay", journal, indices=[index])[0]
-        for index, journal in enumerate(journals)
-    ]
-    return np.stack(seen)
+def _save_games(path: Path, model: BaseAlgorithm) -> None:
+    """The games that are under way; the state of environment n under "n."."""
+    games: list[State] = model.get_env().env_method("get_state")  # type: ignore[union-attr]
+    with path.open("wb") as file:
+        np.savez(
+            file, **{key: each for n, game in enumerate(games) for key, each in under(str(n), game).items()}
+        )
+
+
+def _load_games(path: Path, model: BaseAlgorithm) -> None:
+    """Go on with the games that were under way, and with what the model last saw of them."""
+    with np.load(path, allow_pickle=False) as arrays:
+        state = dict(arrays)
+    environment, count = model.get_env(), len({name.partition(".")[0] for name in state})
+    if environment is None or environment.num_envs != count:
+        raise UserError(f"the checkpoint has {count} environments; go on with as many")
+    games = [part(str(n), state) for n in range(count)]
+    seen = [environment.env_method("set_state", game, indices=[n])[0] for n, game in enumerate(games)]
+    model._last_obs = np.stack(seen)
+    model._last_episode_starts = np.array(
+        [not json.loads(str(game["game"]))["commands"] if "game" in game else True for game in games]
+    )

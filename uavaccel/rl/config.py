@@ -7,7 +7,8 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
-from uavaccel.envs.task import LaneTask, NotNegative
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.task import NotNegative
 
 
 class LearnerConfig(Config):

@@ -12,8 +12,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
 
 class Lanes(VecEnvWrapper):

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from uavaccel.vision.observation import NEUTRAL
+from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
 
@@ -33,6 +33,6 @@ class LaneFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255; they are overwritten."""
-        distance = observations.sub_(NEUTRAL)
+        distance = observations.sub_(NEUTRAL_LEVEL)
         features: th.Tensor = self.layers(distance.div_(distance.abs().add_(HALF_CONTRAST)))
         return features

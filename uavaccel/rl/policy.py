@@ -12,15 +12,12 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
-from uavaccel.commands.slices import samples_due
 from uavaccel.config import validate
-from uavaccel.envs.senses import make_sense, observation_space
-from uavaccel.envs.task import LaneTask
+from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import replacing, to_json
 from uavaccel.rl.algorithms import algorithm_class, policy_keywords, policy_name
@@ -113,16 +110,15 @@ def load_policy(path: Path) -> Policy:
     return Policy(network, config, manifest)
 
 
-def observed_frames(task: LaneTask) -> int:
+def observed_frames(task: Task) -> int:
     """Frames in one observation."""
-    return len(samples_due(task.t_move_s, task.t_sample_s)) * task.history
+    return task.frames_per_command * task.history
 
 
 def _network(config: LearnerConfig) -> BasePolicy:
     """The untrained policy, by stable-baselines3's class for this algorithm."""
     aliases: Mapping[str, Any] = algorithm_class(config.algorithm).policy_aliases
-    space = observation_space(make_sense(config.task), observed_frames(config.task))
-    actions = spaces.Discrete(len(config.task.headings_deg))
+    space, actions = config.task.observation_space(), config.task.action_space()
     network: BasePolicy = aliases[policy_name(config)](
         space, actions, lambda _: 0.0, **policy_keywords(config)
     )

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from uavaccel.sim.quadrotor import Record, world_to_body
+from uavaccel.sim.quadrotor import Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z
 RATE, ANGLE = 0, 1  # modes of yaw
@@ -137,3 +139,22 @@ def control(parameters: Record, state: Record) -> None:
         clip(gain[1] * (q_goal - state.rate[1]), 1.0),
         clip(gain[2] * (r_goal - state.rate[2]), 1.0),
     )
+
+
+def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:
+    """Give rotors, integrator and height goal the values that a long position hold arrives at.
+
+    Both are arrays of one record; the state's pose is where it hovers.
+    """
+    state, gains = flight[0], parameters_of[0]
+    weight = gains["mass_kg"] * gains["gravity_m_s2"]
+    thrust = gains["max_thrust_n"] * density_ratio(gains, state["position"][2])
+    hover = weight / (4 * thrust)
+    for name in ("rotor_input", "rotor_lagged", "rotor_output"):
+        state[name] = hover
+    hold_position.py_func(flight.view(np.recarray)[0])
+    gathered = gains["tick_s"] * gains["z_integral_gain"] / (1.0 - gains["z_integral_keep"])
+    error_m_s = (1.0 - 2.0 * hover) / (gains["velocity_gain"][2] + gathered)
+    state["z_integral"] = gathered * error_m_s
+    state["z_integral_mode"] = POSITION
+    state["goal"][2] += error_m_s / (gains["position_gain"][2] * gains["velocity_limit_m_s"])

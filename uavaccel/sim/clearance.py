@@ -1,4 +1,4 @@
-"""For how long a vehicle can touch nothing: the physics then need not look for contacts, a third of a step in the lane.
+"""When the physics has to look for contacts, a third of a step in the lane: not while the vehicle can touch nothing.
 
 Nothing is estimated: no flight within the rotors', the air's and gravity's strongest pull leaves the ball of the reach.
 """
@@ -6,6 +6,7 @@ Nothing is estimated: no flight within the rotors', the air's and gravity's stro
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -20,10 +21,14 @@ GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at ag
 MARGIN_M = 0.01
 DENSEST_AIR = 1.5  # kg/m³, kilometres below the sea
 STRONGEST_THRUST = 1.3  # of that at sea level, there
+NEAR_TICKS = 16  # flown with contacts where something is so near that leaving them out is not worth while
 
 
 class Clearance:
-    """The surroundings of a scene's quadrotor: the geoms of the world, wherever they are placed."""
+    """The surroundings of a scene's quadrotor: the geoms of the world, wherever they are placed.
+
+    It switches the model's contacts off and on; `data` has to hold the geoms' places.
+    """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         body = model.body("quadrotor").id
@@ -33,6 +38,34 @@ class Clearance:
         self._radius_m = float((np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound)[own].max())
         self._model, self._data = model, data
         self._alone = model.nbody == 2  # the world and the vehicle: nothing else moves
+        self._with_contacts = int(model.opt.disableflags)
+        self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._next_look_tick = 0
+
+    def look_anew(self) -> None:
+        """The vehicle or its surroundings were moved."""
+        self._next_look_tick = 0
+        self._model.opt.disableflags = self._with_contacts
+
+    def ticks_to_fly(self, tick: int, ticks: int, parameters: Record, state: Record) -> int:
+        """How many of the next `ticks` to fly before this is asked again; contacts are looked for if need be."""
+        if tick >= self._next_look_tick:
+            free_ticks = int(self.free_s(parameters, state) / parameters["tick_s"])
+            near = free_ticks < NEAR_TICKS
+            self._model.opt.disableflags = self._with_contacts if near else self._without_contacts
+            self._next_look_tick = tick + (NEAR_TICKS if near else free_ticks)
+        return min(ticks, self._next_look_tick - tick)
+
+    def get_state(self) -> dict[str, Any]:
+        """The schedule."""
+        left_out = self._model.opt.disableflags != self._with_contacts
+        return {"next_look_tick": self._next_look_tick, "left_out": left_out}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self._next_look_tick = int(state["next_look_tick"])
+        left_out = bool(state["left_out"])
+        self._model.opt.disableflags = self._without_contacts if left_out else self._with_contacts
 
     def free_s(self, parameters: Record, state: Record) -> float:
         """Seconds of flight, 0 or more, in which nothing can be touched, whatever the autopilot does."""

@@ -27,3 +27,6 @@ class Executor:
         if self.tick_cost_ns:
             clock_speed = min(clock_speed, Fraction(tick_ns, self.tick_cost_ns))
         return clock_speed
+
+
+UNBOUND = Executor()

@@ -9,11 +9,13 @@ an image of a paused game shows the pose of the last tick before the pause.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 
+from uavaccel.sim.saved import State
 from uavaccel.units import ceil_div
 
 
@@ -55,6 +57,17 @@ class Frames:
     def scene(self, data: mujoco.MjData) -> mujoco.MjData:
         """What a camera draws: the present `data`, or the pose that was shown last."""
         return self._shown or data
+
+    def get_state(self) -> State:
+        """The pose that is shown; empty where nothing has been shown yet."""
+        return {"shown": [] if self._shown is None else self._shown.qpos.tolist()}
+
+    def set_state(self, state: Mapping[str, Any], data: mujoco.MjData) -> None:
+        """Back to what `get_state` gave; `data` is of the same scene."""
+        self.forget()
+        if len(state["shown"]):
+            self._shown = mujoco.MjData(data.model)
+            self._shown.qpos[:] = state["shown"]
 
     def forget(self) -> None:
         """A new game: nothing has been shown yet."""

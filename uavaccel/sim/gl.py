@@ -24,6 +24,8 @@ PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6"
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
 
 _in_thread = threading.local()  # .context: the one that is current
+_drawn = False  # whether this process, or one that it was forked from, has made a context
+_forked = False  # whether it was forked after that
 
 # MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
 _PROBE = """
@@ -48,12 +50,16 @@ class GlRenderer:
 def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
     """A GL context of MuJoCo's, made current in this thread, and who draws in it.
 
-    Raises UserError where nothing can draw: one line that names the packages to install.
+    Raises UserError where nothing can draw, one line that names the packages to install, and in a process that was
+    forked from one that has drawn: the driver's threads stayed behind, and it would wait for them for ever.
     """
+    global _drawn
+    check_process()
     backend = choose_backend()
     try:
         module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
         context = importlib.import_module(module).GLContext(width, height)
+        _drawn = True
         bind(context)
         return context, _current_renderer(backend)
     except Exception as error:  # of several libraries, each with its own kind
@@ -99,6 +105,29 @@ def bind(context: Any) -> None:
     if getattr(_in_thread, "context", None) is not context:
         context.make_current()
         _in_thread.context = context
+
+
+def survives() -> bool:
+    """Whether this process may touch what OpenGL holds: not where it was forked from one that has drawn."""
+    return not _forked
+
+
+def check_process() -> None:
+    """Raise UserError where this process cannot draw because its parent had drawn before it was forked."""
+    if _forked:
+        raise UserError(
+            "this process was forked from one that had drawn, and OpenGL does not survive that: start workers by "
+            'spawn, as AsyncVectorEnv(..., context="spawn") or SubprocVecEnv(..., start_method="spawn")'
+        )
+
+
+def _note_fork() -> None:
+    global _forked
+    _forked = _drawn
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def release(context: Any) -> None:

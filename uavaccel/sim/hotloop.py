@@ -13,7 +13,9 @@ and the poses equal AirSim's to rounding, while contacts, images and poses stay 
 
 from __future__ import annotations
 
+import ast
 import ctypes
+import sys
 import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,9 +27,10 @@ from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from uavaccel.sim import autopilot, quadrotor
 from uavaccel.sim.autopilot import control
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
+
+PACKAGE = __name__.partition(".")[0] + "."
 
 # One row of the recorder: tick, position, quaternion, velocity, body rate.
 SAMPLE_COLUMNS = 1 + 3 + 4 + 3 + 3
@@ -101,6 +104,39 @@ def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: ND
 
 
 @njit
+def feel_contacts(
+    parameters: Record, state: Record, contact: NDArray[np.float64], push: NDArray[np.float64]
+) -> None:
+    """Add to the accelerations, and to the velocity at the tick, what the contacts of the last step pushed with.
+
+    MuJoCo adds it to the next kick itself. Those of the step to come are not known yet; at rest they are the same.
+    """
+    if contact[0] == 0.0 or parameters.contacts_act == 0:
+        return
+    half, mass, inertia = 0.5 * parameters.tick_s, parameters.mass_kg, parameters.inertia_kg_m2
+    for axis in range(3):
+        side = 1.0 if axis == 0 else -1.0  # units.py's half turn about x
+        linear, angular = side * push[axis] / mass, side * push[3 + axis] / inertia[axis]
+        state.acceleration[axis] += linear
+        state.angular_acceleration[axis] += angular
+        state.velocity[axis] += half * linear
+        state.rate[axis] += half * angular
+
+
+@njit
+def note_contacts(state: Record, contact: NDArray[np.float64]) -> bool:
+    """Whether the contacts have changed in number; the state is still that of the tick which they speak of."""
+    if contact[0] == state.contacts:
+        return False
+    state.contacts, state.contacts_changed, state.contact_tick = contact[0], 1, state.tick
+    for axis in range(3):
+        state.contact_position[axis] = state.position[axis]
+    if state.collision_tick == NEVER:
+        state.collision_tick = state.tick
+    return True
+
+
+@njit
 def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> None:
     """Append the state to the bounded buffer if its tick is on the recorder's grid."""
     if state.tick != recorder.next_tick:
@@ -124,8 +160,8 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
 def views(handles: Any) -> Any:
     """What the entry points work on. `handles` are int64 addresses, the last one a count of rows.
 
-    In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor; parameters, flight, recorder, samples.
-    Records come as arrays of one: numba returns no records.
+    In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor, qfrc_constraint; parameters, flight,
+    recorder, samples. Records come as arrays of one: numba returns no records.
     Plain addresses, since numba's own dispatch of a dozen arrays costs more than three ticks of flight.
     """
     return (
@@ -133,10 +169,11 @@ def views(handles: Any) -> Any:
         carray(pointer(handles[4]), 6, np.float64),
         carray(pointer(handles[5]), 6, np.float64),
         carray(pointer(handles[6]), 1, np.float64),
-        carray(pointer(handles[7]), 1, PARAMETERS_DTYPE),
-        carray(pointer(handles[8]), 1, FLIGHT_DTYPE),
-        carray(pointer(handles[9]), 1, RECORDER_DTYPE),
-        carray(pointer(handles[10]), (handles[11], SAMPLE_COLUMNS), np.float64),
+        carray(pointer(handles[7]), 6, np.float64),
+        carray(pointer(handles[8]), 1, PARAMETERS_DTYPE),
+        carray(pointer(handles[9]), 1, FLIGHT_DTYPE),
+        carray(pointer(handles[10]), 1, RECORDER_DTYPE),
+        carray(pointer(handles[11]), (handles[12], SAMPLE_COLUMNS), np.float64),
     )
 
 
@@ -144,7 +181,7 @@ class EntryPoints(NamedTuple):
     """Machine code, called through `.ctypes(handles, ticks)`, without the GIL."""
 
     fly: Any
-    """Fly up to `ticks` ticks; returns how many: fewer where something is touched for the first time."""
+    """Fly up to `ticks` ticks; returns how many: fewer where contacts begin or end."""
     stand_still: Any
     """Let `ticks` ticks pass without moving; the recorder takes this tick, if it is due, and goes on."""
     look: Any
@@ -160,27 +197,26 @@ def _compile(sources: int) -> EntryPoints:
 
     @entry_point
     def fly(handles: Any, ticks: int) -> int:
-        qpos, qvel, force, contact, of_parameters, of_flight, of_recorder, samples = views(handles)
+        qpos, qvel, force, contact, push, of_parameters, of_flight, of_recorder, samples = views(handles)
         parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
         for flown in range(ticks if sources else 0):
             call_mj_step(handles[0], handles[1], handles[2])
             # the contact sensor speaks of the pose at which the step began: the tick before
-            touched = contact[0] > 0.0 and state.collision_tick == NEVER
-            if touched:
-                state.collision_tick = state.tick
+            changed = note_contacts(state, contact)
             kick(parameters, state, qvel, force)
+            feel_contacts(parameters, state, contact, push)
             turn_rotors(parameters, state)
             read_pose(state, qpos)
             state.tick += 1
             control(parameters, state)
             record(recorder, samples, state)
-            if touched:
+            if changed:
                 return flown + 1
         return ticks
 
     @entry_point
     def stand_still(handles: Any, ticks: int) -> int:
-        _, _, _, _, _, of_flight, of_recorder, samples = views(handles)
+        _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles)
         state, recorder = of_flight[0], of_recorder[0]
         record(recorder, samples, state)
         for _ in range(ticks if sources else 0):
@@ -190,7 +226,7 @@ def _compile(sources: int) -> EntryPoints:
 
     @entry_point
     def look(handles: Any, ticks: int) -> int:
-        qpos, qvel, force, _, of_parameters, of_flight, _, _ = views(handles)
+        qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles)
         if sources:
             read_pose(of_flight[0], qpos)
             kick(of_parameters[0], of_flight[0], qvel, force)
@@ -199,10 +235,24 @@ def _compile(sources: int) -> EntryPoints:
     return EntryPoints(fly, stand_still, look)
 
 
+def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
+    """The files of ours that a module's code may come from: all that it imports, and what that imports."""
+    file = Path(sys.modules[module].__file__ or "")
+    if file.name == "__init__.py" or module in found:  # packages hold no code of the loop's
+        return found
+    found[module] = file
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
+            for name in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names)):
+                if name in sys.modules:
+                    _reached(name, found)
+    return found
+
+
 def _sources() -> int:
     """A number that changes with the code that the hot loop takes from other files; never 0."""
-    files = [Path(module.__file__ or "") for module in (autopilot, quadrotor)]
-    return zlib.crc32(b"".join(file.read_bytes() for file in files)) | 1
+    files = _reached(__name__, {})
+    return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
 
 
 ENTRY_POINTS = _compile(_sources())

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
 
+from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 
 
@@ -29,11 +30,26 @@ class Profile:
     def tick_s(self) -> float:
         return self.tick_ns / NS_PER_S
 
+    def check_duration(self, duration_s: float, name: str) -> None:
+        """Raise UserError where TCSC cannot fly a command, or a sample, of that time.
+
+        An exact profile needs whole ticks. A wall timer is not asked for a rest of a tick or less (T_th), so that a
+        command no longer than that would never begin.
+        """
+        if self.exact_times:
+            ticks_exactly(duration_s, self.tick_ns, name)
+        elif exact(duration_s) * NS_PER_S <= self.tick_ns:
+            tick_ms = self.tick_ns / 1e6
+            raise UserError(
+                f"{name}: {duration_s:g} s is too short for the {self.name} profile; it has to be longer than its "
+                f"physics step of {tick_ms:g} ms"
+            )
+
     @lru_cache(maxsize=256)  # noqa: B019  profiles live as long as the program; fractions are slow
-    def command_ticks(self, duration_s: float, name: str = "duration") -> int:
+    def command_ticks(self, duration_s: float) -> int:
         """Ticks that a command of `duration_s` lasts; raises UserError in an exact profile if it does not fit."""
         if self.exact_times:
-            return ticks_exactly(duration_s, self.tick_ns, name)
+            return ticks_exactly(duration_s, self.tick_ns, "duration")
         period_ns = self.goal_period_ticks * self.tick_ns
         return self.goal_period_ticks * ceil(exact(duration_s) * NS_PER_S / period_ns)
 

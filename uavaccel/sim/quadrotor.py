@@ -47,6 +47,7 @@ PARAMETERS_DTYPE = np.dtype(
         ("min_throttle", "f8"),
         ("min_mixed_throttle", "f8"),
         ("hover_after_ticks", "i8"),
+        ("contacts_act", "i8"),  # whether what is touched pushes back; else the first touch ends the flight
     ]
 )
 
@@ -75,18 +76,28 @@ FLIGHT_DTYPE = np.dtype(
         ("rotor_input", "f8", ROTORS),
         ("rotor_lagged", "f8", ROTORS),
         ("rotor_output", "f8", ROTORS),
-        ("collision_tick", "i8"),
+        ("collision_tick", "i8"),  # of the first touch
+        # how many contacts there were at the last step's beginning, and when and where that last changed
+        ("contacts", "f8"),
+        ("contacts_changed", "i8"),
+        ("contact_tick", "i8"),
+        ("contact_position", "f8", 3),
     ]
 )
 
 
 def parameters(
-    tick_s: float, hover_after_ticks: int, mass_kg: float, inertia: NDArray[np.float64]
+    tick_s: float,
+    hover_after_ticks: int,
+    mass_kg: float,
+    inertia: NDArray[np.float64],
+    contacts_act: bool = True,
 ) -> NDArray[np.void]:
     """One record (1,) of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
     record = np.zeros(1, PARAMETERS_DTYPE)
     record["tick_s"] = tick_s
     record["hover_after_ticks"] = hover_after_ticks
+    record["contacts_act"] = contacts_act
     record["mass_kg"] = mass_kg
     record["inertia_kg_m2"][:] = inertia
     record["gravity_m_s2"] = 9.80665
@@ -114,8 +125,13 @@ def parameters(
 
 @njit(cache=True)
 def air_density(altitude_m: float) -> float:
-    """Kilograms per cubic metre in the standard atmosphere's troposphere (EarthUtils.hpp)."""
+    """Kilograms per cubic metre in the standard atmosphere's two lowest layers (EarthUtils.hpp).
+
+    The upper one, of one temperature from 11 to 20 km, goes on for ever: thin air, but never none.
+    """
     height_km = 6378.137 * (altitude_m / 1000.0) / (6378.137 + altitude_m / 1000.0)
+    if height_km > 11.0:
+        return 22632.06 * math.exp(-0.1577 * (height_km - 11.0)) / 287.053 / 216.65
     temperature = 288.15 - 6.5 * height_km
     return 101325.0 * (temperature / 288.15) ** 5.255877 / 287.053 / temperature
 

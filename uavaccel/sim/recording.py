@@ -2,13 +2,60 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.saved import State, number_or_none, optional
 from uavaccel.units import NS_PER_S
+
+COMMAND_LOG_LENGTH = 1 << 16
+
+
+class CommandLog:
+    """First and last tick of the commands since the last reset: the latest COMMAND_LOG_LENGTH of them."""
+
+    def __init__(self) -> None:
+        self.origin_tick: int | None = None  # at which the first was accepted: a recording's t = 0
+        self._ticks: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+
+    def accept(self, tick: int, end_tick: int) -> None:
+        """A command begins, and ends at `end_tick` unless `cut_short`."""
+        if self.origin_tick is None:
+            self.origin_tick = tick
+        self._ticks.append((tick, end_tick))
+
+    def cut_short(self, tick: int) -> None:
+        """The latest ended at `tick`."""
+        self._ticks[-1] = (self._ticks[-1][0], tick)
+
+    def last_goal(self, tick: int, period: int) -> int:
+        """When the latest's loop has last set its goal by `tick`: as it began, and every `period` ticks from there."""
+        accepted = self._ticks[-1][0]
+        return accepted + (tick - accepted) // period * period
+
+    def __len__(self) -> int:
+        return len(self._ticks)
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter(self._ticks)
+
+    def ticks(self) -> NDArray[np.int64]:
+        """First and last ticks (c, 2)."""
+        return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
+
+    def get_state(self) -> State:
+        return {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self.origin_tick = number_or_none(state["origin_tick"])
+        self._ticks.clear()
+        self._ticks.extend((int(first), int(last)) for first, last in state["ticks"])
 
 
 @dataclass(frozen=True)

@@ -7,89 +7,31 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
-
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
-from uavaccel.sim.executor import Executor
+from uavaccel.sim import simulation_state
+from uavaccel.sim.executor import UNBOUND, Executor
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.recording import Recording
+from uavaccel.sim.recording import CommandLog, Recording
+from uavaccel.sim.running import Command, Continue, DeferredReply, Running
+from uavaccel.sim.saved import State
+from uavaccel.sim.tally import Speed, Trace
 from uavaccel.sim.world import LEVEL, START_M, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
-COMMAND_LOG_LENGTH = 1 << 16
-TRACE_LENGTH = 1 << 16
-
-
-class DeferredReply:
-    """A reply that is not yet due: `join` of a command, or a continue-for."""
-
-    def __init__(self) -> None:
-        self.value: Any = None
-        self.encode: Callable[[Any], Any] = lambda value: value  # as the wire wants it
-        self.due_wall_ns: int | None = None
-        self.on_due: Callable[[DeferredReply], None] | None = None
-
-    def resolve(self, value: Any, wall_ns: int) -> None:
-        """Fix the reply and the wall time before which it may not leave."""
-        self.value, self.due_wall_ns = value, wall_ns
-        if self.on_due is not None:
-            self.on_due(self)
-
-
-@dataclass
-class _Command:
-    end_tick: int
-    reply: DeferredReply
-
-
-@dataclass
-class _Continue:
-    """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
-
-    reply: DeferredReply
-    end_tick: int | None = None
-    end_wall_ns: int | None = None
-
-
-@dataclass
-class Speed:
-    """Simulated and wall time passed while the clock ran, and the wall time given up as lost."""
-
-    simulated_ns: int = 0
-    wall_ns: int = 0
-    lost_wall_ns: int = 0
-
-    @property
-    def real_time_factor(self) -> float:
-        """Achieved simulated seconds a wall second; 0 before the clock ran."""
-        return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
-
-
-@dataclass
-class Trace:
-    """What the simulation did and when: (event, wall ns, simulated ns), the latest; kept only while switched on."""
-
-    events: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
-    enabled: bool = False
-
-
-_UNBOUND = Executor()
+__all__ = ["DeferredReply", "Simulation"]
 
 
 class Simulation:
     """Clock, commands and recorder over one `World`.
 
-    `catch_up_wall_ns`: backlog of wall time that is made good; what exceeds it is lost and counted. None: no
-    bound, for a simulated wall clock, which is never late. `timer_lateness_ns` draws how late a wall timer ends
-    (`airsim`); on a real clock it is as late as it is.
+    `catch_up_wall_ns`: backlog of wall time that is made good; the rest is lost and counted. None: no bound, for a
+    simulated wall clock. `timer_lateness_ns` draws how late a wall timer ends there (`airsim`).
     """
 
     def __init__(
@@ -99,30 +41,25 @@ class Simulation:
         wall_ns: int = 0,
         catch_up_wall_ns: int | None = None,
         timer_lateness_ns: Callable[[], int] = lambda: 0,
-        executor: Executor = _UNBOUND,
+        executor: Executor = UNBOUND,
         frames: Frames | None = None,
     ) -> None:
         self.world = world
         self.profile: Profile = world.profile
         self.executor, self.frames = executor, frames or Frames()
-        self.clock_speed = positive_clock_speed(clock_speed)  # as asked for; the pacer's is what comes of it
-        self.pacer = Pacer(self._executed_speed(), self.profile.tick_ns)
+        self.clock_speed = positive_clock_speed(clock_speed)  # as asked for; the pacer's comes of it
+        self.pacer = Pacer(executor.speed(self.clock_speed, self.profile.tick_ns), self.profile.tick_ns)
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
         self.api_control = False
         self.trace = Trace()
         self.failure: str | None = None
-        self._time0_ns = 0
-        self._wall_ns = wall_ns
-        self._command: _Command | None = None
-        self._continue: _Continue | None = None
+        self.time0_ns = 0
+        self.wall_ns = wall_ns
         self._start_over(wall_ns)
 
     # --- time -------------------------------------------------------------------------------------
-
-    def _executed_speed(self) -> Fraction:
-        return self.executor.speed(self.clock_speed, self.profile.tick_ns)
 
     @property
     def time_ns(self) -> int:
@@ -131,22 +68,22 @@ class Simulation:
 
     def time_of(self, tick: int) -> int:
         """Simulated time at a tick since the last reset."""
-        return self._time0_ns + tick * self.profile.tick_ns
+        return self.time0_ns + tick * self.profile.tick_ns
 
     def advance_to(self, wall_ns: int) -> None:
         """Fly every tick that is due by `wall_ns`, end what ends on the way, and show what frames show."""
         if not self.paused:
-            for tick_ns in self.frames.ticks(self._wall_ns, wall_ns):
+            for tick_ns in self.frames.ticks(self.wall_ns, wall_ns):
                 self._advance_to(tick_ns)
                 if not self.paused:
                     self.frames.show(self.world.data)
         self._advance_to(wall_ns)
 
     def _advance_to(self, wall_ns: int) -> None:
-        if self.catch_up_wall_ns is not None and wall_ns - self._wall_ns > self.catch_up_wall_ns:
+        if self.catch_up_wall_ns is not None and wall_ns - self.wall_ns > self.catch_up_wall_ns:
             self._drop_backlog(wall_ns)
         while not self.paused:
-            end_tick = self._next_event_tick()
+            end_tick = self.running.next_end_tick()
             target = self.pacer.ticks_due(wall_ns)
             self._fly_to(target if end_tick is None else min(target, end_tick))
             if end_tick is None or end_tick > target:
@@ -162,12 +99,13 @@ class Simulation:
         if self.paused:
             return None
         if (timer := self.wall_timer_ns()) is None:
-            return None if (tick := self._next_event_tick()) is None else self.pacer.wall_due(tick)
-        return timer if self._command is None else min(timer, self.pacer.wall_due(self._command.end_tick))
+            return None if (tick := self.running.next_end_tick()) is None else self.pacer.wall_due(tick)
+        command = self.running.command
+        return min(timer, self.pacer.wall_due(command.end_tick)) if command else timer
 
     def wall_timer_ns(self) -> int | None:
         """When a running continue-for of the `airsim` profile is over, on the wall clock."""
-        return self._continue.end_wall_ns if self._continue and not self.paused else None
+        return self.running.period.end_wall_ns if self.running.period and not self.paused else None
 
     def _drop_backlog(self, wall_ns: int) -> None:
         """Give up wall time that nobody asked for in time: the machine, or this process, was held up."""
@@ -192,20 +130,14 @@ class Simulation:
 
     def _account(self, wall_ns: int) -> None:
         if not self.paused:
-            self.speed.wall_ns += wall_ns - self._wall_ns
-        self._wall_ns = wall_ns
-
-    def _next_event_tick(self) -> int | None:
-        command, period = self._command, self._continue
-        if period is None or period.end_tick is None:
-            return command.end_tick if command else None
-        return min(command.end_tick, period.end_tick) if command else period.end_tick
+            self.speed.wall_ns += wall_ns - self.wall_ns
+        self.wall_ns = wall_ns
 
     def _end_at_tick(self, wall_ns: int) -> None:
-        tick = self.world.tick
-        if self._command and self._command.end_tick <= tick:
+        tick, command, period = self.world.tick, self.running.command, self.running.period
+        if command and command.end_tick <= tick:
             self._end_command(self.failure is None, wall_ns)
-        if self._continue and self._continue.end_tick is not None and self._continue.end_tick <= tick:
+        if period and period.end_tick is not None and period.end_tick <= tick:
             self.pause(wall_ns)
 
     def note(self, event: str, wall_ns: int) -> None:
@@ -218,7 +150,7 @@ class Simulation:
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
         self.clock_speed = positive_clock_speed(clock_speed)
-        self.pacer.set_clock_speed(self._executed_speed(), wall_ns)
+        self.pacer.set_clock_speed(self.executor.speed(self.clock_speed, self.profile.tick_ns), wall_ns)
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""
@@ -232,14 +164,14 @@ class Simulation:
         """Let simulated time go on; ends a continue-for's period, as simPause(False) does."""
         if self.paused:
             self.paused = False
-            self._wall_ns = wall_ns
+            self.wall_ns = wall_ns
             self.pacer.anchor(wall_ns, self.world.tick)
             self.note("run", wall_ns)
         self._release_continue(wall_ns)
 
     def _release_continue(self, wall_ns: int) -> None:
-        if self._continue:
-            reply, self._continue = self._continue.reply, None
+        if self.running.period:
+            reply, self.running.period = self.running.period.reply, None
             reply.resolve(self.kinematics(), self.frames.continued(wall_ns))
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
@@ -249,15 +181,13 @@ class Simulation:
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self._continue = _Continue(DeferredReply())
+        period = self.running.period = Continue(DeferredReply())
         if self.profile.exact_times:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
         else:
             timer = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
-            one_tick = self.pacer.wall_due(
-                self.world.tick + 1
-            )  # the executor flies before it looks at its timer
+            one_tick = self.pacer.wall_due(self.world.tick + 1)  # it flies before it looks at its timer
             period.end_wall_ns = max(timer, one_tick) if duration_ns > 0 else timer
         self.advance_to(wall_ns)  # it may be over already
         return period.reply
@@ -277,30 +207,29 @@ class Simulation:
         ticks = self.profile.command_ticks(duration_s)
         self._end_command(False, wall_ns)
         if self.api_control:
-            vx, vy, vz = goal.velocity_m_s
-            held = goal.height_m is not None
-            third = vz if goal.height_m is None else goal.height_m
-            self.world.fly_velocity((vx, vy, third), held, goal.yaw, goal.yaw_is_rate)
+            self.world.fly_velocity(goal)
             self.world.hold_from(None)
         if not self.commands and self.world.recording:
-            self.world.start_recording()  # t = 0 is the tick at which the first command is accepted
-        self._command = _Command(self.world.tick + ticks, DeferredReply())
-        self.commands.append((self.world.tick, self.world.tick + ticks))
+            self.record()  # t = 0 is the tick at which the first command is accepted
+        end_tick = self.world.tick + ticks
+        self.running.command = Command(end_tick, DeferredReply())
+        self.commands.accept(self.world.tick, end_tick)
         self.note("accept", wall_ns)
-        return self._command.reply
+        return self.running.command.reply
 
     def cancel(self, wall_ns: int) -> None:
         """End the running command, if any, with False; position hold follows after the goal timeout."""
         self._end_command(False, wall_ns)
 
     def _end_command(self, completed: bool, wall_ns: int) -> None:
-        if self._command is None:
+        if self.running.command is None:
             return
-        command, self._command = self._command, None
+        command, self.running.command = self.running.command, None
         if not completed:
-            self.commands[-1] = (self.commands[-1][0], self.world.tick)
+            self.commands.cut_short(self.world.tick)
         if self.api_control:
-            self.world.hold_from(self.world.tick + self.profile.hover_after_ticks)
+            last_goal = self.commands.last_goal(self.world.tick, self.profile.goal_period_ticks)
+            self.world.hold_from(last_goal + self.profile.hover_after_ticks)
         self.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
 
@@ -312,33 +241,60 @@ class Simulation:
 
     # --- start and record -------------------------------------------------------------------------
 
-    def reset(self, wall_ns: int, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Back to a settled hover, API control off; what runs is released, a command with False."""
+    def reset(
+        self,
+        wall_ns: int,
+        position_m: Vector = START_M,
+        orientation_wxyz: Quaternion = LEVEL,
+        recording: bool = False,
+    ) -> None:
+        """Back to a settled hover, API control off; what runs is released, a command with False.
+
+        The recorder stops, or with `recording` starts anew. Raises UserError where nothing can hover.
+        """
+        self.world.check_place(position_m, orientation_wxyz)
         self._end_command(False, wall_ns)
-        if self._continue:
+        if self.running.period:
             self.pause(wall_ns)
-        self._time0_ns = self.time_ns
+        self.time0_ns = self.time_ns
         self.world.reset(position_m, orientation_wxyz)
         self.api_control = False
         self._start_over(wall_ns)
+        if recording:
+            self.record()
 
     def _start_over(self, wall_ns: int) -> None:
-        self._command = self._continue = None
-        self.commands: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+        self.running = Running()
+        self.commands = CommandLog()
         self.failure = None
         self.frames.forget()
         self.speed = Speed()
-        self._wall_ns = wall_ns
+        self.wall_ns = wall_ns
         self.pacer.anchor(wall_ns, self.world.tick)
 
     def kinematics(self) -> Kinematics:
         """The state at the present tick, stamped with `time_ns`."""
-        return self.world.kinematics(self._time0_ns)
+        return self.world.kinematics(self.time0_ns)
+
+    def record(self) -> None:
+        """Start the recorder anew: nobody else does."""
+        self.world.start_recording()
 
     def recording(self) -> Recording:
         """What the recorder and the command log hold since the first command after the last reset."""
-        origin = self.commands[0][0] if self.commands else 0
-        rows = self.world.samples()
+        rows, log, origin = self.world.samples(), self.commands.ticks(), self.commands.origin_tick or 0
         rows[:, 0] -= origin
-        log = np.array(self.commands, dtype=np.int64).reshape(-1, 2) - origin
-        return Recording(rows, log, self.profile.tick_ns, self.world.samples_dropped)
+        return Recording(rows, log - origin, self.profile.tick_ns, self.world.samples_dropped)
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def get_state(self) -> State:
+        """All that the flight from here on depends on, the world's state included; see World.get_state.
+
+        Replies that somebody waits for, and the trace, are not in it: save between two commands of a client.
+        """
+        return simulation_state.of(self)
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
+        simulation_state.restore(self, state)

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.errors import UserError
+from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.lane.scene import apply_layout, collision_object
+from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, density_ratio, parameters
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
+from uavaccel.sim.samples import Samples
+from uavaccel.sim.saved import State, into_record, layout_of, of_record, part, under
+from uavaccel.sim.touch import Touches, deepest_contact
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import Camera
 
-SAMPLE_CAPACITY = 1 << 16
-NEAR_TICKS = 16  # flown with contacts where something is so near that leaving them out is not worth while
+PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
+AT_REST_M_S = 0.05
+DEEPEST_M = 0.05  # into what it is placed on; from deeper contacts would throw the vehicle
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -47,33 +55,35 @@ class World:
         self.data = mujoco.MjData(self.model)
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self.collision_object = ""
+        self._scene = scene
+        self._lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
-        self._parameters = parameters(profile.tick_s, profile.hover_after_ticks, mass, inertia)
+        self._parameters = parameters(
+            profile.tick_s, profile.hover_after_ticks, mass, inertia, not self.freeze_on_collision
+        )
         self._flight = np.zeros(1, FLIGHT_DTYPE)
-        self._recorder = np.zeros(1, hotloop.RECORDER_DTYPE)
-        self._samples = np.empty((SAMPLE_CAPACITY, hotloop.SAMPLE_COLUMNS))
+        self._samples = Samples(profile.recorder_ticks)
         # views of the records' fields, which numpy finds again only slowly
         self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._warnings = self.data.warning.number
         self._clearance = Clearance(self.model, self.data)
-        self._with_contacts = int(self.model.opt.disableflags)
+        self.touches = Touches(self.model, self.data)
         self._handles = self._addresses()
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
-        self.stop_recording()
         self.reset()
 
     def _addresses(self) -> NDArray[np.int64]:
         """What the hot loop works on, in the order of hotloop.views."""
         data = self.data
-        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata)
-        records = (self._parameters, self._flight, self._recorder, self._samples)
+        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
+        samples = self._samples
+        records = (self._parameters, self._flight, samples.record, samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]
         fixed = [hotloop.mj_step_address(), self.model._address, data._address]
-        return np.array([*fixed, *own, SAMPLE_CAPACITY], np.int64)
+        return np.array([*fixed, *own, len(samples.buffer)], np.int64)
 
     @property
     def parameters(self) -> Record:
@@ -95,6 +105,17 @@ class World:
         tick = int(self._field["collision_tick"][0])
         return None if tick == NEVER else tick
 
+    @property
+    def collision_object(self) -> str:
+        """What was touched first since the last reset; "" for nothing."""
+        return self.touches.first.object if self.touches.first else ""
+
+    @property
+    def landed(self) -> bool:
+        """Whether the vehicle rests on, or against, something."""
+        state = self.state
+        return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+
     def camera(self, width: int, height: int) -> Camera:
         """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
         from uavaccel.sim.camera import Camera  # what needs no images needs no OpenGL
@@ -106,7 +127,8 @@ class World:
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
-        self._look_for_contacts()
+        self._lane = layout
+        self._clearance.look_anew()
         self._field["wind"][0] = layout.wind_m_s
 
     def close(self) -> None:
@@ -125,48 +147,59 @@ class World:
         self.state["armed"] = 1
         self.state["hover_tick"] = self.state["collision_tick"] = NEVER
         self.place(position_m, orientation_wxyz)
-        self._settle()
+        autopilot.settle(self._parameters, self._flight)
+        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
     def place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = (0.0, 0.0, 0.0)
     ) -> None:
-        """Put the vehicle somewhere (NED, wxyz), not turning; its autopilot and rotors go on as they are."""
+        """Put the vehicle somewhere (NED, wxyz), not turning; its autopilot and rotors go on as they are.
+
+        Raises UserError, and leaves it where it is, below the ground, in an object or above HIGHEST_M.
+        """
+        self.check_place(position_m, orientation_wxyz)
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:3] = ned_to_mujoco(position_m)
-        self.data.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
+        self._set_pose(position_m, orientation_wxyz)
         self.data.qvel[:3] = ned_to_mujoco(velocity_m_s)
         self.state["collision_tick"] = NEVER
-        self.collision_object = ""
-        self._look_for_contacts()
+        self.state["contacts"] = self.state["contacts_changed"] = 0
+        self.touches.clear()
+        self._clearance.look_anew()
         self._failed = False
         hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
-    def _settle(self) -> None:
-        """Give rotors, integrator and height goal the values that a long position hold arrives at."""
-        state, gains = self.state, self.parameters
-        weight = gains["mass_kg"] * gains["gravity_m_s2"]
-        thrust = gains["max_thrust_n"] * density_ratio(gains, state["position"][2])
-        hover = weight / (4 * thrust)
-        for name in ("rotor_input", "rotor_lagged", "rotor_output"):
-            state[name] = hover
-        autopilot.hold_position.py_func(self._flight.view(np.recarray)[0])
-        gathered = gains["tick_s"] * gains["z_integral_gain"] / (1.0 - gains["z_integral_keep"])
-        error_m_s = (1.0 - 2.0 * hover) / (gains["velocity_gain"][2] + gathered)
-        state["z_integral"] = gathered * error_m_s
-        state["z_integral_mode"] = autopilot.POSITION
-        state["goal"][2] += error_m_s / (gains["position_gain"][2] * gains["velocity_limit_m_s"])
-        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+    def _set_pose(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
+        self.data.qpos[:3] = ned_to_mujoco(position_m)
+        self.data.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def check_place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL) -> None:
+        """Raise UserError, as `place` does, where the vehicle cannot be put."""
+        z_m, top_m = position_m[2], self.parameters["ground_altitude_m"] - HIGHEST_M
+        if not top_m <= z_m <= 0.0:
+            raise UserError(
+                f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
+            )
+        if self.freeze_on_collision:  # nothing is thrown: the game is over before it began
+            return
+        before = self._physics()
+        self._clearance.look_anew()
+        self._set_pose(position_m, orientation_wxyz)
+        mujoco.mj_collision(self.model, self.data)
+        depth_m, name = deepest_contact(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, before, PHYSICS)
+        mujoco.mj_kinematics(self.model, self.data)
+        if depth_m > DEEPEST_M:
+            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {name}")
 
     def advance(self, ticks: int) -> int:
-        """Fly up to `ticks` ticks; returns how many: fewer where something is touched for the first time.
+        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle.
 
         Raises FlightError when MuJoCo warns; the vehicle then stands still until it is placed anew.
         """
         if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
             return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
         flown = self._fly(ticks)
-        if not self.collision_object and self.collision_tick is not None:
-            self.collision_object = collision_object(self.model, self.data)
         if self._warnings.any():
             self._failed = True
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
@@ -174,34 +207,26 @@ class World:
         return flown
 
     def _fly(self, ticks: int) -> int:
-        flown, touched = 0, self.collision_tick
-        while flown < ticks and self.collision_tick == touched:
-            if self.tick >= self._look_again_tick:
-                self._look_around()
-            due = min(ticks - flown, self._look_again_tick - self.tick)
+        flown, field = 0, self._field
+        while flown < ticks:
+            tick = int(field["tick"][0])
+            due = self._clearance.ticks_to_fly(tick, ticks - flown, self.parameters, self.state)
             flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, due))
+            if field["contacts_changed"][0]:
+                field["contacts_changed"][0] = 0
+                self.touches.look(int(field["contact_tick"][0]), field["contact_position"][0])
+                if self.freeze_on_collision:
+                    break
         return flown
 
-    def _look_around(self) -> None:
-        """Look for contacts, or, while there can be none, leave them out: the flight is the same."""
-        free_ticks = int(self._clearance.free_s(self.parameters, self.state) / self.profile.tick_s)
-        if free_ticks < NEAR_TICKS:
-            self._look_for_contacts(NEAR_TICKS)
-        else:
-            self.model.opt.disableflags = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-            self._look_again_tick = self.tick + free_ticks
-
-    def _look_for_contacts(self, ticks: int = 0) -> None:
-        self.model.opt.disableflags = self._with_contacts
-        self._look_again_tick = self.tick + ticks
-
-    def fly_velocity(self, goal: Vector, height_held: bool, yaw: float, yaw_is_rate: bool) -> None:
-        """Set the autopilot's goal: NED m/s, the third a height in m if held; yaw in rad or rad/s."""
-        field = self._field
-        field["goal"][0] = (*goal, yaw)
+    def fly_velocity(self, goal: VelocityGoal) -> None:
+        """Set the autopilot's goal."""
+        field, (vx, vy, vz) = self._field, goal.velocity_m_s
+        held = goal.height_m is not None
+        field["goal"][0] = (vx, vy, goal.height_m if held else vz, goal.yaw)
         field["xy_mode"][0] = autopilot.VELOCITY
-        field["z_mode"][0] = autopilot.POSITION if height_held else autopilot.VELOCITY
-        field["yaw_mode"][0] = autopilot.RATE if yaw_is_rate else autopilot.ANGLE
+        field["z_mode"][0] = autopilot.POSITION if held else autopilot.VELOCITY
+        field["yaw_mode"][0] = autopilot.RATE if goal.yaw_is_rate else autopilot.ANGLE
 
     def hold_from(self, tick: int | None) -> None:
         """Position hold sets in at `tick`; None: not at all."""
@@ -213,32 +238,61 @@ class World:
         time_ns = origin_ns + self.tick * self.profile.tick_ns
         return Kinematics(time_ns, n[0:3], n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
 
+    def get_state(self) -> State:
+        """All that the flight depends on, for np.savez or, with units.plain, JSON.
+
+        `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
+        lane's layout and the samples recorded so far are in it.
+        """
+        state: State = {"scene": self._scene, "profile": self.profile.name, "failed": self._failed}
+        state |= {"physics": self._physics(), "warnings": self._warnings.copy()}
+        state |= under("flight", of_record(self._flight)) | under("samples", self._samples.get_state())
+        state |= under("touches", self.touches.get_state()) | under("contacts", self._clearance.get_state())
+        return state | (under("lane", vars(self._lane)) if self._lane else {})
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
+        for name, own in (("scene", self._scene), ("profile", self.profile.name)):
+            if str(state[name]) != own:
+                raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
+        self._failed = bool(state["failed"])
+        if lane := part("lane", state):
+            self._lane = layout_of(lane)
+            apply_layout(self.model, self.data, self._lane)
+        mujoco.mj_setState(self.model, self.data, np.asarray(state["physics"], float), PHYSICS)
+        mujoco.mj_kinematics(self.model, self.data)
+        self._warnings[:] = state["warnings"]
+        into_record(self._flight, part("flight", state))
+        self._samples.set_state(part("samples", state))
+        self.touches.set_state(part("touches", state))
+        self._clearance.set_state(part("contacts", state))
+
+    def _physics(self) -> NDArray[np.float64]:
+        values = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
+        mujoco.mj_getState(self.model, self.data, values, PHYSICS)
+        return values
+
     @property
     def recording(self) -> bool:
-        return int(self._recorder["next_tick"][0]) != NEVER
+        return self._samples.running
 
     def start_recording(self) -> None:
         """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
-        recorder = self._recorder
-        recorder["count"] = recorder["dropped"] = 0
-        recorder["period"] = self.profile.recorder_ticks
-        recorder["next_tick"] = self.tick
+        self._samples.start(self.tick)
         hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, 0)
 
     def stop_recording(self) -> None:
-        self._recorder["next_tick"] = NEVER
+        self._samples.stop()
 
     def samples(self) -> NDArray[np.float64]:
         """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
-        return self._samples[: int(self._recorder["count"][0])].copy()
+        return self._samples.rows()
 
     def take_samples(self) -> NDArray[np.float64]:
         """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
-        rows = self.samples()
-        self._recorder["count"] = 0
-        return rows
+        return self._samples.take()
 
     @property
     def samples_dropped(self) -> int:
         """Samples that found the buffer full."""
-        return int(self._recorder["dropped"][0])
+        return self._samples.dropped

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line a suite; its module is imported when it is asked for.
@@ -16,6 +17,7 @@ SUITES = {
     "dp1": "uavaccel.suites.dp1.suite:Dp1",
     "dp2": "uavaccel.suites.dp2.suite:Dp2",
     "train": "uavaccel.suites.training.suite:Training",
+    "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
 }
 
@@ -33,6 +35,24 @@ def find_suite(name: Any, source: str, folder: Path | None = None) -> AnySuite:
         hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SUITES)}, and module:name"
         raise UserError(f"{source}: {found}; {hint}")
     return _load(SUITES[name])
+
+
+def suite_of(run: RunDirectory) -> AnySuite:
+    """The suite that flew a run; one of one's own is looked for where the run found it. Raises UserError."""
+    name = run.config().get("suite")
+    own = isinstance(name, str) and ":" in name
+    folder = run.manifest().get("suite_folder") if own else None
+    return find_suite(name, str(run.path / "config.yaml"), None if folder is None else Path(folder))
+
+
+def own_folder(suite: AnySuite) -> Path | None:
+    """The folder from which the module of one's own suite is imported; None for a suite that ships."""
+    module = sys.modules[type(suite).__module__]
+    shipped = {place.partition(":")[0] for place in SUITES.values()}
+    if module.__name__ in shipped or module.__file__ is None:
+        return None
+    file = Path(module.__file__).resolve()
+    return file.parents[module.__name__.count(".") + (file.name == "__init__.py")]
 
 
 def _own_suite(name: str, source: str, folder: Path | None) -> AnySuite:

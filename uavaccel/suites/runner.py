@@ -16,7 +16,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, timing_of
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
 from uavaccel.units import NS_PER_S
 
@@ -35,7 +35,9 @@ def begin_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, Any], resume: bool = False
 ) -> RunDirectory:
     """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
-    run = RunDirectory.create(out, config, manifest, resume)
+    folder = own_folder(suite)  # where a report finds the suite again, from whatever folder it is asked for
+    found = {} if folder is None else {"suite_folder": str(folder)}
+    run = RunDirectory.create(out, config, {**manifest, **found}, resume)
     suite.prepare(config, run)
     return run
 
@@ -89,10 +91,9 @@ def _fly_one_by_one(
 def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
-    name = run.config()["suite"]
     with parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="4*n_jobs", batch_size=4)
-        games = parallel(delayed(_fly_in_worker)(name, config, case, run.path) for case in cases)
+        games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
         try:
             yield from _told_of_dead_workers(games)
         finally:
@@ -111,19 +112,19 @@ def _told_of_dead_workers(games: Iterator[Flown]) -> Iterator[Flown]:
         ) from None
 
 
-_OPENED: dict[tuple[str, str, str], tuple[AnySuite, Any]] = {}
+_OPENED: dict[tuple[str, str], tuple[AnySuite, Any]] = {}
 
 
-def _fly_in_worker(name: str, config: Experiment, case: Case, folder: Path) -> Flown:
+def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     """Fly a case in this worker process, which keeps what it opened; Ctrl-C is the parent's to handle."""
-    key = (str(folder), name, case.timing)
+    key = (str(folder), case.timing)
     if key not in _OPENED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        os.environ.setdefault(
-            "LP_NUM_THREADS", "0"
-        )  # drawing in software, it leaves the other cores to its siblings
-        suite = find_suite(name, str(folder))
-        _OPENED[key] = suite, suite.open(config, case.timing, RunDirectory(folder)).__enter__()
+        # drawing in software, it leaves the other cores to its siblings
+        os.environ.setdefault("LP_NUM_THREADS", "0")
+        run = RunDirectory(folder)
+        suite = suite_of(run)
+        _OPENED[key] = suite, suite.open(config, case.timing, run).__enter__()
     suite, opened = _OPENED[key]
     return fly_case(suite, config, case, opened)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.experiment import Experiment, resolve
 
 if TYPE_CHECKING:
     from uavaccel.draw.film import Film
@@ -158,6 +158,13 @@ ROW_BYTES = 1_000
 def flying_s(case: Case, clock_speed: float = 1.0) -> float:
     """Wall time of a game without calls and images, about."""
     return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
+
+
+def configuration(suite: AnySuite, mapping: Mapping[str, Any], source: str) -> Any:
+    """A suite's checked configuration from a YAML's mapping, what it leaves out completed. Raises UserError."""
+    config = resolve(suite.config, suite.complete(mapping), source)
+    suite.check(config)
+    return config
 
 
 def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[Row]) -> Row:

@@ -1,1 +1,1 @@
-"""What the drone sees, as pure functions on arrays: the DVS, its observation, the image guard."""
+"""What the drone sees, as pure functions on arrays: event camera, observations, image guard, perturbations."""

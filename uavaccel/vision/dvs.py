@@ -1,9 +1,9 @@
 """A dynamic vision sensor after v2e's pixel model, as pure functions on arrays.
 
-A pixel memorises a log intensity and emits one event for each whole contrast threshold by which the present
+A pixel memorises a log intensity and emits one event for each whole contrast threshold by which the current
 one differs from it. Source: v2e (SensorsINI/v2e, commit cac6384, `EventEmulator.generate_events`); given the
 same random numbers, counts and time stamps equal v2e's to the last event. Events of one stamp and polarity
-stay in raster order, where v2e shuffles them.
+are left in raster order; v2e shuffles them.
 
     sensor = make_sensor(PRESETS["clean"], (144, 256), seed=0)
     state = init_state(sensor, first_frame)
@@ -46,7 +46,7 @@ NO_EVENTS = np.empty((0, 4), np.float32)
 
 
 class DvsState(NamedTuple):
-    """What a sensor remembers between frames. Arrays are (H, W) and never changed in place."""
+    """What a sensor remembers between frames. Arrays are (H, W) and never modified in place."""
 
     base_log: Floats
     filtered_log: Floats
@@ -56,8 +56,8 @@ class DvsState(NamedTuple):
     noise_seed: int
 
 
-class _Burst(NamedTuple):
-    """The events that the pixels of one frame are due, before the refractory period takes some away."""
+class _FrameEvents(NamedTuple):
+    """The events that one frame causes, before the refractory period suppresses some of them."""
 
     signed: Counts
     stamps_s: NDArray[np.float32]
@@ -77,14 +77,14 @@ RELATIVE_INTENSITY = (np.arange(256) + 20) / 275.0
 
 
 def luma(rgb: NDArray[np.uint8]) -> Frame:
-    """Grey (H, W) of an RGB image (H, W, 3): OpenCV's conversion, which v2e applies to its BGR frames."""
+    """Luma (H, W) of an RGB image (H, W, 3), by OpenCV's conversion, which v2e applies to its BGR frames."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: int = 0) -> DvsState:
-    """Memorise the first grey frame (H, W), taken at `t_s`: it makes no events.
+    """The state after the first grey frame (H, W), taken at `t_s` seconds, which causes no events.
 
-    `noise_seed` is that of leak jitter and shot noise. v2e takes the time of the first frame to be 0.
+    `noise_seed` seeds leak jitter and shot noise. v2e takes the time of the first frame to be 0.
     """
     _check_frame(sensor, frame)
     log = LIN_LOG[np.ascontiguousarray(frame)].astype(sensor.positive_threshold.dtype)
@@ -93,9 +93,9 @@ def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: in
 
 
 def step(sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float) -> tuple[DvsState, Counts, Counts]:
-    """New state, and ON and OFF counts (H, W), of the grey frame (H, W) taken at `t_s` seconds.
+    """The new state, and ON and OFF counts (H, W), after the grey frame (H, W) taken at `t_s` seconds.
 
-    Raises ValueError for a frame that is not uint8 of the sensor's shape, or earlier than the one before.
+    Raises ValueError if the frame is not uint8 of the sensor's shape, or is earlier than the previous one.
     """
     new_state, on, off, _ = _advance(sensor, state, frame, t_s, listed=False)
     return new_state, on, off
@@ -104,9 +104,9 @@ def step(sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float) -> tuple[
 def step_with_events(
     sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float
 ) -> tuple[DvsState, Counts, Counts, Events]:
-    """As `step`, and the events (n, 4) float32: rows (t, x, y, p), t in seconds, p = +1 or -1.
+    """As `step`, with the events (n, 4) float32 as well: rows (t, x, y, p), t in seconds, p = +1 or -1.
 
-    In the order of v2e: by stamp, ON before OFF; shot noise last, with the frame's last stamp.
+    In v2e's order: by stamp, ON before OFF; shot noise last, with the frame's last stamp.
     """
     return _advance(sensor, state, frame, t_s, listed=True)
 
@@ -136,19 +136,19 @@ def _advance(
     rng = _noise(sensor, state.noise_seed, index)
     log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
     base = _leaked(sensor, state.base_log, dt_s, rng)
-    burst = _burst(sensor, state, log, base, t_s)
-    kept, last_event_s = _after_refractory(burst)
+    due = _due_events(sensor, state, log, base, t_s)
+    kept, last_event_s = _after_refractory(due)
     base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
     on, off = kernels.split_polarities(kept)
     shots = _shot_noise(sensor, frame, dt_s, rng)
-    if shots is not None:  # a noisy pixel forgets what it had memorised
+    if shots is not None:  # a noisy pixel memorises the current intensity
         on, off, base = on + shots[0], off + shots[1], np.where(shots[0] | shots[1], log, base)
-    events = _list_events(burst, kept, shots) if listed else NO_EVENTS
+    events = _list_events(due, kept, shots) if listed else NO_EVENTS
     return DvsState(base, log, last_event_s, t_s, index, state.noise_seed), on, off, events
 
 
 def _noise(sensor: DvsSensor, seed: int, index: int) -> np.random.Generator | None:
-    """The generator of a frame's noise, for a sensor that has any: it takes as long to make as the frame's events."""
+    """The generator of a frame's noise; None without noise, as making one takes as long as making the events."""
     parameters = sensor.parameters
     if parameters.leak_rate_hz <= 0 and parameters.shot_noise_rate_hz <= 0:
         return None
@@ -172,21 +172,21 @@ def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Gen
     return base_log - dt_s * rate_hz * sensor.positive_threshold.astype(np.float32)
 
 
-def _burst(sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float) -> _Burst:
+def _due_events(sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float) -> _FrameEvents:
     count = kernels.count_single if log.dtype == np.float32 else kernels.count_double
     signed = count(log, base, sensor.positive_threshold, sensor.negative_threshold)
     stamp_count = int(max(1, signed.max(), -signed.min()))
     refractory_s = sensor.parameters.refractory_s
-    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then passes everything and forgets the times
+    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then lets everything pass and keeps no times
         refractory_s = -math.inf
     stamps_s = time_stamps(state.time_s, t_s, stamp_count)
-    return _Burst(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
+    return _FrameEvents(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
 
 
-def _after_refractory(burst: _Burst) -> tuple[Counts, NDArray[np.float32]]:
-    if math.isinf(burst.refractory_s):
-        return burst.signed, burst.last_event_s
-    return kernels.drop_refractory(*burst)
+def _after_refractory(due: _FrameEvents) -> tuple[Counts, NDArray[np.float32]]:
+    if math.isinf(due.refractory_s):
+        return due.signed, due.last_event_s
+    return kernels.drop_refractory(*due)
 
 
 def _shot_noise(
@@ -207,12 +207,12 @@ def _sensitivity(nominal: float, threshold: Floats) -> NDArray[np.float32]:
     return np.float32(nominal) / threshold.astype(np.float32)
 
 
-def _list_events(burst: _Burst, kept: Counts, shots: tuple[Mask, Mask] | None) -> Events:
+def _list_events(due: _FrameEvents, kept: Counts, shots: tuple[Mask, Mask] | None) -> Events:
     events = np.empty((int(np.abs(kept).sum()), 4), np.float32)
-    kernels.list_events(*burst, events)
+    kernels.list_events(*due, events)
     if shots is None:
         return events
-    noise = [_at_once(burst.stamps_s[-1], mask, sign) for mask, sign in zip(shots, (1, -1), strict=True)]
+    noise = [_at_once(due.stamps_s[-1], mask, sign) for mask, sign in zip(shots, (1, -1), strict=True)]
     return np.concatenate([events, *noise])
 
 

@@ -16,7 +16,7 @@ Frame = NDArray[np.uint8]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def look_up(frame: Frame, table: Floats) -> Floats:
-    """The table's entry, of 256, for each intensity."""
+    """The entry of a 256-element table for each intensity."""
     result = np.empty(frame.shape, table.dtype)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
@@ -53,7 +53,7 @@ def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """As `count_single` in float64, where a whole quotient may be one rounded up: the remainder decides."""
+    """As `count_single`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
@@ -71,7 +71,7 @@ def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) 
 def drop_refractory(
     signed: Counts, stamps_s: Floats, last_event_s: Floats, refractory_s: np.float32
 ) -> tuple[Counts, Floats]:
-    """Signed counts without the events within `refractory_s` of the pixel's last, and the new last times."""
+    """Signed counts without events within `refractory_s` of the pixel's previous one, and the new last times."""
     kept, last = np.zeros_like(signed), last_event_s.copy()
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):

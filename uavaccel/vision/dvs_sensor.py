@@ -1,4 +1,4 @@
-"""The DVS as a device: its parameters, v2e's presets of them, and what is drawn once for each pixel."""
+"""The DVS as a device: its parameters, v2e's presets, and what differs from pixel to pixel."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ MIN_THRESHOLD = np.float32(0.01)
 class DvsParameters:
     """The sensor's parameters with v2e's meanings; the defaults are v2e's `clean` model.
 
-    Thresholds and their standard deviation are in log_e intensity, rates in events per pixel and second.
+    Thresholds and their standard deviation are in log_e intensity, rates in events per pixel per second.
     """
 
     positive_threshold: float = 0.2
@@ -54,9 +54,9 @@ PRESETS: Mapping[str, DvsParameters] = MappingProxyType(
 
 
 class DvsSensor(NamedTuple):
-    """One sensor: its parameters, and what is drawn once for each pixel. Arrays are (H, W).
+    """One sensor: its parameters, and what is drawn once per pixel. Arrays are (H, W).
 
-    Thresholds are float32; behind a low-pass float64, because v2e computes in double precision there.
+    Thresholds are float32, or float64 after a low-pass, where v2e computes in double precision.
     """
 
     parameters: DvsParameters
@@ -78,7 +78,7 @@ def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) ->
 def sensor_from_maps(
     parameters: DvsParameters, positive: Floats, negative: Floats, leak_rate_factor: Floats | None = None
 ) -> DvsSensor:
-    """A sensor with given maps (H, W), such as another emulator's; without a leak map every factor is 1."""
+    """A sensor with given maps (H, W), such as another emulator's; without a leak map all factors are 1."""
     precision = np.float64 if parameters.cutoff_hz > 0 else np.float32
     factor = np.ones(positive.shape) if leak_rate_factor is None else leak_rate_factor
     return DvsSensor(

@@ -1,12 +1,12 @@
-"""The image guard of the paper (section III-B): ask again for an image whose mean brightness cannot be right.
+"""The image guard of the paper (section III-B): requests an image again if its mean brightness is implausible.
 
-Consecutive images of a scene are about equally bright. An image is suspect if its mean brightness differs
-by more than 10 % from that of the image before, or lies below a floor; it is then requested again, the
-simulation standing still. The floor and the limit of requests are this project's own choice.
+Consecutive images of a scene are about equally bright. An image is suspect if its mean brightness differs by more
+than 10 % from that of the previous image, or lies below a floor; it is then requested again while the simulation
+stands still. The floor and the limit on retries are this project's own choice.
 
-The last image allowed is taken as it is and becomes the reference: a guard that kept the last good one could
-never leave a scene that did become brighter. Where a renderer is deterministic, a second image equal to the
-suspect one proves that the scene did change; it is accepted at once.
+After the last retry an image is accepted as it is and becomes the reference: a guard that kept the last good one
+could lock up for ever once a scene really did become brighter. If the renderer is deterministic, a second image
+equal to the suspect one proves that the scene did change, and is accepted at once.
 """
 
 from collections.abc import Callable
@@ -25,12 +25,12 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)  # of red, green, blue (ITU-R BT.601), as i
 
 @dataclass(frozen=True)
 class GuardSettings:
-    """Limits of the guard. With `max_retries` 0 every image is taken as it comes: the guard is off."""
+    """Limits of the guard. With `max_retries` 0 every image is accepted: the guard is off."""
 
-    max_change: float = 0.10  # of the last image's mean brightness; the paper's
-    min_brightness: float = 10.0  # mean of 0..255
+    max_change: float = 0.10  # relative to the last image's mean brightness; the paper's value
+    min_brightness: float = 10.0  # mean luma, 0..255
     max_retries: int = 3
-    accept_identical: bool = True  # for renderers that draw the same scene the same way
+    accept_identical: bool = True  # for deterministic renderers
 
     def __post_init__(self) -> None:
         if self.max_change < 0 or self.min_brightness < 0 or self.max_retries < 0:
@@ -41,13 +41,13 @@ class Verdict(StrEnum):
     """What becomes of an image, and why."""
 
     STEADY = "steady"  # brightness within the limits: accepted
-    IDENTICAL = "identical"  # as suspect as the image before and equal to it: accepted
-    EXHAUSTED = "exhausted"  # suspect, but the last one allowed: accepted
+    IDENTICAL = "identical"  # suspect, but equal to the suspect image before it: accepted
+    EXHAUSTED = "exhausted"  # suspect, but no retry is left: accepted
     RETRY = "retry"  # suspect: to be requested again
 
 
 class GuardState(NamedTuple):
-    """What the guard remembers: the brightness of the last accepted image, and the requests failed since."""
+    """What the guard remembers: the brightness of the last accepted image, and the suspect images since."""
 
     reference_brightness: float | None = None
     suspect: Image | None = None
@@ -55,7 +55,7 @@ class GuardState(NamedTuple):
 
 
 class Acquisition(NamedTuple):
-    """An accepted image, the guard's new state, the requests beyond the first, and why it was accepted."""
+    """An accepted image, the guard's new state, the number of retries, and why the image was accepted."""
 
     image: Image
     state: GuardState
@@ -72,7 +72,7 @@ def mean_brightness(image: Image) -> float:
 
 
 def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[GuardState, Verdict]:
-    """New state and verdict for an image just received; pure, the image is copied where it is remembered."""
+    """New state and verdict for an image just received. Pure: an image that is remembered is copied."""
     brightness = mean_brightness(image)
     if not _is_suspect(brightness, state.reference_brightness, settings):
         return GuardState(brightness), Verdict.STEADY
@@ -86,7 +86,7 @@ def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[Gua
 def acquire(
     state: GuardState, request_image: Callable[[], Image], settings: GuardSettings | None = None
 ) -> Acquisition:
-    """Request images of a scene that stands still until the guard accepts one: at most 1 + `max_retries`."""
+    """Request images of a static scene until the guard accepts one: at most 1 + `max_retries`."""
     settings = settings or GuardSettings()
     while True:
         image, retries = request_image(), state.retries

@@ -1,4 +1,4 @@
-"""What the image guard keeps out of a stream of images of which a share is perturbed."""
+"""How much of a partly perturbed stream of images the guard keeps out."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -9,31 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.vision.guard import GuardSettings, GuardState, Verdict, acquire
-from uavaccel.vision.perturb import Kind, PerturbationSettings, perturb_share
+from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
 
 Image = NDArray[np.uint8]
 
 
 @dataclass
 class _Tally:
-    """What was sent, what was handed on, by kind of perturbation (None: clean), and what it took."""
+    """Images sent and handed on, by kind of perturbation (None: clean), with retries and exhausted ones."""
 
-    sent: Counter[Kind | None] = field(default_factory=Counter)
-    passed: Counter[Kind | None] = field(default_factory=Counter)
+    sent: Counter[PerturbationKind | None] = field(default_factory=Counter)
+    passed: Counter[PerturbationKind | None] = field(default_factory=Counter)
     retries: int = 0
     exhausted: int = 0
 
-    def share_passed(self, kind: Kind | None) -> float | None:
+    def share_passed(self, kind: PerturbationKind | None) -> float | None:
         return self.passed[kind] / self.sent[kind] if self.sent[kind] else None
 
-    def of_kind(self, kind: Kind) -> dict[str, Any]:
+    def of_kind(self, kind: PerturbationKind) -> dict[str, Any]:
         return {
             "sent": self.sent[kind],
             "passed": self.passed[kind],
             "share_passed": self.share_passed(kind),
         }
 
-    def summary(self, kinds: Sequence[Kind]) -> dict[str, Any]:
+    def summary(self, kinds: Sequence[PerturbationKind]) -> dict[str, Any]:
         images = sum(self.passed.values())
         return {
             "by_kind": {str(kind): self.of_kind(kind) for kind in kinds},
@@ -49,11 +49,11 @@ def guard_study(
     share: float,
     seed: int,
     guard: GuardSettings | None = None,
-    kinds: tuple[Kind, ...] = tuple(Kind),
+    kinds: tuple[PerturbationKind, ...] = tuple(PerturbationKind),
 ) -> dict[str, Any]:
     """Send consecutive images, uint8 (H, W, 3), through the guard, a `share` of them perturbed (MODELLED).
 
-    The scene stands still between the requests for one image; each request may be perturbed anew. The result,
+    The scene is static while an image is requested again; each request may be perturbed anew. The result,
     ready for JSON, holds for each of "off" (no guard), "on" and "clean" (guard on, nothing perturbed):
     `by_kind`, the perturbed images sent and handed on; `perturbed_share_handed_on`; `retries`; `exhausted`,
     the images taken because no retry was left; `false_alarms`, the clean images refused.
@@ -64,18 +64,18 @@ def guard_study(
         "images": len(frames),
         "share": share,
         "seed": seed,
-        "off": _fly(frames, perturbed, GuardSettings(max_retries=0)).summary(kinds),
-        "on": _fly(frames, perturbed, guard).summary(kinds),
-        "clean": _fly(frames, PerturbationSettings(), guard).summary(kinds),
+        "off": _send(frames, perturbed, GuardSettings(max_retries=0)).summary(kinds),
+        "on": _send(frames, perturbed, guard).summary(kinds),
+        "clean": _send(frames, PerturbationSettings(), guard).summary(kinds),
     }
 
 
-def _fly(frames: Sequence[Image], perturbed: PerturbationSettings, guard: GuardSettings) -> _Tally:
+def _send(frames: Sequence[Image], perturbed: PerturbationSettings, guard: GuardSettings) -> _Tally:
     tally, state = _Tally(), GuardState()
     for frame in frames:
-        sent: list[Kind | None] = []
+        sent: list[PerturbationKind | None] = []
 
-        def camera(scene: Image = frame, sent: list[Kind | None] = sent) -> Image:
+        def camera(scene: Image = frame, sent: list[PerturbationKind | None] = sent) -> Image:
             image, kind = perturb_share(scene, perturbed, index=tally.sent.total() + len(sent))
             sent.append(kind)
             return image

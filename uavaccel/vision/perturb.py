@@ -1,7 +1,7 @@
-"""A MODEL of the images that a renderer short of time gets wrong; off by default: MuJoCo perturbs nothing.
+"""A MODEL of how a renderer under time pressure spoils images; off by default, as MuJoCo spoils none.
 
-The kinds are those the paper saw from Unreal's pipeline (section III-A); their sizes are this project's own
-choice. Whoever uses this says so beside every figure that depends on it.
+The kinds are those that the paper observed in Unreal's pipeline (section III-A); their magnitudes are this
+project's own choice. Every figure that depends on this model has to say so.
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
-NOISY_PIXELS = 0.05  # share of the pixels that salt and pepper hit
+NOISY_PIXELS = 0.05  # share of the pixels hit by salt and pepper
 DARKER, BRIGHTER = (0.4, 0.8), (1.25, 2.0)  # ranges of the brightness gain
 CHANNEL_ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
-class Kind(StrEnum):
-    """The ways in which an image goes wrong."""
+class PerturbationKind(StrEnum):
+    """The ways in which an image is spoilt."""
 
     SALT_AND_PEPPER = "salt_and_pepper"
     BRIGHTNESS = "brightness"
@@ -28,10 +28,10 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class PerturbationSettings:
-    """Which share of the images is perturbed, in which ways (equally often), and by which seed."""
+    """The share of images that is perturbed, in which ways (equally often), and the seed."""
 
     share: float = 0.0
-    kinds: tuple[Kind, ...] = tuple(Kind)
+    kinds: tuple[PerturbationKind, ...] = tuple(PerturbationKind)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -41,8 +41,10 @@ class PerturbationSettings:
             raise ValueError("a share of perturbed images needs at least one kind")
 
 
-def perturb_share(image: Image, settings: PerturbationSettings, index: int) -> tuple[Image, Kind | None]:
-    """The `index`-th image of a stream, perturbed or itself, and how; a function of its arguments alone."""
+def perturb_share(
+    image: Image, settings: PerturbationSettings, index: int
+) -> tuple[Image, PerturbationKind | None]:
+    """The `index`-th image of a stream, perturbed or not, and how (None: not); a pure function of its arguments."""
     if settings.share <= 0:
         return image, None
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
@@ -52,7 +54,7 @@ def perturb_share(image: Image, settings: PerturbationSettings, index: int) -> t
     return perturb(image, kind, rng), kind
 
 
-def perturb(image: Image, kind: Kind, rng: np.random.Generator) -> Image:
+def perturb(image: Image, kind: PerturbationKind, rng: np.random.Generator) -> Image:
     """A perturbed copy of a uint8 image (H, W, 3)."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"an image must be uint8 (H, W, 3), not {image.dtype} of {image.shape}")
@@ -80,8 +82,8 @@ def _empty(image: Image, rng: np.random.Generator) -> Image:
 
 
 _PERTURB = {
-    Kind.SALT_AND_PEPPER: _salt_and_pepper,
-    Kind.BRIGHTNESS: _brightness,
-    Kind.COLOURS: _colours,
-    Kind.EMPTY: _empty,
+    PerturbationKind.SALT_AND_PEPPER: _salt_and_pepper,
+    PerturbationKind.BRIGHTNESS: _brightness,
+    PerturbationKind.COLOURS: _colours,
+    PerturbationKind.EMPTY: _empty,
 }

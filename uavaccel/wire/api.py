@@ -141,10 +141,7 @@ class Api:
         """A recording goes on through it, as in AirSim."""
         world = self.simulation.world
         self.recorder.keep()
-        recording = world.recording
-        self.simulation.reset(self._wall_ns)
-        if recording:
-            world.start_recording()
+        self.simulation.reset(self._wall_ns, recording=world.recording)
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
@@ -186,7 +183,7 @@ class Api:
             "kinematics_estimated": types.kinematics_map(kinematics),
             "gps_location": types.geo_point_map(kinematics.position_m),
             "timestamp": kinematics.time_ns,
-            "landed_state": 1,
+            "landed_state": 0 if self.simulation.world.landed else 1,
             "rc_data": types.rc_data_map(),
         }
 

@@ -45,9 +45,8 @@ class GameApi:
         self.set_clock_speed(clock_speed, wall_ns)
         self._recorder.keep()
         simulation.pause(wall_ns)
-        simulation.reset(wall_ns, start_m)
+        simulation.reset(wall_ns, start_m, recording=True)
         simulation.api_control = True
-        simulation.world.start_recording()
         return encode_state(simulation.kinematics())
 
     def set_clock_speed(self, clock_speed: Any, wall_ns: int) -> None:

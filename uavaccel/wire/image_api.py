@@ -44,17 +44,20 @@ class ImageApi:
     def __init__(self, simulation: Simulation, render: bool = True) -> None:
         self.simulation = simulation
         self.render = render
-        self._collision_read = False
 
     # --- images -----------------------------------------------------------------------------------------------
 
     def picture(self, kind: str) -> NDArray[Any]:
         """One picture of this moment at AirSim's default size: gray or segmentation (H, W), colour (H, W, 3), depth."""
+        if kind not in PICTURES:
+            raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
+        return self._draw(kind)
+
+    def _draw(self, kind: str) -> NDArray[Any]:
+        """The picture that a method of `Camera` draws. Raises ValueError where rendering is switched off."""
         if not self.render:
             raise ValueError("rendering is switched off")
         camera = self.simulation.world.camera(WIDTH, HEIGHT)
-        if kind not in PICTURES:
-            raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
         image: NDArray[Any] = getattr(camera, kind)(self._shown())
         return image
 
@@ -108,12 +111,14 @@ class ImageApi:
         }
 
     def _floats(self, image_type: int) -> NDArray[np.float32]:
-        depth = self.picture("depth") if image_type in (DEPTH_PLANAR, DEPTH_VIS) else None
+        if image_type == DEPTH_PLANAR:
+            return self._draw("depth")
         if image_type == DEPTH_PERSPECTIVE:
-            depth = self.simulation.world.camera(WIDTH, HEIGHT).depth_perspective(self._shown())
-        if depth is None:  # AirSim gives the first channel of any other image
-            return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
-        return np.clip(depth / DEPTH_VIS_FAR_M, 0, 1) if image_type == DEPTH_VIS else depth
+            return self._draw("depth_perspective")
+        if image_type == DEPTH_VIS:
+            return np.clip(self._draw("depth") / DEPTH_VIS_FAR_M, 0, 1)
+        # AirSim gives the first channel of any other image
+        return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
 
     def _bgr(self, image_type: int) -> NDArray[np.uint8]:
         if image_type == SCENE:
@@ -122,7 +127,8 @@ class ImageApi:
             colours = PALETTE[(self.picture("segmentation") + 1) % len(PALETTE)]
             return np.ascontiguousarray(colours[..., ::-1].astype(np.uint8))
         if image_type in (DEPTH_PLANAR, DEPTH_PERSPECTIVE, DEPTH_VIS):
-            share = np.clip(self._floats(DEPTH_PLANAR) / DEPTH_VIS_FAR_M, 0, 1)
+            kind = "depth_perspective" if image_type == DEPTH_PERSPECTIVE else "depth"
+            share = np.clip(self._draw(kind) / DEPTH_VIS_FAR_M, 0, 1)
             return np.repeat(np.rint(share * 255).astype(np.uint8)[..., None], 3, axis=2)
         raise ValueError(
             f"image type {image_type} is not available; there are 0 scene, 1 2 3 depth, 5 segmentation"
@@ -162,14 +168,13 @@ class ImageApi:
 
     def collision_info(self, vehicle: Any = "") -> dict[str, Any]:
         """simGetCollisionInfo; reading it sets has_collided back, as in AirSim."""
-        world, kinematics = self.simulation.world, self.simulation.kinematics()
-        info = types.no_collision_map()
-        if world.collision_tick is not None:
-            info["has_collided"] = not self._collision_read
-            info["time_stamp"] = self.simulation.time_of(world.collision_tick)
-            info["object_name"] = world.collision_object
-            info["position"] = info["impact_point"] = types.vector_map(kinematics.position_m)
-        self._collision_read = world.collision_tick is not None
+        touches = self.simulation.world.touches
+        info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
+        if touch := touches.latest:
+            info |= {"time_stamp": self.simulation.time_of(touch.tick), "object_name": touch.object}
+            info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
+            info |= {"position": types.vector_map(touch.position_m)}
+            info |= {"impact_point": types.vector_map(touch.impact_point_m)}
         return info
 
     def set_lane(self, lane: Any) -> None:

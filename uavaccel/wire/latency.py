@@ -11,7 +11,7 @@ import difflib
 import math
 import zlib
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +23,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
+from uavaccel.sim.saved import State, number_or_none, optional, part, under
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
@@ -174,6 +175,7 @@ class Latency:
         self._config = config
         self._seed = seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
+        self._drawn: dict[tuple[str, str], int] = {}
         self._wait_ns: int | None = None
         self.stall_ns = round(config.platform.stall_us * 1e3)
 
@@ -200,12 +202,13 @@ class Latency:
 
     def _fault_ns(self, direction: str) -> int:
         """How long a fault of the connection holds up the next message of a direction."""
-        faults = self._config.platform.faults
+        faults, key = self._config.platform.faults, ("fault", direction)
         if faults == _NO_FAULTS:
             return 0
-        key = ("fault", direction)
         if key not in self._streams:
-            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}"))
+            drawn = self._drawn.setdefault(key, 0)
+            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}", drawn))
+        self._drawn[key] += 1
         return next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
@@ -216,18 +219,43 @@ class Latency:
             name = channel if channel in tables else DEFAULT
         stream = self._streams.get((kind, name))
         if stream is None:
-            stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name])
+            drawn = self._drawn.setdefault((kind, name), 0)
+            stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name], drawn)
+        self._drawn[kind, name] += 1
         return next(stream)
 
-    def _stream(self, name: str, table: Numbers) -> Iterator[int]:
+    def _stream(self, name: str, table: Numbers, drawn: int) -> Iterator[int]:
+        """The latencies of one channel after the first `drawn` of them."""
         if not any(table):
             while True:
                 yield 0
-        generator = self._generator(name)
+        generator = self._generator(name, drawn)
         while True:
             uniform = generator.random(_BLOCK)
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
 
-    def _generator(self, name: str) -> np.random.Generator:
+    def _generator(self, name: str, drawn: int) -> np.random.Generator:
+        """A generator of its own by the name, `drawn` numbers on: a number takes one step."""
         key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
-        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+        generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]
+        return generator
+
+    def get_state(self) -> State:
+        """Where the draws stand, and what they are drawn from."""
+        entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
+        state: State = {"config": self._config.model_dump_json(), "wait_ns": optional(self._wait_ns)}
+        state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
+        return state | under("drawn", {" ".join(key): count for key, count in self._drawn.items()})
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave. Raises UserError if these are not the quantiles that it drew from."""
+        if str(state["config"]) != self._config.model_dump_json():
+            raise UserError("latency: the state was saved with other quantiles; open the session with those")
+        entropy = [int(number) for number in state["entropy"]]
+        spawn_key = tuple(int(number) for number in state["spawn_key"])
+        self._seed = np.random.SeedSequence(entropy if len(entropy) > 1 else entropy[0], spawn_key=spawn_key)
+        self._wait_ns = number_or_none(state["wait_ns"])
+        self._streams.clear()
+        drawn = {key.partition(" "): int(count) for key, count in part("drawn", state).items()}
+        self._drawn = {(kind, name): count for (kind, _, name), count in drawn.items()}

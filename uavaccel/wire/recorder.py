@@ -36,7 +36,7 @@ class Recorder:
     def start(self) -> None:
         """Begin a recording, and a file of its own; one that runs is stopped."""
         self.stop()
-        self._simulation.world.start_recording()
+        self._simulation.record()
         if self._folder is not None:
             self._file = (_new_folder(self._folder) / FILE_NAME).open("w", encoding="utf-8", newline="\n")
             self._file.write("\t".join(COLUMNS) + "\n")

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -15,10 +16,12 @@ from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.saved import State
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
+from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
@@ -132,7 +135,11 @@ class VirtualSession:
         lane: Any = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
-        clock, latency = VirtualClock(), Latency(self._latency, seed or np.random.SeedSequence(0))
+        client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
+        return _start(client, clock_speed, lane, height_m)
+
+    def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+        clock, latency = VirtualClock(), Latency(self._latency, seed)
         platform = self._latency.platform
         simulation = Simulation(
             self._world,
@@ -141,8 +148,30 @@ class VirtualSession:
             executor=platform.executor(),
             frames=platform.new_frames(latency.frame_ns),
         )
-        transport: Any = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
-        return _start(Client(transport, clock_speed), clock_speed, lane, height_m)
+        self._transport = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
+        transport: Any = self._transport
+        self._client = Client(transport, clock_speed)
+        return self._client
+
+    def get_state(self) -> State:
+        """The present game, all of it: world, simulation, wall clock, latencies, what the client knows.
+
+        Between two commands: `np.savez("game.npz", **session.get_state())`; then, in any process,
+        `client = open_session("virtual", ...).set_state(np.load("game.npz"))` for the same profile, scene and
+        latency, and the client flies on to the same bytes. With units.plain on the values it is JSON.
+        """
+        state: State = {"client.clock_speed": self._client.clock_speed}
+        known = self._transport.known.state
+        state["client.known_state"] = [] if known is None else encode_state(known)
+        return state | self._transport.get_state()
+
+    def set_state(self, state: Mapping[str, Any]) -> Client:
+        """The client that goes on with a saved game. Raises UserError if it is of another kind of session."""
+        client = self._connect(float(state["client.clock_speed"]), np.random.SeedSequence(0))
+        self._transport.set_state(state)
+        known = [float(number) for number in state["client.known_state"]]
+        self._transport.known.state = decode_state([int(known[0]), *known[1:]]) if known else None
+        return client
 
     def close(self) -> None:
         self._world.close()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State, part, under
 from uavaccel.sim.simulation import DeferredReply
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -270,3 +271,16 @@ class VirtualTransport:
             simulation.advance_to(timer)
         self._handled_ns = max(self._handled_ns, wall_ns)
         simulation.advance_to(self._handled_ns)
+
+    def get_state(self) -> State:
+        """Wall clock, latencies and simulation, between two calls: replies under way are not in it."""
+        state: State = {"wall_ns": self.clock.now_ns(), "handled_ns": self._handled_ns}
+        state |= under("latency", self._latency.get_state())
+        return state | under("simulation", self._api.simulation.get_state())
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave; the clock of a transport made for this has to stand at 0."""
+        self.clock.sleep_until(int(state["wall_ns"]))
+        self._handled_ns = int(state["handled_ns"])
+        self._latency.set_state(part("latency", state))
+        self._api.simulation.set_state(part("simulation", state))

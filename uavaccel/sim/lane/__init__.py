@@ -1,1 +1,1 @@
-"""The obstacle lane: where obstacles stand, a lane of one's own, the way through, and its bodies in MuJoCo."""
+"""The obstacle lane: random and user-defined layouts, a path planner, and the lane's geoms in MuJoCo."""

@@ -1,4 +1,4 @@
-"""A lane of one's own, as YAML or a mapping:
+"""A user-defined lane, as YAML or a mapping:
 
 obstacles:
   - {x_m: 12, y_m: 0.5, half_side_m: 0.4}               # a square post
@@ -35,12 +35,12 @@ HalfWidth = Annotated[float, Field(gt=0.0, le=WIDTH_M / 2)]
 
 
 class Obstacle(Config):
-    """One obstacle: a cylinder, or a square post with its sides along the lane."""
+    """One obstacle: a cylinder, or a square post with two sides parallel to the lane."""
 
     x_m: Annotated[float, Field(gt=0.0, le=LENGTH_M)]
     """North of the start."""
     y_m: Annotated[float, Field(ge=-WIDTH_M / 2, le=WIDTH_M / 2)]
-    """East of the lane's middle."""
+    """East of the lane's centre line."""
     radius_m: HalfWidth | None = None
     half_side_m: HalfWidth | None = None
     texture: Literal["red", "white", "yellow", "blue"] = "red"
@@ -53,7 +53,7 @@ class Obstacle(Config):
 
 
 class LaneFile(Config):
-    """A lane as a user writes it."""
+    """A lane as a user writes it, in a file or a mapping."""
 
     obstacles: Annotated[list[Obstacle], Field(max_length=MAX_OBSTACLES)]
     wall_texture: Literal["concrete", "brick"] = "concrete"
@@ -61,15 +61,15 @@ class LaneFile(Config):
     light: Share = 1.0
     """1 is full daylight."""
     sun_azimuth_rad: float = 0.5
-    """Heading of the sunlight; 0 shines north, the way the drone looks."""
+    """Heading in which the sun shines; 0 is north, the way the drone faces."""
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """NED."""
 
 
-def lane_written_out(lane: Any) -> Any:
-    """A mapping, or the name of a YAML file with one, as LaneFile; what is no lane of one's own stays as it is.
+def parse_lane(lane: Any) -> Any:
+    """A mapping, or the name of a YAML file that holds one, as a LaneFile; anything else, such as a seed, unchanged.
 
-    For validators: within them pydantic takes no list for a tuple. Raises UserError that names the file and the key.
+    For use in validators, inside which pydantic refuses a list for a tuple. Raises UserError naming file and key.
     """
     written = load_yaml(Path(lane)) if isinstance(lane, str) else lane
     if isinstance(written, Mapping) and "seed" not in written:
@@ -77,15 +77,10 @@ def lane_written_out(lane: Any) -> Any:
     return written
 
 
-def load_layout(path: Path) -> LaneLayout:
-    """The layout in a YAML file. Raises UserError that names the file and the key."""
-    return layout_from(load_yaml(path), str(path))
-
-
 def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
-    """The layout in a mapping; `source` names it in errors.
+    """The layout that a mapping describes; errors call it `source`.
 
-    Raises UserError if a key or value is wrong, or an obstacle stands where the drone starts.
+    Raises UserError if a key or a value is wrong, or if an obstacle stands where the drone starts.
     """
     lane = validate(LaneFile, mapping, source)
     posts = lane.obstacles

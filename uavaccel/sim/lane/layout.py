@@ -1,7 +1,7 @@
-"""Layouts of the obstacle lane: drawn from a seed, the same for the same seed; pure geometry, no MuJoCo.
+"""Layouts of the obstacle lane: random, reproducible from a seed; pure geometry, no MuJoCo.
 
-The lane's geometry is this project's own choice, since the paper gives its length alone (150 m, section III-C1).
-Rows of obstacles stand at fixed distances; their lateral places are drawn. North is along the lane, NED.
+The paper gives only the lane's length (150 m, section III-C1); the rest of its geometry is this project's own choice.
+Rows of obstacles stand at fixed distances; their lateral positions are random. The lane runs north (NED frame).
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ Split = Literal["training", "evaluation"]
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
 HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
-MAX_OBSTACLES = 64  # as many as lane.xml has to move
+MAX_OBSTACLES = 64  # as many as lane.xml provides
 
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
 WALL_TEXTURES = ("concrete", "brick")
 GROUND_TEXTURES = ("asphalt", "grass")
 
-EVALUATION_SEEDS = 1_000_000  # seeds below are evaluation lanes, those from here on training lanes
+EVALUATION_SEEDS = 1_000_000  # lower seeds are evaluation lanes, all others training lanes
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Difficulty(Config):
-    """How lanes are drawn. The defaults are those of every published figure."""
+    """The distribution that lanes are sampled from. All published figures use the defaults."""
 
     first_row_m: Annotated[float, Field(gt=1.0)] = 10.0
-    """Distance of the first row from the start."""
+    """Distance from the start to the first row."""
     row_spacing_m: Annotated[float, Field(gt=1.0)] = 10.0
-    """Distance from row to row."""
+    """Distance between rows."""
     obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
     half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
     """Half the side of an obstacle's square cross-section."""
     min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M)] = 2.0
-    """Clear width between neighbours in a row, at least."""
+    """Minimum clear width between neighbours in a row."""
     light: tuple[Share, Share] = (0.7, 1.0)
-    """Range of the daylight, 1 being full daylight."""
+    """Range of the light level; 1 is full daylight."""
     texture_variation: Share = 1.0
-    """Share of lanes' surfaces and of obstacles whose texture is drawn; the others look all the same."""
+    """Share of surfaces and obstacles with a random texture; the others wear the first one."""
     wind_m_s: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
-    """Speed of a steady horizontal wind of drawn direction."""
+    """Speed of a steady horizontal wind from a random direction."""
 
     @property
     def pitch_m(self) -> float:
-        """Least distance of the middles of neighbours in a row."""
+        """Minimum distance between the centres of neighbours in a row."""
         return 2 * self.half_width_m + self.min_gap_m
 
     @model_validator(mode="after")
@@ -69,9 +69,9 @@ class Difficulty(Config):
 
 @dataclass(frozen=True)
 class LaneLayout:
-    """Where the obstacles of a lane stand and how it looks: metres, NED, the start at the origin.
+    """Where a lane's obstacles stand and what the lane looks like: metres, NED, the start at the origin.
 
-    An obstacle is a square post of half side `half_width_m`, or, where `round`, a cylinder of that radius.
+    An obstacle is a square post of half side `half_width_m` or, where `round` is set, a cylinder of that radius.
     """
 
     x_m: FloatArray
@@ -90,14 +90,14 @@ class LaneLayout:
 
 
 def lane_seed(split: Split, index: int) -> int:
-    """Seed of lane `index` of a split; no lane belongs to both. Raises ValueError beyond a million."""
+    """Seed of lane `index` of a split; the splits share no lane. Raises ValueError unless 0 <= index < 1 000 000."""
     if not 0 <= index < EVALUATION_SEEDS:
         raise ValueError(f"lane index {index} must be at least 0 and below {EVALUATION_SEEDS}")
     return index if split == "evaluation" else EVALUATION_SEEDS + index
 
 
 def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
-    """The lane of a seed: the same arrays for the same seed and difficulty, on every machine."""
+    """The lane of a seed: the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
     rng = np.random.default_rng(seed)
     rows_m = _row_distances(difficulty)
@@ -120,7 +120,7 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
 
 
 def _row_distances(difficulty: Difficulty) -> FloatArray:
-    """Rows up to one spacing short of the lane's end, as many as there are obstacles for."""
+    """Distances of the rows: up to half a spacing before the lane's end, as far as the obstacles last."""
     rows = np.arange(
         difficulty.first_row_m, LENGTH_M - difficulty.row_spacing_m / 2, difficulty.row_spacing_m
     )
@@ -128,9 +128,9 @@ def _row_distances(difficulty: Difficulty) -> FloatArray:
 
 
 def _draw_row(rng: np.random.Generator, difficulty: Difficulty) -> FloatArray:
-    """Lateral places of one row: uniform among all that keep neighbours `min_gap_m` apart.
+    """Lateral positions of one row: uniform over all that keep neighbours at least `min_gap_m` apart.
 
-    They reach into the walls, so that flight along a wall is blocked as often as flight down the middle.
+    Obstacles may reach into the walls, so flight along a wall is blocked as often as flight down the middle.
     """
     count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
     slack = WIDTH_M - max(count - 1, 0) * pitch
@@ -138,12 +138,12 @@ def _draw_row(rng: np.random.Generator, difficulty: Difficulty) -> FloatArray:
 
 
 def _draw_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
-    """Texture indices: drawn for a share `varied` of them, 0 for the rest."""
+    """Texture indices: random for a share `varied` of them, 0 for the rest."""
     return np.where(rng.random(count) < varied, rng.integers(kinds, size=count), 0)
 
 
 def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
-    """Distance in metres from the hull to the nearest obstacle or wall at (..., 2) places; negative inside."""
+    """Distance in metres from the hull to the nearest obstacle or wall, for positions (..., 2); negative inside."""
     position = np.asarray(position_m, dtype=np.float64)
     wall = WIDTH_M / 2 - np.abs(position[..., 1])
     if not len(layout):
@@ -156,7 +156,7 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
 
 
 def free_distance_m(layout: LaneLayout, y_m: float) -> float:
-    """How far a drone that flies straight north, `y_m` east of the middle, gets before its hull touches something."""
+    """Metres that a drone flying straight north, `y_m` east of the centre line, covers before its hull touches."""
     if abs(y_m) + HULL_RADIUS_M >= WIDTH_M / 2:
         return 0.0
     flat = np.where(layout.round, 0.0, layout.half_width_m)
@@ -165,8 +165,3 @@ def free_distance_m(layout: LaneLayout, y_m: float) -> float:
     hit = beside < reach
     touch = layout.x_m - flat - np.sqrt(np.maximum(reach**2 - beside**2, 0.0))
     return float(min(touch[hit].min(initial=LENGTH_M), LENGTH_M))
-
-
-def blocked(layout: LaneLayout, y_m: float) -> bool:
-    """Whether straight flight at that lateral offset ends before the lane does."""
-    return free_distance_m(layout, y_m) < LENGTH_M

@@ -1,13 +1,13 @@
-"""A collision-free path through a lane: velocity commands found by a beam search, the same for the same layout.
+"""A collision-free path through a lane: velocity commands found by a deterministic beam search.
 
-The search flies SimpleFlight's response to a velocity command in its linear form, per axis
+The search predicts positions with a linear model of SimpleFlight's response to a velocity command, per axis
 
     tilt_goal = VELOCITY_TO_TILT (u - v) / (1 + VELOCITY_TO_TILT * height)
     tilt'     = (tilt_goal - tilt) / TILT_TIME_S
     v'        = g * tilt - DRAG_1_S * v
 
-The height comes in as AirSim's moveByVelocityZ rotates the height goal together with the velocity goal: the higher
-the flight, the slower it answers (time constant 0.9 s near the ground, 1.9 s at 10 m).
+Height matters because AirSim's moveByVelocityZ rotates the height goal together with the velocity goal: the higher
+the flight, the slower the response (time constant 0.9 s near the ground, 1.9 s at 10 m).
 """
 
 from __future__ import annotations
@@ -23,44 +23,44 @@ from uavaccel.sim.lane.layout import LENGTH_M, FloatArray, LaneLayout, clearance
 
 GRAVITY_M_S2 = 9.80665
 VELOCITY_TO_TILT = 0.2 * np.pi / 5.5  # SimpleFlight's velocity gain times its tilt limit, rad per m/s
-TILT_TIME_S = 0.2  # of the attitude loop, fitted to velocity steps of the full model
+TILT_TIME_S = 0.2  # of the attitude loop, fitted to velocity steps of the full simulation
 DRAG_1_S = 0.008  # at 1 m/s, fitted likewise
 
 SPEED_M_S = 1.0
 HEADINGS_DEG = (0.0, 30.0, -30.0, 60.0, -60.0)
 COMMAND_S = 1.0
-SUBSTEPS = 5  # places a command at which the clearance is looked at
-BEAM = 48
+CHECKS_PER_COMMAND = 5  # points in time at which the clearance is checked
+BEAM_WIDTH = 48
 MAX_COMMANDS = 400
-COMFORT_M = 0.6  # clearance beyond which more is worth nothing
+AMPLE_CLEARANCE_M = 0.6  # beyond which more clearance is worth nothing
 
 Command = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class _Beam:
-    """The paths still followed, best first."""
+    """The partial paths still followed, best first."""
 
     state: FloatArray  # (n, 2 axes, 3): position, velocity, tilt
     cost: FloatArray  # (n,)
-    parent: NDArray[np.int64]  # (n,) path of the beam before
-    action: NDArray[np.int64]  # (n,) command that was added to it
+    parent: NDArray[np.int64]  # (n,) index of the path in the previous beam
+    action: NDArray[np.int64]  # (n,) index of the command appended to it
 
 
 def plan_path(
     layout: LaneLayout, height_m: float = 10.0, margin_m: float = 0.25, command_s: float = COMMAND_S
 ) -> list[Command]:
-    """Velocity commands (north, east) in m/s, `command_s` each, from a hover at the start to the lane's end.
+    """Velocity commands (north, east) in m/s, `command_s` seconds each, from a hover at the start to the lane's end.
 
-    The hull stays `margin_m` away from everything. Raises UserError if no such path is found.
+    The hull keeps `margin_m` clear of everything. Raises UserError if no such path is found.
     """
-    hold, push = _response(height_m, command_s / SUBSTEPS)
+    transition, input_response = _response(height_m, command_s / CHECKS_PER_COMMAND)
     actions = SPEED_M_S * _directions()
-    pushed = actions[:, None, :, None] * push[None, :, None, :]  # (action, substep, axis, 3)
-    nowhere = np.zeros(1, np.int64)
-    beams = [_Beam(np.zeros((1, 2, 3)), np.zeros(1), nowhere, nowhere)]
+    forced = actions[:, None, :, None] * input_response[None, :, None, :]  # (action, check, axis, 3)
+    root = np.zeros(1, np.int64)
+    beams = [_Beam(np.zeros((1, 2, 3)), np.zeros(1), root, root)]
     while len(beams) <= MAX_COMMANDS and len(beams[-1].cost):
-        beams.append(_extend(beams[-1], layout, margin_m, hold, pushed, actions))
+        beams.append(_extend(beams[-1], layout, margin_m, transition, forced, actions))
         arrived = np.flatnonzero(beams[-1].state[:, 0, 0] >= LENGTH_M)
         if len(arrived):
             return [(float(north), float(east)) for north, east in actions[_trace(beams, int(arrived[0]))]]
@@ -70,7 +70,7 @@ def plan_path(
 
 
 def _trace(beams: list[_Beam], path: int) -> list[int]:
-    """Actions that led to a path of the last beam, first one first."""
+    """Indices of the commands that led to a path of the last beam, in the order flown."""
     actions = []
     for beam in reversed(beams[1:]):
         actions.append(int(beam.action[path]))
@@ -84,12 +84,15 @@ def _directions() -> FloatArray:
 
 
 def _response(height_m: float, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """H (3, 3 * substeps) and P (substeps, 3): the states after each substep are state @ H + P * velocity command."""
+    """Transition H (3, 3 n) and input response P (n, 3) of the n checks of a command.
+
+    The states at the checks are state @ H + P * velocity command.
+    """
     gain = VELOCITY_TO_TILT / (1 + VELOCITY_TO_TILT * height_m) / TILT_TIME_S
     continuous = np.array(
         [[0, 1, 0, 0], [0, -DRAG_1_S, GRAVITY_M_S2, 0], [0, -gain, -1 / TILT_TIME_S, gain], [0, 0, 0, 0]]
     )
-    steps = np.array([expm(continuous * step_s * (count + 1)) for count in range(SUBSTEPS)])
+    steps = np.array([expm(continuous * step_s * (count + 1)) for count in range(CHECKS_PER_COMMAND)])
     return steps[:, :3, :3].reshape(-1, 3).T, steps[:, :3, 3]
 
 
@@ -97,26 +100,26 @@ def _extend(
     beam: _Beam,
     layout: LaneLayout,
     margin_m: float,
-    hold: FloatArray,
-    pushed: FloatArray,
+    transition: FloatArray,
+    forced: FloatArray,
     actions: FloatArray,
 ) -> _Beam:
-    """All commands after all paths, without those that come too near, then the best of each neighbourhood."""
-    drifted = (beam.state.reshape(-1, 3) @ hold).reshape(-1, 2, SUBSTEPS, 3).swapaxes(1, 2)
-    flown = drifted[:, None] + pushed
+    """Append every command to every path, drop what comes too near, and keep the best of each neighbourhood."""
+    free = (beam.state.reshape(-1, 3) @ transition).reshape(-1, 2, CHECKS_PER_COMMAND, 3).swapaxes(1, 2)
+    flown = free[:, None] + forced
     clearance = clearance_m(_nearby(layout, flown[..., 0]), flown[..., 0]).min(axis=2)
     parent, action = np.nonzero(clearance >= margin_m)
-    tight = np.maximum(COMFORT_M - clearance[parent, action], 0.0)
+    closeness = np.maximum(AMPLE_CLEARANCE_M - clearance[parent, action], 0.0)
     turn = np.abs(actions[action, 1])
     state = flown[parent, action, -1]
-    cost = beam.cost[parent] + tight + 0.05 * turn
+    cost = beam.cost[parent] + closeness + 0.05 * turn
     order = _best_of_each_cell(state, cost - state[:, 0, 0])
     return _Beam(state[order], cost[order], parent[order], action[order])
 
 
-def _nearby(layout: LaneLayout, places: FloatArray) -> LaneLayout:
-    """The obstacles that matter to these places."""
-    near = (layout.x_m > places[..., 0].min() - 3.0) & (layout.x_m < places[..., 0].max() + 3.0)
+def _nearby(layout: LaneLayout, positions: FloatArray) -> LaneLayout:
+    """The layout reduced to the obstacles near these positions (..., 2)."""
+    near = (layout.x_m > positions[..., 0].min() - 3.0) & (layout.x_m < positions[..., 0].max() + 3.0)
     return replace(
         layout, x_m=layout.x_m[near], y_m=layout.y_m[near], half_width_m=layout.half_width_m[near],
         round=layout.round[near], texture=layout.texture[near],
@@ -124,8 +127,8 @@ def _nearby(layout: LaneLayout, places: FloatArray) -> LaneLayout:
 
 
 def _best_of_each_cell(state: FloatArray, score: FloatArray) -> NDArray[np.int64]:
-    """Indices of at most BEAM paths, best first, one of each cell of lateral place, velocity and progress."""
+    """Indices of at most BEAM_WIDTH paths, best first, one per cell of lateral position, velocity and progress."""
     order = np.argsort(score, kind="stable")
     cells = np.round(state[order][:, [1, 1, 0], [0, 1, 0]] / (0.25, 0.25, 1.0)) @ (1.0, 1e3, 1e6)
     _, first = np.unique(cells, return_index=True)
-    return order[np.sort(first)[:BEAM]]
+    return order[np.sort(first)[:BEAM_WIDTH]]

@@ -1,8 +1,8 @@
-"""A lane layout in the MuJoCo scene assets/mjcf/lane.xml, and the name of what the drone has hit.
+"""Applies a lane layout to the MuJoCo scene assets/mjcf/lane.xml, and names what the drone has hit.
 
-Obstacles are geoms of the world, moved in place: neither a new model nor a new GL context for a new lane. As geoms
-of the world, not bodies of their own, they cost a physics step 2 µs instead of 12 and more. MuJoCo looks for
-contacts with them in a tree of bounding boxes that it builds once for ever, so that tree is refitted here.
+Obstacles are geoms of the world body, moved in place: a new lane needs neither a new model nor a new GL context.
+Bodies of their own would raise their cost per physics step from 2 µs to 12 µs or more. MuJoCo finds contacts with
+them through a bounding-volume tree that it builds only once, so that tree is refitted here.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from uavaccel.units import ned_to_mujoco
 OBSTACLE_HALF_HEIGHT_M = 10.0
 PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
 SUN_ELEVATION_RAD = 0.9
-DAYLIGHT = 0.65  # the sun's part of full daylight; the sky's, from everywhere, is AMBIENT
+DAYLIGHT = 0.65  # the sun's share of full daylight; that of the sky, from all directions, is AMBIENT
 AMBIENT = 0.45
 
 
 def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
-    """Move the scene's obstacles, and set its textures and light, in place; the drone stays as it is.
+    """Move the scene's obstacles and set its textures and light, in place; the drone is left alone.
 
-    Raises UserError if the scene is not the lane, or has fewer obstacles than the layout.
+    Raises UserError if the scene has fewer obstacles than the layout, as any scene but the lane has.
     """
     geoms = obstacle_geoms(model)
     if len(layout) > len(geoms):
         raise UserError(f"the layout has {len(layout)} obstacles, the scene {len(geoms)}: leave some out")
     used, parked = geoms[: len(layout)], geoms[len(layout) :]
-    _shape(model, used, layout)
-    _place(model, used, layout.x_m, layout.y_m)
-    _place(model, parked, model.geom_pos[parked, 0], np.zeros(len(parked)), z_m=PARKED_Z_M)
+    _set_shapes(model, used, layout)
+    _set_positions(model, used, layout.x_m, layout.y_m)
+    _set_positions(model, parked, model.geom_pos[parked, 0], np.zeros(len(parked)), z_m=PARKED_Z_M)
     model.geom_rgba[used] = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, which lets the material's colour through
     model.geom_rgba[parked, 3] = 0.0  # not drawn
-    _paint(model, used, layout)
-    _light(model, layout)
+    _set_materials(model, used, layout)
+    _set_light(model, layout)
     _refit_bounding_boxes(model)
     mujoco.mj_kinematics(model, data)
 
 
 def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Ids of the geoms that a layout moves, in the order of their names; empty in other scenes than the lane."""
+    """Ids of the geoms that a layout moves, in order of their names; empty in scenes other than the lane."""
     return np.array(
         [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith("obstacle_")], int
     )
 
 
-def _shape(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+def _set_shapes(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
     half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
     box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
     model.geom_type[geoms] = np.where(layout.round, cylinder, box)
@@ -58,7 +58,7 @@ def _shape(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) 
     model.geom_rbound[geoms] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
 
 
-def _place(
+def _set_positions(
     model: mujoco.MjModel,
     geoms: NDArray[np.int64],
     x_m: NDArray[np.float64],
@@ -68,7 +68,7 @@ def _place(
     model.geom_pos[geoms] = ned_to_mujoco(np.stack([x_m, y_m, np.full(len(geoms), z_m)], axis=1))
 
 
-def _paint(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+def _set_materials(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
     materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
     model.geom_matid[geoms] = materials[layout.texture]
     for wall in ("wall_west", "wall_east"):
@@ -76,7 +76,7 @@ def _paint(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) 
     model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
 
 
-def _light(model: mujoco.MjModel, layout: LaneLayout) -> None:
+def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
     level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad
     direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(SUN_ELEVATION_RAD)]
     sun = model.light("sun")
@@ -86,7 +86,7 @@ def _light(model: mujoco.MjModel, layout: LaneLayout) -> None:
 
 
 def _refit_bounding_boxes(model: mujoco.MjModel) -> None:
-    """Boxes of the world's bounding-volume tree around its geoms where they are now; a node precedes its children."""
+    """Refit the world body's bounding-volume tree to its geoms; nodes precede their children, so from last to first."""
     first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
     boxes, children = model.bvh_aabb[first:], model.bvh_child[first:]
     for node in reversed(range(count)):
@@ -100,7 +100,7 @@ def _refit_bounding_boxes(model: mujoco.MjModel) -> None:
 
 
 def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
-    """Name of what the drone touches, e.g. "obstacle_07", "wall_west", "ground"; the deepest contact's, or ""."""
+    """Name of what the drone touches most deeply, e.g. "obstacle_07", "wall_west" or "ground"; "" for nothing."""
     drone = model.body("quadrotor").id
     deepest, name = np.inf, ""
     for contact in data.contact[: data.ncon]:
@@ -111,7 +111,7 @@ def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
 
 
 def object_name(model: mujoco.MjModel, geom: int) -> str:
-    """Name of a geom, or of its body where it has none; "" for -1, the sky."""
+    """Name of a geom, or of its body if it has none of its own; "" for -1, the sky."""
     if geom < 0:
         return ""
     return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)

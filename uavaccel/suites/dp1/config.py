@@ -7,10 +7,9 @@ from typing import Any, Literal
 from pydantic import field_validator, model_validator
 
 from uavaccel.commands.paths import PATHS
-from uavaccel.commands.slices import samples_due
+from uavaccel.commands.slices import check_times
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.experiment import FlightExperiment, Timing, positive
-from uavaccel.units import NS_PER_S
 
 Path = Literal["square", "two_forward_one_back"]
 
@@ -54,15 +53,7 @@ class Dp1Config(FlightExperiment):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp1Config:
+        profile = PROFILES[self.profile]
         for t_move_s in self.t_move_s:
-            PROFILES[self.profile].command_ticks(t_move_s, "t_move_s")
-            if self.t_sample_s is not None:
-                check_samples(self.profile, t_move_s, self.t_sample_s)
+            check_times(t_move_s, self.t_sample_s or t_move_s, profile.check_duration)
         return self
-
-
-def check_samples(profile: str, t_move_s: float, t_sample_s: float) -> None:
-    """Raise UserError where a sample's slice is no whole number of ticks and the profile refuses that."""
-    if PROFILES[profile].exact_times:
-        for due_ns in samples_due(t_move_s, t_sample_s):
-            PROFILES[profile].command_ticks(due_ns / NS_PER_S, "t_sample_s")

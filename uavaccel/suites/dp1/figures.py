@@ -41,7 +41,8 @@ def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) ->
     flown = [row for row in rows if row["role"] == "figure2" and row.get("error") is None]
     flown.sort(key=lambda row: row["clock_speed"])
     source = source_line(flown)
-    draw_velocity([_velocity_panel(row, load_arrays(row)) for row in flown], path, source)
+    panels = [_velocity_panel(row, load_arrays(row)) for row in flown]
+    draw_velocity(panels, path, source, "Two steps forward, one back")
     return Picture(
         path,
         "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the "

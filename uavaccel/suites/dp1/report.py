@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import joblib
 
-from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
-from uavaccel.errors import UserError
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.files import read_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import figures
 from uavaccel.suites.dp1.scores import Arrays, CellScores, LoadArrays, Row, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
+from uavaccel.suites.pages import finished_rows, write_pages
 
 __all__ = ["HEADER", "table", "write_report"]
 
@@ -25,27 +26,32 @@ MOST_JOBS = 8
 Summary = dict[str, Any]
 
 
-def write_report(run_dir: Path, jobs: int | None = None) -> Summary:
+def write_report(run: RunDirectory, jobs: int | None = None) -> Summary:
     """Write summary.json, figures/*.png, report.md and report.html into a DP1 run; returns the summary.
 
     `jobs` processes compute the metrics, by default one for a small run and otherwise one a core; the
     results do not depend on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged
     files.
     """
-    run = RunDirectory(run_dir)
-    rows: list[Row] = [row for row in run.rows() if row.get("suite") == "dp1"]
-    if not rows:
-        raise UserError(f"{run.path / 'rows.jsonl'}: holds no dp1 game; fly one with: uavaccel run dp1")
+    rows: list[Row] = list(finished_rows(run, "dp1"))
     load_arrays = partial(_load_arrays, run.path)
     scores = score_cells(cells_of(rows), load_arrays, jobs or _default_jobs(rows))
     summary = summary_of(rows, scores)
     run.write_json("summary.json", summary)
+    run.write_json("scores.json", _games(scores))
     pictures = _draw(run.path, rows, scores, summary, load_arrays)
     title = f"DP1, {summary['profile']} profile, seed {summary['seed']}"
     blocks = _blocks(run, rows, summary, pictures)
-    run.write_text("report.md", to_markdown(title, blocks, run.path))
-    run.write_text("report.html", to_html(title, blocks))
+    write_pages(run, title, blocks)
     return summary
+
+
+def _games(scores: list[CellScores]) -> list[dict[str, Any]]:
+    """Accuracies game by game, for those who pool cells."""
+    return [
+        {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
+        for score in scores
+    ]
 
 
 def _load_arrays(run_dir: Path, row: Row) -> Arrays:
@@ -80,9 +86,6 @@ def _blocks(run: RunDirectory, rows: list[Row], summary: Summary, pictures: list
         *pictures,
         Heading("All cells"),
         Table(HEADER, table(summary), folded=f"{len(summary['cells'])} cells"),
-        Heading("Provenance"),
-        Listing((run.path / "config.yaml").read_text(encoding="utf-8")),
-        *_manifest(run.path),
     ]
 
 
@@ -98,11 +101,6 @@ def _warnings(summary: Summary) -> list[str]:
     if any(cell["reference"] is None for cell in cells):
         warnings.append("Warning: some cells have no real-time ADSC games to compare with.")
     return warnings
-
-
-def _manifest(run_dir: Path) -> list[Block]:
-    path = run_dir / "manifest.json"
-    return [Listing(path.read_text(encoding="utf-8"))] if path.is_file() else []
 
 
 _READING = (

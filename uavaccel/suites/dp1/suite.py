@@ -49,7 +49,7 @@ class Dp1(Suite[Dp1Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
-        return report.write_report(run.path)
+        return report.write_report(run)
 
     def overview(self, summary: Summary) -> SummaryTable:
         return SummaryTable(OVERVIEW_HEADER, overview(summary))

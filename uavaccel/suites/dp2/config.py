@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from uavaccel.commands.slices import check_times
 from uavaccel.config import Config
-from uavaccel.sim.lane.file import LaneFile, lane_written_out
+from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.dp1.config import check_samples
 from uavaccel.suites.experiment import FlightExperiment, Timing, positive
 from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.perturb import Kind
+from uavaccel.vision.perturb import PerturbationKind
 from uavaccel.wire.image_api import lane_layout
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -47,7 +47,7 @@ class PerturbationConfig(Config):
 
     share: Share = 0.0
     """Of the images that are received, those asked for again included."""
-    kinds: Annotated[tuple[Kind, ...], Field(min_length=1)] = tuple(Kind)
+    kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
 
 
 class Dp2Config(FlightExperiment):
@@ -75,7 +75,7 @@ class Dp2Config(FlightExperiment):
     @field_validator("lane", mode="before")
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
-        return lane_written_out(lane)
+        return parse_lane(lane)
 
     @field_validator("path")
     @classmethod
@@ -91,8 +91,8 @@ class Dp2Config(FlightExperiment):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
-        PROFILES[self.profile].command_ticks(self.t_move_s, "t_move_s")
-        check_samples(self.profile, self.t_move_s, self.t_sample_s)
+        profile = PROFILES[self.profile]
+        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
         return self
 
     def wire_lane(self) -> Any:

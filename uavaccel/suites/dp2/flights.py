@@ -82,10 +82,10 @@ def fly_path(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:
         # The last sample is always that of the command's end; ADSC may come too late for one before it.
         indices += [*range(first, first + len(flown) - 1), first + slots - 1]
         samples += flown
-        if _stands_still(samples) and camera.collision():
+        if _stands_still(samples) and camera.client.collision():
             break
     wall_s = (camera.now_ns() - start_ns) / NS_PER_S
-    collision = camera.collision()
+    collision = camera.client.collision()
     kept = _before(collision, samples)
     return Flight(samples[:kept], indices[:kept], commands, wall_s, collision)
 

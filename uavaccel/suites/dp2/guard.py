@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study
-from uavaccel.vision.perturb import Kind
+from uavaccel.vision.perturb import PerturbationKind
 
 SHARE = 0.05
 STREAMS = 20  # of the same images, each perturbed by a seed of its own: one stream has too few of each kind
@@ -30,7 +30,7 @@ def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> dict
         "images": len(images),
         "share": SHARE,
         "streams": STREAMS,
-        "by_kind": {str(kind): _by_kind(streams, str(kind)) for kind in Kind},
+        "by_kind": {str(kind): _by_kind(streams, str(kind)) for kind in PerturbationKind},
         "perturbed_share_handed_on": {
             guard: float(np.mean([stream[guard]["perturbed_share_handed_on"] for stream in streams]))
             for guard in ("off", "on")

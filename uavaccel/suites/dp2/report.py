@@ -6,30 +6,27 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, draw_images
-from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.figures import source_line
 from uavaccel.suites.dp2 import guard as dp2_guard
 from uavaccel.suites.dp2.scores import GameScore, Row, score_games
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import HEADER, table
+from uavaccel.suites.pages import finished_rows, write_pages
 from uavaccel.vision.guard import GuardSettings
 
 Summary = dict[str, Any]
 
 
-def write_report(run_dir: Path) -> Summary:
+def write_report(run: RunDirectory) -> Summary:
     """Write summary.json, figures/figure7_images.png, report.md and report.html into a DP2 run; the summary.
 
     Raises UserError if the folder holds no DP2 run, no finished game, or damaged files.
     """
-    run = RunDirectory(run_dir)
     config = run.config()
-    rows = [row for row in run.rows() if row.get("suite") == "dp2"]
-    if not rows:
-        raise UserError(f"{run.path / 'rows.jsonl'}: holds no dp2 game; fly one with: uavaccel run dp2")
+    rows = finished_rows(run, "dp2")
 
     def load_arrays(row: Row) -> Mapping[str, Any]:
         return run.load_arrays(str(row["arrays"]))
@@ -40,8 +37,7 @@ def write_report(run_dir: Path) -> Summary:
     figure = _figure(scores, run.file("figures/figure7_images.png"))
     title = f"DP2, {summary['profile']} profile, seed {summary['seed']}"
     blocks = _blocks(run, rows, summary, figure)
-    run.write_text("report.md", to_markdown(title, blocks, run.path))
-    run.write_text("report.html", to_html(title, blocks))
+    write_pages(run, title, blocks)
     return summary
 
 
@@ -82,9 +78,6 @@ def _blocks(run: RunDirectory, rows: Sequence[Row], summary: Summary, figure: Pi
         Paragraph(_READING),
         figure,
         *_guard_blocks(summary["guard_study"]),
-        Heading("Provenance"),
-        Listing((run.path / "config.yaml").read_text(encoding="utf-8")),
-        Listing((run.path / "manifest.json").read_text(encoding="utf-8")),
     ]
 
 

@@ -44,7 +44,7 @@ class Dp2(Suite[Dp2Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
-        return report.write_report(run.path)
+        return report.write_report(run)
 
     def overview(self, summary: Summary) -> SummaryTable:
         return SummaryTable(HEADER, table(summary))

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from uavaccel.envs.task import LaneTask, NotNegative
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.task import NotNegative
 from uavaccel.rl.agents import DEFAULT, trained_keys
 from uavaccel.suites.experiment import Experiment
 

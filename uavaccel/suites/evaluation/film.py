@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.draw.film import Film
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.envs.lane_client import LaneSample
+from uavaccel.envs.flight_client import FlightSample
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import make_agent
 from uavaccel.suites.dp2.scores import count_events
@@ -24,9 +24,9 @@ class FilmedLane(ObstacleLane):
 
     def __init__(self, **task: Any) -> None:
         super().__init__(**task)
-        self.samples: list[LaneSample] = []
+        self.samples: list[FlightSample] = []
 
-    def _see(self, sample: LaneSample) -> NDArray[Any]:
+    def _see(self, sample: FlightSample) -> NDArray[Any]:
         self.samples.append(sample)
         return super()._see(sample)
 

@@ -53,4 +53,4 @@ def _source(runs: Sequence[RunDirectory]) -> str:
 def _name(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:
     agent = str(run.config()["agent"])
     alike = [other for other in runs if other.config()["agent"] == agent]
-    return agent if len(alike) == 1 else f"{agent} ({run.path.name})"
+    return agent if len(alike) == 1 else f"{agent} ({run.path})"  # folders may share their last name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,13 +45,23 @@ def write_report(run: RunDirectory) -> Summary:
 
 def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
     """Figure 9 with a bar for each training; returns `path`."""
-    return draw_phases([phase_times(run) for run in runs], path, _source(runs))
+    return draw_phases(_told_apart(runs), path, _source(runs))
 
 
 def _source(runs: Sequence[RunDirectory]) -> str:
     games = listed(sorted({len(run.rows()) for run in runs}))
     seeds = listed(sorted({run.config()["seed"] for run in runs}))
     return f"{' and '.join(sorted({_clock(run) for run in runs}))} · {games} games · seed {seeds}"
+
+
+def _told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
+    """Times of the trainings; where labels are alike, each has its folder below."""
+    trainings = [phase_times(run) for run in runs]
+    named = Counter(training.label for training in trainings)
+    return [
+        replace(training, label=f"{training.label}\n{run.path}") if named[training.label] > 1 else training
+        for training, run in zip(trainings, runs, strict=True)
+    ]
 
 
 def phase_times(run: RunDirectory) -> PhaseTimes:

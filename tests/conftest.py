@@ -1,0 +1,53 @@
+"""What the tests share: the mark of those that draw, the lane's scene, and worlds to fly in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import pytest
+
+from tests.scenes import Scene
+from uavaccel.errors import UserError
+from uavaccel.resources import asset
+from uavaccel.sim import gl
+from uavaccel.sim.lane.file import layout_from
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what draws where OpenGL is missing; the probe is a process, so it starts only if something draws."""
+    drawing = [item for item in items if item.get_closest_marker("opengl")]
+    if drawing and not _opengl_works():
+        for item in drawing:
+            item.add_marker(pytest.mark.skip(reason="no OpenGL on this machine"))
+
+
+def _opengl_works() -> bool:
+    try:
+        return bool(gl.choose_backend())
+    except UserError:
+        return False
+
+
+@pytest.fixture(scope="session")
+def lane_scene() -> Scene:
+    """The lane's model and data, shared: each test lays out its own lane."""
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    return model, mujoco.MjData(model)
+
+
+@pytest.fixture(scope="session")
+def _lane_world() -> Iterator[World]:
+    world = World("lane", NATIVE)
+    yield world
+    world.close()
+
+
+@pytest.fixture
+def lane_world(_lane_world: World) -> World:
+    """A settled hover at the start of an empty lane without wind."""
+    _lane_world.set_lane(layout_from({"obstacles": []}, "test"))
+    _lane_world.reset()
+    return _lane_world

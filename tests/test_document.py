@@ -1,0 +1,102 @@
+"""Reports as Markdown and as one HTML page: every kind of block, and text that looks like markup."""
+
+from __future__ import annotations
+
+import base64
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from uavaccel.draw.document import (
+    Block,
+    Heading,
+    Listing,
+    Paragraph,
+    Picture,
+    Table,
+    to_html,
+    to_markdown,
+)
+
+NASTY = 'a|b *c* _d_ <e> & "f" \\g'
+PNG = b"\x89PNG not really"
+
+
+@pytest.fixture
+def blocks(tmp_path: Path) -> list[Block]:
+    picture = tmp_path / "figures" / "one & two.png"
+    picture.parent.mkdir()
+    picture.write_bytes(PNG)
+    return [
+        Heading("First"),
+        Paragraph(NASTY),
+        Table(("x", "y <z>"), [("1", "2|3"), ("4", "<5>")], folded="2 rows & more"),
+        Table(("alone",), [("6",)]),
+        Picture(picture, "Caption <1>"),
+        Listing("key: <value> | *kept*\n\n"),
+    ]
+
+
+def test_markdown_of_every_block(tmp_path: Path, blocks: list[Block]) -> None:
+    assert to_markdown("The title", blocks, tmp_path) == (
+        "# The title\n\n"
+        "## First\n\n"
+        'a\\|b \\*c\\* \\_d\\_ \\<e> & "f" \\\\g\n\n'
+        "| x | y \\<z> |\n| --- | --- |\n| 1 | 2\\|3 |\n| 4 | \\<5> |\n\n"
+        "| alone |\n| --- |\n| 6 |\n\n"
+        "![one & two](figures/one & two.png)\n\nCaption \\<1>\n\n"
+        "```\nkey: <value> | *kept*\n```\n"
+    )
+
+
+class Page(HTMLParser):
+    """What a browser would show: (tag, text) in order, and the attributes of what has some."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.shown: list[tuple[str, str]] = []
+        self.attributes: dict[str, dict[str, str | None]] = {}
+        self._open: list[str] = []
+        self.feed(html)
+        assert [tag for tag in self._open if tag not in ("meta", "img")] == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._open.append(tag)
+        if attrs:
+            self.attributes[tag] = dict(attrs)
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open.pop() != tag:
+            assert self._open, f"{tag} was never opened"
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.shown.append((self._open[-1], data.strip()))
+
+
+def test_html_of_every_block(blocks: list[Block]) -> None:
+    html = to_html("The <title>", blocks)
+    assert html.startswith('<!DOCTYPE html>\n<html lang="en">')
+    page = Page(html)
+    shown = [entry for entry in page.shown if entry[0] != "style"]
+    assert shown == [
+        ("title", "The <title>"),
+        ("h1", "The <title>"),
+        ("h2", "First"),
+        ("p", NASTY),
+        ("summary", "2 rows & more"),
+        ("th", "x"),
+        ("th", "y <z>"),
+        *[("td", text) for text in ("1", "2|3", "4", "<5>")],
+        ("th", "alone"),
+        ("td", "6"),
+        ("figcaption", "Caption <1>"),
+        ("pre", "key: <value> | *kept*"),
+    ]
+    assert page.attributes["meta"] == {"charset": "utf-8"}
+    image = page.attributes["img"]
+    assert image["alt"] == "Caption <1>"
+    assert image["src"] == "data:image/png;base64," + base64.b64encode(PNG).decode()
+    assert html.count("<details>") == html.count("</details>") == 1  # the other table is unfolded
+    assert html.count("<tr>") == 3 + 2

@@ -1,0 +1,277 @@
+"""DP2's summary, table and report: every number against a few independent lines on small made-up games."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.drawing import headline, record_figures
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp2.flights import Dp2Config
+from uavaccel.suites.dp2.report import write_report
+from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
+from uavaccel.suites.dp2.summary import summary_of
+from uavaccel.suites.dp2.table import HEADER, table
+from uavaccel.suites.experiment import read_mapping, resolve
+
+PIXELS = (2, 5)
+
+
+def row_of(role: str, command: str = "tcsc", clock_speed: float = 1.0, **keys: Any) -> dict[str, Any]:
+    prefix = "" if role == "game" else f"{role}-"
+    return {
+        "case": f"{prefix}{command}-k{clock_speed:g}",
+        "suite": "dp2",
+        "role": role,
+        "command": command,
+        "clock_speed": clock_speed,
+        "t_move_s": 0.66,
+        "timing": "virtual",
+        "profile": "native",
+        "seed": 3,
+        "samples": 5,
+        "guard_retries": 2,
+        "collision": None,
+        "distance_m": 12.34,
+        "wall_s": 0.03,
+        "duration_s": 0.66,
+        "real_time_factor": 21.5,
+        "lost_wall_s": 0.0,
+        "error": None,
+    } | keys
+
+
+def counts(*active: int) -> np.ndarray:
+    """Event counts (n, 2, 5) in which so many pixels have seen something."""
+    images = np.zeros((len(active), 10), np.uint16)
+    for image, pixels in zip(images, active, strict=True):
+        image[:pixels] = 1 + np.arange(pixels)
+    return images.reshape(-1, *PIXELS)
+
+
+def yaw(*degrees: float) -> np.ndarray:
+    half = np.radians(degrees) / 2
+    return np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+
+
+def seen(row: dict[str, Any], index: list[int], position_m: Any, *senses: np.ndarray) -> SeenFlight:
+    return SeenFlight(row, np.array(index, np.int32), np.array(position_m, float), *senses)
+
+
+# Shared are the samples 0, 1, 2 and 5, of which the first is the start.
+REFERENCE = seen(
+    row_of("reference"), [0, 1, 2, 4, 5], [[9, 9, 9], [1, 0, 0], [2, 0, 0], [4, 0, 0], [5, 0, 0]],
+    yaw(0, 0, 0, 0, 10), counts(0, 3, 3, 9, 4), counts(0, 1, 5, 9, 2),
+)  # fmt: skip
+GAME = seen(
+    row_of("game", clock_speed=50.0, timing="wall", guard_retries=4, lost_wall_s=0.25,
+           collision={"object": "wall_east"}),
+    [0, 1, 2, 3, 5], [[0, 0, 0], [1, 0.3, 0.4], [2, 0, 0], [3, 0, 0], [5, 1.2, -0.9]],
+    yaw(0, 5, 0, 0, 40), counts(9, 4, 3, 0, 9), counts(9, 1, 2, 0, 0),
+)  # fmt: skip
+CONFIG = {
+    "profile": "native",
+    "seed": 3,
+    "dvs_preset": "noisy",
+    "sensor_seed": 8,
+    "perturbation": {"share": 0.1},
+}
+
+
+def test_every_number_of_a_summary() -> None:
+    lockstep = replace(GAME, row=row_of("lockstep"), off=REFERENCE.off)
+    score = score_game(GAME, REFERENCE, lockstep)
+    # |4 - 3| + |1 - 1|, |3 - 3| + |2 - 5| and |9 - 4| + |0 - 2| of 10 pixels.
+    assert score.dvs_ed_percent.tolist() == [10.0, 30.0, 70.0]
+    assert score.position_error_m == pytest.approx([0.5, 0.0, 1.5])
+    assert score.attitude_error_deg == pytest.approx([5.0, 0.0, 30.0])
+    summary = summary_of(CONFIG, [score, score_game(REFERENCE, REFERENCE, None)], {"a": "study"})
+    game, reference = summary.pop("cells")
+    assert summary == {
+        "suite": "dp2",
+        "profile": "native",
+        "seed": 3,
+        "dvs_preset": "noisy",
+        "sensor_seed": 8,
+        "perturbed_share": 0.1,
+        "guard_study": {"a": "study"},
+    }
+    exact = {
+        "command": "tcsc",
+        "clock_speed": 50.0,
+        "t_move_s": 0.66,
+        "timing": "wall",
+        "provenance": "measured",
+        "reference": {
+            "case": "reference-tcsc-k1",
+            "clock_speed": 1.0,
+            "timing": "virtual",
+            "provenance": "modelled",
+            "is_this_cell": False,
+        },
+        "images": 5,
+        "paired_images": 3,
+        "poses_equal_lockstep": True,
+        "dvs_counts_equal_lockstep": False,
+        "guard_retries": 4,
+        "collision": {"object": "wall_east"},
+        "distance_m": 12.34,
+        "wall_s": 0.03,
+        "real_time_factor": 21.5,
+        "lost_wall_s": 0.25,
+    }
+    near = {
+        "position_error_m_median": 0.5,
+        "position_error_m_max": 1.5,
+        "attitude_error_deg_median": 5.0,
+        "attitude_error_deg_max": 30.0,
+        "dvs_ed_percent_median": 30.0,
+        "dvs_ed_percent_max": 70.0,
+        "simulated_s_per_wall_s": 22.0,
+    }
+    assert game == exact | {key: pytest.approx(value) for key, value in near.items()}
+    assert reference["reference"]["is_this_cell"] is True
+    assert (reference["position_error_m_max"], reference["poses_equal_lockstep"]) == (0.0, None)
+
+
+def test_without_a_run_at_1x_or_wall_time_the_numbers_are_unknown() -> None:
+    score = score_game(replace(GAME, row={**GAME.row, "wall_s": 0.0}), None, None)
+    (cell,) = summary_of(CONFIG, [score], None)["cells"]
+    assert (cell["paired_images"], cell["simulated_s_per_wall_s"], cell["reference"]) == (0, None, None)
+    errors = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
+    assert {cell[f"{error}_{kind}"] for error in errors for kind in ("median", "max")} == {None}
+
+
+def test_games_are_scored_by_command_and_clock_speed_against_their_own_run_at_1x() -> None:
+    rows = [row_of("lockstep"), row_of("game", clock_speed=100.0), row_of("game", clock_speed=9.0)]
+    rows += [row_of("game", "adsc", 5.0), row_of("reference"), row_of("reference", "adsc"), row_of("game")]
+    rows.append(row_of("game", clock_speed=7.0, error="crashed"))
+    still = {
+        "sample_index": np.arange(2),
+        "time_s": np.array([0.0, 0.33]),
+        "position_m": np.zeros((2, 3)),
+        "orientation_wxyz": yaw(0, 0),
+        "image": np.full((2, *PIXELS), 100, np.uint8),
+    }
+    scores = list(score_games(rows, lambda _: still, "clean", 0))
+    assert [(score.row["case"], score.reference and score.reference["case"]) for score in scores] == [
+        ("reference-adsc-k1", "reference-adsc-k1"),
+        ("adsc-k5", "reference-adsc-k1"),
+        ("reference-tcsc-k1", "reference-tcsc-k1"),
+        ("tcsc-k1", "reference-tcsc-k1"),
+        ("tcsc-k9", "reference-tcsc-k1"),
+        ("tcsc-k100", "reference-tcsc-k1"),
+    ]
+    assert {(score.equal_poses, score.equal_counts) for score in scores} == {(True, True)}
+
+
+def test_the_first_image_makes_no_events() -> None:
+    images = np.stack([np.full((4, 4), level, np.uint8) for level in (10, 200, 200, 10)])
+    on, off = count_events(images, np.array([0.0, 0.33, 0.66, 1.0]), "clean", 0)
+    assert [bool(events.any()) for events in on] == [False, True, False, False]
+    assert [bool(events.any()) for events in off] == [False, False, False, True]
+
+
+def test_a_line_of_the_table() -> None:
+    game, reference = summary_of(CONFIG, [score_game(f, REFERENCE, f) for f in (GAME, REFERENCE)], None)[
+        "cells"
+    ]
+    game["position_error_m_median"], game["dvs_counts_equal_lockstep"] = 0.0004, False
+    lines = table(
+        {"cells": [game, reference, game | {"attitude_error_deg_max": None, "poses_equal_lockstep": None}]}
+    )
+    assert dict(zip(HEADER, lines[0], strict=True)) == {
+        "command": "TCSC",
+        "ClockSpeed": "50x",
+        "images": "3",
+        "position error, m: median, max": "4e-04, 1.500",
+        "attitude error, deg: max": "30.00",
+        "DVS-ED, %: median, max": "30.00, 70.00",
+        "guard retries": "4",
+        "poses, counts v. lockstep": "equal, differ",
+        "distance, m": "12.3 (hit wall_east)",
+        "simulated s a wall s": "22.00",
+        "source": "measured",
+    }
+    assert lines[1][1:7] == ("1x (reference)", "4", "0, 0", "0", "0, 0", "2")
+    assert (lines[1][8], lines[1][10]) == ("12.3", "modelled")
+    assert (lines[2][4], lines[2][7]) == ("-", "-, differ")
+
+
+# --- the written report -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunDirectory:
+    """A game without latency, a run at 1x, a measured one that differs in its second image, and a failed one."""
+    mapping, source = read_mapping("dp2")
+    config = resolve(Dp2Config, mapping, source, {"seed": 3}, ["perturbation.share=0.1"])
+    run = RunDirectory.create(tmp_path / "run", config, {"host": "synthetic"})
+    rows = [
+        row_of("lockstep", timing="lockstep"),
+        row_of("reference"),
+        row_of("game", "adsc", 5.0, error="crashed"),
+    ]
+    rows.append(
+        row_of("game", clock_speed=50.0, timing="wall", collision={"object": "post"}, lost_wall_s=0.125)
+    )
+    for row in rows:
+        images = np.full((3, *PIXELS), 100, np.uint8)
+        images[1:, 0, 0] = 200
+        position_m = np.zeros((3, 3))
+        if row["role"] == "game":
+            images[1, 0, :3], position_m[1] = 200, (0.0, 0.3, 0.4)
+        arrays = {
+            "sample_index": np.arange(3),
+            "time_s": np.array([0.0, 0.33, 0.66]),
+            "position_m": position_m,
+        }
+        arrays |= {"orientation_wxyz": yaw(0, 0, 0), "image": images}
+        if row["role"] == "lockstep":
+            arrays["colour"] = np.repeat(images[..., None], 3, axis=-1)
+        run.append_row(row | {"arrays": run.save_arrays(row["case"], arrays)})
+    return run
+
+
+def test_the_written_report(run: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = record_figures(monkeypatch)
+    summary = write_report(run)
+    assert run.read_json("summary.json") == summary
+    assert [(cell["command"], cell["clock_speed"]) for cell in summary["cells"]] == [
+        ("tcsc", 1.0),
+        ("tcsc", 50.0),
+    ]
+    axes: Any = drawn["figure7_images"].axes[0]
+    shown = sorted(tuple(point) for group in axes.collections for point in group.get_offsets().tolist())
+    # In the second image two more of ten pixels turn on than at 1x, in the third those two turn off.
+    errors = summary["cells"][1]
+    assert shown[-2:] == [(20.0, 0.0), (20.0, 0.5)]
+    assert (errors["position_error_m_max"], errors["dvs_ed_percent_max"]) == (0.5, pytest.approx(20.0))
+    source = "measured (wall clock): 1 game · modelled (virtual clock): 1 game · native profile · seed 3"
+    assert sorted(headline(drawn["figure7_images"])[1].split(" · ")) == sorted(source.split(" · "))
+    text = (run.path / "report.md").read_text()
+    assert text.startswith("# DP2, native profile, seed 3\n")
+    assert f"Source: {headline(drawn['figure7_images'])[1]}." in text
+    assert "Figure 7. " in text
+    assert "linear up to 0.1 % and 1 mm" in text
+    for said in (
+        "tcsc-k50 hit post after 12.3 m and stood still from there",
+        "Warning: adsc-k5 failed and are left out",
+        "Warning: the machine could not keep up and lost 0.125 s of wall time.",
+        "Modelled: 10.0% of the images of the games were perturbed",
+        "sent 20 times",
+        "| " + " | ".join(table(summary)[1]) + " |",
+        "False alarms: 0 of 3 clean images.",
+    ):
+        assert said in text, said
+
+
+def test_a_run_without_games_is_the_users_mistake(run: RunDirectory) -> None:
+    (run.path / "rows.jsonl").write_text("")
+    with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp2"):
+        write_report(run)

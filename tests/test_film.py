@@ -1,0 +1,185 @@
+"""Films: what a frame shows where, H.264 that decodes to what was drawn, the contact sheet, and the map's geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from uavaccel.draw import film as films
+from uavaccel.draw.film import Film, dvs_picture, frames, write_contact_sheet, write_video
+from uavaccel.draw.lane_map import (
+    DRONE,
+    GOAL,
+    GROUND,
+    OBSTACLE,
+    OUTSIDE,
+    TRACK,
+    WALL,
+    View,
+    draw_lane,
+    draw_track,
+    follow,
+    whole_lane,
+)
+from uavaccel.errors import UserError
+from uavaccel.sim.lane.layout import draw_layout
+
+SAMPLES = 30
+
+
+def flown(samples: int = SAMPLES, colour: bool = False) -> Film:
+    """A ramp that moves, ON events left and OFF events right, 1.5 m and 0.33 s a sample."""
+    ramp = np.arange(256)[None, :] + np.arange(144)[:, None]
+    images = np.stack([(ramp + 4 * i) % 256 for i in range(samples)]).astype(np.uint8)
+    if colour:
+        images = np.stack([images, images // 2, 255 - images], axis=-1)
+    on, off = np.zeros((2, samples, 144, 256), np.uint16)
+    on[1:, :, :128], off[1:, :, 128:] = 3, 3
+    position_m = np.column_stack([1.5 * np.arange(samples), np.zeros(samples), np.full(samples, -2.0)])
+    return Film("A title", np.arange(samples) * np.float64(0.33), images, on, off, position_m, draw_layout(3))
+
+
+def test_a_frame_shows_camera_events_and_map() -> None:
+    film = flown(samples=3, colour=True)
+    first, second, _ = frames(film)
+    for i, frame in ((0, first), (1, second)):
+        assert frame.shape == (480, 1280, 3)
+        assert np.array_equal(frame[64:352:2, 12:524:2], film.images[i, :, :, ::-1])  # RGB there, BGR here
+        assert np.array_equal(
+            frame[64:352, 536:1048], dvs_picture(film.on_events[i], film.off_events[i], (512, 288))
+        )
+    left, right = second[200, 600].astype(int), second[200, 1000].astype(int)
+    assert left[0] > left[2] + 100  # ON is blue
+    assert right[2] > right[0] + 100  # OFF is red
+    near, lane = follow((1.5, 0.0), (208, 288)), whole_lane((1256, 86))
+    track = film.position_m[:2, :2]
+    assert np.array_equal(second[64:352, 1060:1268], draw_track(draw_lane(film.layout, near), near, track))
+    assert np.array_equal(second[380:466, 12:1268], draw_track(draw_lane(film.layout, lane), lane, track))
+
+
+def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(films, "_write", lambda page, text, *_, **__: said.append(text))
+    list(frames(flown(samples=3), frames_per_s=6))
+    assert said[0] == "A title"
+    # Two steps of 0.33 s in two sixths of a second.
+    assert said[-2:] == ["  0.33 s,   1.5 m, shown at 2.0x", "  0.66 s,   3.0 m, shown at 2.0x"]
+
+
+@pytest.mark.parametrize(
+    ("on", "off", "bgr"),
+    [
+        (0, 0, (246, 246, 246)),
+        (1, 0, (223, 202, 164)),  # a third of the way to blue
+        (3, 0, (178, 114, 0)),
+        (9, 0, (178, 114, 0)),
+        (0, 3, (0, 94, 213)),
+    ],
+)
+def test_more_events_have_a_deeper_colour(on: int, off: int, bgr: tuple[int, int, int]) -> None:
+    picture = dvs_picture(np.full((2, 3), on), np.full((2, 3), off), (6, 4))
+    assert picture.shape == (4, 6, 3)
+    assert np.abs(picture.astype(int) - bgr).max() <= 1
+
+
+# --- the file -----------------------------------------------------------------------------------------------
+
+
+def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
+    film = flown()
+    path = write_video(film, tmp_path / "films" / "one.mp4", frames_per_s=10)
+    assert [file.name for file in path.parent.iterdir()] == ["one.mp4"]
+    with av.open(str(path)) as file:
+        stream = file.streams.video[0]
+        context = stream.codec_context
+        assert (context.name, context.pix_fmt, context.width, context.height) == (
+            "h264",
+            "yuv420p",
+            1280,
+            480,
+        )
+        assert (float(stream.average_rate or 0), stream.frames) == (10.0, SAMPLES)
+        decoded = [frame.to_ndarray(format="bgr24") for frame in file.decode(stream)]
+    assert len(decoded) == SAMPLES
+    for seen, drawn in zip(decoded, frames(film, 10), strict=True):
+        difference = np.abs(seen.astype(int) - drawn)
+        assert difference.mean() < 3
+        for x in (600, 1000, 700):  # ON, OFF and paper: the decoder knows which colours were meant
+            assert difference[50 if x == 700 else 200, x].max() <= 6
+    data = path.read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")  # plays before it is all there
+    assert len(data) < 10_000 * SAMPLES
+    assert write_video(film, tmp_path / "two.mp4", frames_per_s=10).read_bytes() == data
+
+
+def test_a_film_that_cannot_be_written_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_video(flown(samples=2), tmp_path / "one.mp4")
+    before = path.read_bytes()
+    broken = flown(samples=3)
+    monkeypatch.setattr(films, "_playback", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_video(broken, path)
+    assert path.read_bytes() == before
+    with pytest.raises(UserError, match=r"one\.mp4/two\.mp4: cannot be written: "):
+        write_video(broken, path / "two.mp4")
+
+
+def test_a_contact_sheet_shows_moments_from_the_second_to_the_last(tmp_path: Path) -> None:
+    film = flown()
+    sheet = cv2.imread(str(write_contact_sheet(film, tmp_path / "sheets" / "one.png")))
+    assert sheet is not None
+    assert sheet.shape == (44 + 4 * (2 * 144 + 34), 10 + 5 * 266, 3)
+    for place, i in ((0, 1), (6, round(1 + 6 * 28 / 19)), (19, 29)):  # 20 moments from sample 1 to sample 29
+        x, y = 10 + place % 5 * 266, 44 + place // 5 * 322 + 24
+        camera, events = sheet[y : y + 144, x : x + 256], sheet[y + 144 : y + 288, x : x + 256]
+        assert np.array_equal(camera, np.repeat(film.images[i, :, :, None], 3, axis=2))
+        assert np.array_equal(events, dvs_picture(film.on_events[i], film.off_events[i], (256, 144)))
+    short = cv2.imread(str(write_contact_sheet(flown(samples=1), tmp_path / "two.png")))
+    assert short is not None
+    assert short.shape[0] == 44 + 322
+
+
+# --- the map ------------------------------------------------------------------------------------------------
+
+
+def pixel(picture: np.ndarray, view: View, place_m: tuple[float, float]) -> tuple[int, ...]:
+    x, y = view.pixels(place_m) >> 4
+    return tuple(picture[y, x].tolist())
+
+
+def test_the_map_shows_walls_goal_obstacles_and_the_way_flown() -> None:
+    some = draw_layout(3)
+    drawn = replace(some, round=np.arange(len(some)) % 2 == 0, half_width_m=np.full(len(some), 0.5))
+    view = whole_lane((1256, 86))
+    assert view.pixels((0.0, 0.0))[0] < view.pixels((150.0, 0.0))[0]  # north is to the right
+    assert view.pixels((0.0, 0.0))[1] < view.pixels((0.0, 4.0))[1]  # east is down
+    picture = draw_lane(drawn, view)
+    assert pixel(picture, view, (5.0, 0.0)) == GROUND
+    assert pixel(picture, view, (150.2, 0.0)) == GOAL
+    assert pixel(picture, view, (50.0, 5.12)) == pixel(picture, view, (50.0, -5.12)) == WALL
+    for x_m, y_m in zip(drawn.x_m, drawn.y_m, strict=True):
+        assert pixel(picture, view, (x_m, y_m)) == OBSTACLE
+    for x_m, y_m, is_round in zip(drawn.x_m[:8], drawn.y_m[:8], drawn.round, strict=False):
+        close = follow((x_m, 0.0), (1050, 1440))  # 100 pixels per metre
+        corner = pixel(draw_lane(drawn, close), close, (x_m + 0.45, y_m + 0.45 * (-1 if y_m > 0 else 1)))
+        assert corner == (GROUND if is_round else OBSTACLE)
+    near = follow((3.0, 1.0), (208, 288))
+    assert near.pixels((3.0, 0.0)).tolist() == [
+        104 * 16,
+        216 * 16,
+    ]  # in the middle, a quarter of the height up
+    assert near.pixels((4.0, 0.0))[1] < near.pixels((3.0, 0.0))[1]  # north is up
+    assert near.pixels((3.0, 1.0))[0] > near.pixels((3.0, 0.0))[0]
+    assert near.scale == pytest.approx(208 / 10.5)
+    tracked = draw_track(draw_lane(drawn, near), near, [(0.0, 0.0), (3.0, 0.0)])
+    assert pixel(tracked, near, (3.0, 0.0)) == DRONE
+    assert pixel(tracked, near, (1.0, 0.0)) == TRACK
+    assert pixel(tracked, near, (4.0, 0.0)) == GROUND
+    assert pixel(draw_lane(drawn, whole_lane((1256, 200))), whole_lane((1256, 200)), (50.0, 8.0)) == OUTSIDE

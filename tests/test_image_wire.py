@@ -1,0 +1,264 @@
+"""Images as they come over the wire, against rays cast into scenes whose measures are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import msgpack
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.world import World
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.image_api import PALETTE, decode_image
+
+pytestmark = pytest.mark.opengl
+
+SCENE, PLANAR, PERSPECTIVE, DEPTH_VIS, SEGMENTATION = 0, 1, 2, 3, 5
+MS = 1_000_000
+
+POSES = [
+    Pose((2.0, 6.0, -7.0), (0.0, 0.0, 0.0)),
+    Pose((10.0, -5.0, -4.0), (12.0, -8.0, 35.0)),
+    Pose((-15.0, 4.0, -9.0), (-20.0, -15.0, -130.0)),
+]
+
+
+@pytest.fixture(scope="module")
+def worlds() -> Iterator[dict[str, World]]:
+    worlds = {scene: World(scene, NATIVE) for scene in ("blocks", "lane")}
+    yield worlds
+    for world in worlds.values():
+        world.close()
+
+
+class Wire:
+    """A simulation behind its calls; replies are what a client unpacks."""
+
+    def __init__(self, world: World) -> None:
+        world.reset()
+        self.world, self.wall_ns = world, 0
+        self.simulation = Simulation(world)
+        self.api = Api(self.simulation)
+        self.simulation.reset(0)
+        self.simulation.api_control = True
+
+    def call(self, method: str, *params: Any) -> Any:
+        result = self.api.call(method, params, self.wall_ns)
+        if isinstance(result, DeferredReply):  # a command that flies on
+            return None
+        return msgpack.unpackb(rpc.pack_response(1, None, result))[3]
+
+    def fly(self, wall_ns: int) -> None:
+        self.wall_ns += wall_ns
+        self.simulation.advance_to(self.wall_ns)
+
+    def move(self, pose: Pose) -> None:
+        self.call("simSetVehiclePose", pose.message(), True, "")
+
+    def response(self, image_type: int, as_float: bool = False, compress: bool = False) -> dict[str, Any]:
+        request = {
+            "camera_name": "0",
+            "image_type": image_type,
+            "pixels_as_float": as_float,
+            "compress": compress,
+        }
+        [response] = self.call("simGetImages", [request], "", False)
+        return dict(response)
+
+    def floats(self, image_type: int) -> NDArray[np.float64]:
+        response = self.response(image_type, as_float=True)
+        assert response["image_data_uint8"] == b""
+        return np.array(response["image_data_float"]).reshape(response["height"], response["width"])
+
+    def bgr(self, image_type: int) -> NDArray[np.uint8]:
+        response = self.response(image_type)
+        assert response["image_data_float"] == []
+        shape = (response["height"], response["width"], 3)
+        return np.frombuffer(response["image_data_uint8"], np.uint8).reshape(shape)
+
+    def picture(self, kind: str) -> NDArray[Any]:
+        return decode_image(self.call("uavaccelImage", kind))
+
+
+@pytest.fixture
+def blocks(worlds: dict[str, World]) -> Wire:
+    return Wire(worlds["blocks"])
+
+
+@pytest.fixture
+def lane(worlds: dict[str, World]) -> Wire:
+    return Wire(worlds["lane"])
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_depth_is_how_far_each_ray_goes(blocks: Wire, pose: Pose) -> None:
+    blocks.move(pose)
+    seen = cast_rays(pose, BLOCKS)
+    inside = seen.inside() & (seen.box >= 0)
+    assert inside.mean() > 0.3
+    for image_type, expected_m in ((PLANAR, seen.planar_m), (PERSPECTIVE, seen.perspective_m)):
+        depth_m = blocks.floats(image_type)
+        np.testing.assert_allclose(depth_m[inside], expected_m[inside], rtol=3e-3)
+        share = np.clip(expected_m / 100.0, 0.0, 1.0)
+        shades = blocks.bgr(image_type)
+        assert np.abs(shades[inside] / 255.0 - share[inside, None]).max() < 1 / 255 + 2e-3
+    np.testing.assert_allclose(
+        blocks.floats(DEPTH_VIS)[inside], np.minimum(seen.planar_m / 100, 1)[inside], rtol=3e-3
+    )
+    np.testing.assert_array_equal(blocks.bgr(DEPTH_VIS), blocks.bgr(PLANAR))
+    np.testing.assert_array_equal(blocks.picture("depth"), blocks.floats(PLANAR))
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_segmentation_has_one_colour_for_each_object_and_black_for_the_sky(blocks: Wire, pose: Pose) -> None:
+    blocks.move(pose)
+    seen, ids = cast_rays(pose, BLOCKS), blocks.picture("segmentation")
+    expected = np.array([*(blocks.world.model.geom(name).id for name in BLOCKS), -1])[seen.box]
+    assert len(np.unique(expected)) >= 4
+    np.testing.assert_array_equal(ids[seen.inside()], expected[seen.inside()])
+    assert ids.dtype == np.int32
+    assert ids.shape == (ROWS, COLUMNS)
+    np.testing.assert_array_equal(blocks.bgr(SEGMENTATION), PALETTE[ids + 1][..., ::-1])
+    assert (blocks.bgr(SEGMENTATION)[ids == -1] == 0).all()
+    assert len(np.unique(PALETTE, axis=0)) == len(PALETTE) == 256
+
+
+def test_a_picture_is_blue_green_red_as_bytes_and_as_png_and_red_green_blue_as_our_own(lane: Wire) -> None:
+    """A blue post to the left and a red one to the right, its top above the horizon, the ground below."""
+    places = {"blue": -1.5, "red": 1.5}
+    lane.call(
+        "uavaccelSetLane",
+        {"obstacles": [{"x_m": 6.0, "y_m": y, "half_side_m": 0.5, "texture": c} for c, y in places.items()]},
+    )
+    posts = {colour: ((6.0, y, -10.0), (0.5, 0.5, 10.0)) for colour, y in places.items()}
+    pose = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
+    seen, bgr = cast_rays(pose, posts), lane.bgr(SCENE)
+    blue, green, red = bgr[seen.inside() & (seen.box == 0)].mean(axis=0)  # material 0.35, 0.55, 1
+    assert (red / blue, green / blue) == pytest.approx((0.35, 0.55), rel=0.05)
+    blue, green, red = bgr[seen.inside() & (seen.box == 1)].mean(axis=0)  # material 0.9, 0.25, 0.2
+    assert (green / red, blue / red) == pytest.approx((0.25 / 0.9, 0.2 / 0.9), rel=0.05)
+    colour = lane.picture("colour")
+    np.testing.assert_array_equal(colour, bgr[..., ::-1])
+    gray = lane.picture("gray")
+    assert gray.dtype == np.uint8
+    assert gray.shape == (ROWS, COLUMNS)
+    assert np.abs(gray - colour @ np.array([0.299, 0.587, 0.114])).max() <= 1.0
+    np.testing.assert_array_equal(lane.floats(SCENE), (bgr[..., 2] / np.float32(255)).astype(np.float32))
+    for png in (
+        lane.response(SCENE, compress=True)["image_data_uint8"],
+        lane.call("simGetImage", "front_center", SCENE, "", False),
+    ):
+        assert png.startswith(b"\x89PNG")
+        np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), bgr)
+
+
+def test_a_response_tells_the_pose_and_the_time_of_its_picture(blocks: Wire) -> None:
+    """In flight, tilted and turning: camera, picture, state and stamp are of one tick."""
+    blocks.call("moveByVelocity", 4.0, 2.0, 0.0, 5.0, 0, {"is_rate": False, "yaw_or_rate": 70.0}, "")
+    blocks.fly(1234 * MS)
+    state = blocks.call("getMultirotorState", "")
+    told = state["kinematics_estimated"]
+    [response, other] = blocks.call(
+        "simGetImages",
+        [{"camera_name": "front_center", "image_type": PLANAR, "pixels_as_float": True}, {}],
+        "",
+    )
+    assert response["time_stamp"] == other["time_stamp"] == state["timestamp"] == 1234 * MS
+    assert response["camera_orientation"] == told["orientation"]
+    w, x, y, z = told["orientation"].values()
+    degrees = np.degrees(
+        (
+            np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            np.arcsin(2 * (w * y - z * x)),
+            np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+        )
+    )
+    pose = Pose(tuple(told["position"].values()), tuple(degrees))
+    assert abs(degrees[0]) > 2.0
+    assert abs(degrees[2]) > 30.0
+    np.testing.assert_allclose(list(response["camera_position"].values()), pose.camera_m(), atol=1e-6)
+    seen = cast_rays(pose, BLOCKS)
+    inside = seen.inside() & (seen.box >= 0)
+    depth_m = np.array(response["image_data_float"]).reshape(ROWS, COLUMNS)
+    np.testing.assert_allclose(depth_m[inside], seen.planar_m[inside], rtol=3e-3)
+    assert (response["width"], response["height"], response["message"]) == (COLUMNS, ROWS, "")
+    assert (response["camera_name"], response["image_type"]) == ("front_center", PLANAR)
+    assert (response["pixels_as_float"], response["compress"]) == (True, True)
+    assert (other["camera_name"], other["image_type"], other["pixels_as_float"]) == ("", SCENE, False)
+    assert other["image_data_uint8"].startswith(b"\x89PNG")  # compressed, unless it is asked not to be
+
+
+def test_camera_info_projects_a_corner_to_its_pixel(blocks: Wire) -> None:
+    pose = POSES[1]
+    blocks.move(pose)
+    info = blocks.call("simGetCameraInfo", "0", "", False)
+    assert info["fov"] == 90.0
+    np.testing.assert_allclose(list(info["pose"]["position"].values()), pose.camera_m(), atol=1e-6)
+    np.testing.assert_allclose(list(info["pose"]["orientation"].values()), pose.quaternion(), atol=1e-6)
+    corner = np.array([42.0, 20.0, -12.0])  # of block_north
+    forward, right, down = pose.matrix().T @ (corner - pose.camera_m())
+    x, y, near, w = np.array(info["proj_mat"]["matrix"]) @ (right, -down, forward, 1.0)
+    column, row = (1 + x / w) * COLUMNS / 2, (1 - y / w) * ROWS / 2
+    assert near == 10.0  # centimetres, as in Unreal
+    seen = cast_rays(pose, {"block_north": BLOCKS["block_north"]}).box
+    patch = seen[int(row) - 2 : int(row) + 3, int(column) - 2 : int(column) + 3]
+    assert 0 < (patch == 0).sum() < patch.size
+
+
+def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
+    pose, nan = POSES[1], float("nan")
+    blocks.move(pose)
+    message = Pose((1.0, 2.0, -3.0), (0.0, 0.0, 0.0)).message()
+    blocks.call(
+        "simSetVehiclePose", message | {"orientation": dict.fromkeys(message["orientation"], nan)}, True
+    )
+    told = blocks.call("simGetVehiclePose", "")
+    assert list(told["position"].values()) == [1.0, 2.0, -3.0]
+    np.testing.assert_allclose(list(told["orientation"].values()), pose.quaternion(), atol=1e-9)
+    message["position"]["y_val"] = nan
+    blocks.call("simSetVehiclePose", message, True)
+    told = blocks.call("simGetVehiclePose", "")
+    assert list(told["position"].values()) == [1.0, 2.0, -3.0]
+    assert list(told["orientation"].values()) == [1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "said"),
+    [
+        ("simGetImages", [[{}] * 65], "at most 64"),
+        ("simGetImages", [{}], "must be a list"),
+        ("simGetImages", [[3]], "must be a map"),
+        ("simGetImages", [[{"camera_name": "tail"}]], "no camera 'tail'"),
+        ("simGetImages", [[{"image_type": 4}]], "image type 4 is not available"),
+        ("simGetImages", [[{"image_type": "scene"}]], "image_type must be a number"),
+        ("simGetImage", ["bottom_center", 0], "no camera 'bottom_center'"),
+        ("simGetImage", ["0", 7], "image type 7 is not available"),
+        ("simGetCameraInfo", ["1"], "no camera '1'"),
+        ("uavaccelImage", ["far_m"], "no picture 'far_m'; there are gray, colour, depth, segmentation"),
+    ],
+)
+def test_what_is_no_image_is_refused_and_named(
+    blocks: Wire, method: str, params: list[Any], said: str
+) -> None:
+    with pytest.raises(rpc.RpcError, match=said):
+        blocks.call(method, *params)
+
+
+def test_switched_off_images_are_refused_by_every_call(blocks: Wire) -> None:
+    api = Api(blocks.simulation, render=False)
+    for method, params in (
+        ("simGetImages", [[{}]]),
+        ("simGetImages", [[{"image_type": PERSPECTIVE, "pixels_as_float": True}]]),
+        ("simGetImage", ["0", SCENE]),
+        ("uavaccelImage", ["gray"]),
+    ):
+        with pytest.raises(rpc.RpcError, match="rendering is switched off"):
+            api.call(method, params, 0)

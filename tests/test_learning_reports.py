@@ -1,0 +1,217 @@
+"""Summaries of evaluations and trainings, and their figures: whose numbers a line or bar shows, and where from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tests.dp1_games import quantile
+from tests.drawing import headline, labelled, points, record_figures, tick_texts
+from tests.learning import tiny_config, train_into
+from uavaccel.config import Config
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.report import draw_evaluations
+from uavaccel.suites.evaluation.summary import summarise
+from uavaccel.suites.training.report import draw_trainings, phase_times
+
+Row = dict[str, Any]
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
+    return record_figures(monkeypatch)
+
+
+class Flown(Config):
+    """What the figures read of a configuration."""
+
+    seed: int
+    task: dict[str, Any]
+    agent: str = ""
+    environments: int = 1
+
+
+def run_of(path: Path, config: Flown, rows: list[Row], timings: list[Row] | None = None) -> RunDirectory:
+    run = RunDirectory.create(path, config, {})
+    for number, row in enumerate(rows):
+        run.append_row({"case": str(number), **row})
+    for entry in timings or []:
+        run.append_timing(entry)
+    return run
+
+
+# --- evaluations --------------------------------------------------------------------------------------------
+
+
+def test_every_number_of_an_evaluation() -> None:
+    task = LaneTask(split="evaluation", timing="virtual", command="adsc", clock_speed=10.0)
+    config = EvaluateConfig(agent="offset:1", seed=4, task=task)
+    distances_m, walls_s = [150.0, 20.0, 30.0, 150.0, 90.0, 100.0, 7.0], [0.5, 0.1, 0.2, 0.4, 0.6, 0.7, 0.8]
+    rows = [
+        {"is_success": d == 150.0, "distance_m": d, "sim_time_s": 10.0 + i, "wall_s": wall_s}
+        for i, (d, wall_s) in enumerate(zip(distances_m, walls_s, strict=True))
+    ]
+    # Wilson's score interval: the ratios that lie z standard errors of their own from 2 in 7.
+    z, n, ratio = 1.959963984540054, 7, 2 / 7
+    low, high = sorted(np.roots([1 + z**2 / n, -(2 * ratio + z**2 / n), ratio**2]).tolist())
+    assert summarise(config, rows) == {
+        "suite": "evaluate",
+        "agent": "offset:1",
+        "profile": "native",
+        "command": "adsc",
+        "clock_speed": 10.0,
+        "timing": "virtual",
+        "seed": 4,
+        "games": 7,
+        "successes": 2,
+        "success_ratio": 2 / 7,
+        "wilson_low": pytest.approx(low),
+        "wilson_high": pytest.approx(high),
+        "sim_time_s": 91.0,
+        "wall_s": pytest.approx(3.3),
+        "simulated_s_per_wall_s": pytest.approx(91.0 / 3.3),
+        "distance_m_median": quantile(distances_m, 0.5),
+    }
+
+
+def evaluation(path: Path, agent: str, timing: str, seed: int, *distances_m: float) -> RunDirectory:
+    config = Flown(seed=seed, agent=agent, task={"timing": timing})
+    return run_of(path, config, [{"distance_m": distance_m} for distance_m in distances_m])
+
+
+def test_figure_8_has_a_line_for_each_evaluation(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    runs = [
+        evaluation(tmp_path / "a/run", "default", "virtual", 3, 10.0, 40.0),
+        evaluation(tmp_path / "b/run", "default", "wall", 1, 20.0),
+        evaluation(tmp_path / "c", "straight", "virtual", 3, 5.0, 6.0),
+    ]
+    assert (
+        draw_evaluations(runs, tmp_path / "figure8_survival.png")
+        == tmp_path / "a/run/figures/figure8_survival.png"
+    )
+    lines = labelled(drawn["figure8_survival"].axes[0])
+    assert {name: points(line) for name, line in lines.items() if name != "end of the lane"} == {
+        f"default ({tmp_path / 'a/run'})": [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0)],
+        f"default ({tmp_path / 'b/run'})": [(0.0, 1.0), (20.0, 0.0)],
+        "straight": [(0.0, 1.0), (5.0, 0.5), (6.0, 0.0)],
+    }
+    assert headline(drawn["figure8_survival"])[1] == "measured and modelled · 1, 2 games each · seed 1, 3"
+    for run, provenance in ((runs[1], "measured · 1 games"), (runs[2], "modelled · 2 games")):
+        draw_evaluations([run], tmp_path / "figure8_survival.png")
+        assert headline(drawn["figure8_survival"])[1].startswith(provenance)
+
+
+# --- trainings ----------------------------------------------------------------------------------------------
+
+
+def test_every_number_of_a_training(tmp_path: Path) -> None:
+    task = {
+        "observation": "state",
+        "timing": "virtual",
+        "command": "adsc",
+        "clock_speed": 20.0,
+        "max_commands": 5,
+    }
+    config = tiny_config(task, mirror=False, seed=9, games=3)
+    summary = dict(train_into(tmp_path / "run", config))
+    run = RunDirectory(tmp_path / "run")
+    assert summary == run.read_json("summary.json")
+    assert len(summary.pop("weights_sha256")) == 64
+    commands = [row["commands"] for row in run.rows()]
+    assert summary == {
+        "suite": "train",
+        "profile": "native",
+        "command": "adsc",
+        "clock_speed": 20.0,
+        "timing": "virtual",
+        "seed": 9,
+        "games": 3,
+        "successes": 0,  # nobody gets 150 m far in five commands
+        "commands": sum(commands),
+        "sim_time_s": float(sum(commands)),  # of 1 s each
+        "phase_s": {
+            phase: pytest.approx(np.sum([row["phase_s"][phase] for row in run.rows()])) for phase in PHASES
+        },
+    }
+    assert summary["phase_s"]["simulation"] > summary["phase_s"]["learning"] > 0
+
+
+def phases(*seconds: float) -> dict[str, float]:
+    return dict(zip(PHASES, seconds, strict=True))
+
+
+def training(
+    path: Path, timing: str, timings: list[Row] | None = None, environments: int = 2
+) -> RunDirectory:
+    task = {"command": "adsc", "clock_speed": 100.0, "timing": timing}
+    rows = [
+        {"sim_time_s": 60.0, "phase_s": phases(1.0, 2.0, 3.0, 4.0, 5.0)},
+        {"sim_time_s": 40.0, "phase_s": phases(0.1, 0.2, 0.3, 0.4, 0.5)},
+    ]
+    return run_of(path, Flown(seed=6, task=task, environments=environments), rows, timings)
+
+
+def timing_entry(wall_s: float, host: dict[str, float], learner: dict[str, float]) -> Row:
+    return {"wall_s": wall_s, "host_phase_s": host, "learner_s": learner}
+
+
+TIMINGS = [
+    timing_entry(10.0, phases(1, 2, 3, 0, 0), phases(0, 0, 0, 0.5, 2.0)),
+    timing_entry(20.0, phases(1, 2, 3, 0, 0), phases(0, 0, 0, 1.0, 4.0)),  # the learner's watch runs on
+    timing_entry(7.0, phases(0.5, 0, 0, 0, 0), phases(0, 0, 0, 0.25, 1.0)),  # resumed: it began anew
+]
+
+
+def test_a_modelled_training_has_the_times_of_its_own_clock(tmp_path: Path) -> None:
+    times = phase_times(training(tmp_path / "run", "virtual", TIMINGS))
+    assert times.phase_s == pytest.approx(phases(1.1, 2.2, 3.3, 4.4, 5.5))
+    assert times.simulated_s_per_wall_s == pytest.approx(100.0 / (16.5 / 2))  # two lanes side by side
+    assert times.label == "ADSC 100x\nvirtual, seed 6"
+
+
+def test_any_other_training_has_the_times_of_the_machine(tmp_path: Path) -> None:
+    for timing in ("lockstep", "wall"):
+        times = phase_times(training(tmp_path / timing, timing, TIMINGS))
+        assert times.phase_s == pytest.approx(phases(2.5, 4.0, 6.0, 1.25, 5.0))
+        assert times.simulated_s_per_wall_s == pytest.approx(100.0 / 27.0)
+        assert times.label == f"ADSC 100x\n{timing}, seed 6"
+
+
+def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    runs = [
+        training(tmp_path / "one", "virtual"),
+        training(tmp_path / "two", "wall", TIMINGS),
+        training(tmp_path / "three", "virtual", environments=1),
+    ]
+    assert (
+        draw_trainings(runs, tmp_path / "figure9_phases.png") == tmp_path / "one/figures/figure9_phases.png"
+    )
+    axes, speed = drawn["figure9_phases"].axes
+    modelled = "ADSC 100x\nvirtual, seed 6"
+    assert tick_texts(axes.xaxis) == [
+        f"{modelled}\n{tmp_path / 'one'}",
+        "ADSC 100x\nwall, seed 6",
+        f"{modelled}\n{tmp_path / 'three'}",
+    ]
+    bars = {name: [bar.get_height() for bar in bars] for name, bars in labelled(axes).items()}
+    assert list(bars) == [phase.replace("_", " ") for phase in PHASES]
+    assert bars["simulation"] == pytest.approx([1.1, 2.5, 1.1])
+    assert bars["learning"] == pytest.approx([5.5, 5.0, 5.5])
+    places, speeds = zip(*points(labelled(speed)["speed (right)"]), strict=True)
+    assert places == (0, 1, 2)
+    assert speeds == pytest.approx((100 / 8.25, 100 / 27, 100 / 16.5))
+    mixed = "measured, learning beside the flight and modelled · 2 games · seed 6"
+    assert headline(drawn["figure9_phases"])[1] == mixed
+    for run, provenance in ((runs[0], "modelled ·"), (runs[1], "measured, learning beside the flight ·")):
+        draw_trainings([run], tmp_path / "figure9_phases.png")
+        assert headline(drawn["figure9_phases"])[1].startswith(provenance)
+        assert "one" not in tick_texts(drawn["figure9_phases"].axes[0].xaxis)[0]

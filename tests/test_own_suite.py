@@ -1,0 +1,110 @@
+"""The suite of one's own that docs/own-suite.md shows: run, killed, resumed and reported from outside the package."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uavaccel import VelocityGoal, open_session, tcsc
+from uavaccel.errors import UserError
+from uavaccel.suites.registry import find_suite, own_folder
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
+BLOCKS = dict(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
+RUN, REPORT = (line.split()[1:] for line in BLOCKS["sh"].splitlines())
+COMMAND = [sys.executable, "-m", "uavaccel"]
+MADE = ("rows.jsonl", "summary.json", "config.yaml")
+
+
+def uavaccel(folder: Path, *arguments: str) -> None:
+    subprocess.run([*COMMAND, *arguments], cwd=folder, env={"PYTHONPATH": str(ROOT)}, check=True)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the page's two files and the run of its first command."""
+    folder = tmp_path_factory.mktemp("home")
+    (folder / "toy.py").write_text(BLOCKS["python"])
+    (folder / "toy.yaml").write_text(BLOCKS["yaml"])
+    uavaccel(folder, *RUN)
+    return folder
+
+
+def test_it_has_forty_lines_at_most() -> None:
+    assert sum(bool(line.strip()) for line in BLOCKS["python"].splitlines()) <= 40
+
+
+def test_rows_say_how_far_each_speed_goes(home: Path) -> None:
+    rows = [json.loads(line) for line in (home / "runs/toy/rows.jsonl").read_text().splitlines()]
+    assert [row["case"] for row in rows] == ["speed-0.5", "speed-1", "speed-1.5", "speed-2"]
+    with open_session("lockstep") as session:
+        *_, end = tcsc(session.start_game(1.0), VelocityGoal((1.5, 0.0, 0.0)), 1.0, 1.0)
+    assert rows[2]["north_m"] == end.position_m[0]
+    assert np.all(np.diff([row["north_m"] for row in rows]) > 0)
+
+
+def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path) -> None:
+    """Of the run in two processes, one process flies again what is left after a kill in the middle of a line."""
+    yaml, out = home / "toy.yaml", home / "runs/killed"
+    with subprocess.Popen([*COMMAND, "run", yaml, "--out", out], env={"PYTHONPATH": str(ROOT)}) as process:
+        while process.poll() is None and not (out / "rows.jsonl").exists():
+            time.sleep(0.01)
+        process.kill()
+    whole = (home / "runs/toy/rows.jsonl").read_bytes()
+    (out / "rows.jsonl").write_bytes(whole[: whole.index(b"\n") + 20])
+    for name in ("timing.jsonl", "summary.json"):
+        (out / name).unlink(missing_ok=True)
+    uavaccel(home.parent, "run", str(yaml), "--out", str(out), "--resume")
+    for name in MADE:
+        assert (out / name).read_bytes() == (home / "runs/toy" / name).read_bytes()
+
+
+def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) -> None:
+    run = home / "runs/toy"
+    before = (run / "summary.json").read_bytes()
+    (run / "summary.json").unlink()
+    uavaccel(tmp_path, REPORT[0], str(run))
+    assert (run / "summary.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("stranger:Stranger", "names no uavaccel.suites.suite.Suite: Stranger is a Stranger"),
+        (
+            "stranger:Friend",
+            "names no uavaccel.suites.suite.Suite: module 'stranger' has no attribute 'Friend'",
+        ),
+        ("nobody:Stranger", "No module named 'nobody'"),
+    ],
+)
+def test_a_suite_that_is_none_is_one_line(
+    name: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stranger.py").write_text("class Stranger:\n    pass\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    with pytest.raises(UserError) as caught:
+        find_suite(name, "toy.yaml", tmp_path)
+    assert str(caught.value) == f"toy.yaml: suite = {name!r}: {hint}"
+
+
+def test_a_suite_in_a_package_is_imported_from_above_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "toys" / "inner"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(BLOCKS["python"])
+    (package / "toy.py").write_text(BLOCKS["python"])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for module in ("toys.inner", "toys.inner.toy"):
+        assert own_folder(find_suite(f"{module}:Toy", "toy.yaml", tmp_path)) == tmp_path
+    assert own_folder(find_suite("dp1", "dp1.yaml")) is None

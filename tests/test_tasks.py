@@ -1,0 +1,439 @@
+"""Tasks: reward, success and ends as functions of what happened, and the environment that all of them share."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+from stable_baselines3.common.env_checker import check_env as check_env_for_learning
+
+import uavaccel.envs  # noqa: F401 - registers
+from tests.opengl import needs_opengl
+from uavaccel.config import validate
+from uavaccel.envs.flight_env import FlightEnv, within
+from uavaccel.envs.gates import GatesTask
+from uavaccel.envs.hover import HoverTask
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.task import AT_REST, Course, Moment, Task
+from uavaccel.errors import UserError
+from uavaccel.kinematics import Kinematics
+
+NEW = ("Hover", "Gates")
+STILL = np.zeros(3, np.float32)
+
+
+def moment(
+    position_m: tuple[float, float, float], course: Course, commands: int = 1, hit: str | None = None
+) -> Moment:
+    return Moment(replace(AT_REST, position_m=position_m), position_m, hit, commands, course)
+
+
+# --- the lane -------------------------------------------------------------------------------------------------------
+
+
+def test_the_lanes_reward_is_progress_a_collision_and_the_goal() -> None:
+    task = LaneTask(progress_reward=0.5, collision_reward=-7.0, goal_reward=11.0)
+    before = moment((10.0, 2.0, -2.0), {"lane": 3})
+    assert task.reward(before, moment((12.0, 4.0, -2.0), {"lane": 3})) == 1.0
+    assert task.reward(before, moment((9.0, 2.0, -2.0), {"lane": 3})) == -0.5
+    assert task.reward(before, moment((12.0, 2.0, -2.0), {"lane": 3}, hit="ground")) == 1.0 - 7.0
+    assert task.reward(moment((149.0, 0.0, -2.0), {}), moment((150.0, 0.0, -2.0), {})) == 0.5 + 11.0
+
+
+@pytest.mark.parametrize(
+    ("north_m", "hit", "success", "failure"),
+    [(149.99, None, False, False), (150.0, None, True, False), (151.0, "wall_west", False, True)],
+)
+def test_the_lane_ends_at_150_m_or_at_a_collision(
+    north_m: float, hit: str | None, success: bool, failure: bool
+) -> None:
+    now = moment((north_m, 0.0, -2.0), {"lane": 3}, hit=hit)
+    assert (LaneTask().success(now), LaneTask().failure(now)) == (success, failure)
+    assert LaneTask().info(now) == {"distance_m": north_m, "lane": 3}
+
+
+def test_headings_are_from_north_to_the_east() -> None:
+    task = LaneTask(headings_deg=(-90.0, 30.0), speed_m_s=2.0, altitude_m=3.0)
+    west, north_east = (task.goal(np.int64(action)) for action in (0, 1))
+    assert west.velocity_m_s == pytest.approx((0.0, -2.0, 0.0))
+    assert north_east.velocity_m_s == pytest.approx((math.sqrt(3), 1.0, 0.0))
+    assert west.height_m == north_east.height_m == -3.0
+
+
+# --- hover ----------------------------------------------------------------------------------------------------------
+
+
+def hovering(north_m: float, held_s: float, hit: str | None = None) -> Moment:
+    return moment((north_m, 0.0, -10.0), {"waypoint_m": [3.0, 0.0, -10.0], "held_s": held_s}, hit=hit)
+
+
+def test_time_at_the_waypoint_counts_without_a_break() -> None:
+    task = HoverTask(t_move_s=0.2, radius_m=0.5)
+    held = [
+        task.advance(hovering(0, 0.0), hovering(north_m, 0.4))["held_s"] for north_m in (2.4, 2.6, 3.4, 3.6)
+    ]
+    assert held == [0.0, pytest.approx(0.6), pytest.approx(0.6), 0.0]
+
+
+def test_hovers_reward_is_approach_time_held_and_its_end() -> None:
+    task = HoverTask(t_move_s=0.2, hold_s=1.0)
+    assert task.reward(hovering(0.0, 0.0), hovering(1.25, 0.0)) == pytest.approx(1.25)
+    assert task.reward(hovering(2.5, 0.0), hovering(2.0, 0.0)) == pytest.approx(-0.5)
+    assert task.reward(hovering(2.5, 0.2), hovering(2.75, 0.4)) == pytest.approx(0.25 + 0.2)
+    assert task.reward(hovering(3.0, 0.8), hovering(3.0, 1.0)) == pytest.approx(0.2 + 10.0)
+    assert task.reward(hovering(0.0, 0.0), hovering(1.0, 0.0, "block_north")) == pytest.approx(1.0 - 1.0)
+
+
+def test_hover_is_won_when_held_long_enough_and_lost_by_touching_something() -> None:
+    task = HoverTask(hold_s=1.0)
+    ends = [
+        (task.success(now), task.failure(now))
+        for now in (hovering(3, 0.8), hovering(3, 1.0), hovering(3, 1.0, "x"))
+    ]
+    assert ends == [(False, False), (True, False), (False, True)]
+
+
+def test_waypoints_fill_the_cube_around_the_start() -> None:
+    task, random = HoverTask(reach_m=2.0, altitude_m=7.0), np.random.default_rng(0)
+    drawn = np.array([task.draw(random, {})["waypoint_m"] for _ in range(500)]) - (0.0, 0.0, -7.0)
+    assert (abs(drawn) <= 2.0).all()
+    assert (drawn.min(axis=0) < -1.9).all()
+    assert (drawn.max(axis=0) > 1.9).all()
+    assert task.draw(random, {"waypoint_m": (1, 2, -3)}) == {"waypoint_m": [1.0, 2.0, -3.0], "held_s": 0.0}
+
+
+def test_hover_sees_the_way_to_the_waypoint() -> None:
+    state = Kinematics(5, (1.0, 2.0, -9.0), (0.5, 0.5, 0.5, -0.5), (0.1, 0.2, 0.3), (4.0, 5.0, 6.0))
+    seen = HoverTask().features(state, {"waypoint_m": [3.0, 0.0, -10.0]})
+    np.testing.assert_array_equal(
+        seen, np.array([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6], np.float32)
+    )
+
+
+# --- gates ----------------------------------------------------------------------------------------------------------
+
+TWO = {"gates_m": [[6.0, 1.0, -2.0], [12.0, -1.0, -2.0]], "passed": 0, "missed": False}
+
+
+def course_after(start: tuple[float, float, float], end: tuple[float, float, float], **course: Any) -> Course:
+    task = GatesTask(half_width_m=1.0, half_height_m=0.8)
+    return task.advance(moment(start, {**TWO, **course}), moment(end, {**TWO, **course}))
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "passed", "missed"),
+    [
+        ((5.0, 1.0, -2.0), (5.9, 1.0, -2.0), 0, False),  # before it
+        ((5.0, 1.0, -2.0), (6.0, 1.0, -2.0), 1, False),
+        ((5.0, -1.0, -2.0), (7.0, 1.5, -2.0), 1, False),  # 0.75 m beside its middle when it crossed
+        ((5.0, -1.0, -2.0), (7.0, 0.5, -2.0), 0, True),  # 1.25 m
+        ((5.0, 1.0, -1.5), (7.0, 1.0, -2.7), 1, False),
+        ((5.0, 1.0, -2.0), (7.0, 1.0, -4.0), 0, True),  # 1 m above it
+        ((5.0, 1.2, -2.0), (13.0, -0.4, -2.0), 2, False),  # both in one command
+        ((5.0, 1.2, -2.0), (13.0, 1.0, -2.0), 1, True),  # the first of both
+        ((7.0, 1.0, -2.0), (5.0, 1.0, -2.0), 0, False),  # backwards
+    ],
+)
+def test_a_gate_is_passed_where_its_plane_is_crossed(start: Any, end: Any, passed: int, missed: bool) -> None:
+    after = course_after(start, end)
+    assert (after["passed"], after["missed"], after["gates_m"]) == (passed, missed, TWO["gates_m"])
+
+
+def test_only_the_next_gate_counts() -> None:
+    assert course_after((5.0, 5.0, -2.0), (7.0, 5.0, -2.0), passed=1)["passed"] == 1
+    assert course_after((11.0, -1.0, -2.0), (13.0, -1.0, -2.0), passed=1)["passed"] == 2
+
+
+def test_gates_reward_is_approach_each_gate_and_a_failure() -> None:
+    task, before = GatesTask(), moment((3.0, 1.0, -2.0), TWO)
+    assert task.reward(before, moment((5.0, 1.0, -2.0), TWO)) == pytest.approx(2.0)
+    assert task.reward(before, moment((6.0, 1.0, -2.0), {**TWO, "passed": 1})) == pytest.approx(3.0 + 5.0)
+    assert task.reward(before, moment((6.0, 4.0, -2.0), {**TWO, "missed": True})) == pytest.approx(0.0 - 5.0)
+    assert task.reward(before, moment((5.0, 1.0, -2.0), TWO, hit="obstacle_01")) == pytest.approx(2.0 - 5.0)
+
+
+@pytest.mark.parametrize(
+    ("passed", "missed", "hit", "success", "failure"),
+    [
+        (1, False, None, False, False),
+        (2, False, None, True, False),
+        (2, False, "obstacle_00", False, True),
+        (1, True, None, False, True),
+    ],
+)
+def test_gates_end(passed: int, missed: bool, hit: str | None, success: bool, failure: bool) -> None:
+    now = moment((9.0, 0.0, -2.0), {**TWO, "passed": passed, "missed": missed}, hit=hit)
+    assert (GatesTask().success(now), GatesTask().failure(now)) == (success, failure)
+    assert GatesTask().info(now)["passed"] == passed
+
+
+def test_the_next_two_gates_are_seen_and_their_posts_stand_beside_them() -> None:
+    task = GatesTask(half_width_m=1.1)
+    state = replace(AT_REST, position_m=(5.0, 1.0, -2.5), linear_velocity_m_s=(7.0, 8.0, 9.0))
+    ways = [task.features(state, {**TWO, "passed": passed})[:6].tolist() for passed in (0, 1, 2)]
+    assert ways == [[1, 0, 0.5, 7, -2, 0.5], [7, -2, 0.5] * 2, [7, -2, 0.5] * 2]
+    np.testing.assert_array_equal(task.features(state, TWO)[6:], [1, 0, 0, 0, 7, 8, 9, 0, 0, 0])
+    posts = {
+        (post["x_m"], round(post["y_m"], 9)): post["half_side_m"] for post in task.layout(TWO)["obstacles"]
+    }
+    assert posts == {(6.0, 2.3): 0.2, (6.0, -0.3): 0.2, (12.0, 0.3): 0.2, (12.0, -2.3): 0.2}
+
+
+def test_gates_are_drawn_within_the_spread_at_the_height_of_the_start() -> None:
+    task = GatesTask(gates=20, spacing_m=5.0, spread_m=1.5, altitude_m=3.0)
+    gates = np.array(task.draw(np.random.default_rng(0), {})["gates_m"])
+    np.testing.assert_array_equal(gates[:, 0], 5.0 * np.arange(1, 21))
+    assert (gates[:, 2] == -3.0).all()
+    assert abs(gates[:, 1]).max() <= 1.5
+    assert np.ptp(gates[:, 1]) > 2.0
+
+
+def test_a_post_is_hit_and_not_flown_through() -> None:
+    with made("Gates", options={"gates_m": [[4.0, 1.2, -2.0]]}) as environment:
+        while not (last := environment.step(np.array([1, 0, 0], np.float32)))[2]:
+            pass
+    assert last[4]["collision"] == "obstacle_00"
+    assert last[4]["position_m"][0] == pytest.approx(4.0 - 0.2 - 0.3418, abs=0.02)
+
+
+# --- every task -------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def made(name: str, seed: int = 0, options: dict[str, Any] | None = None, **keys: Any) -> Iterator[Any]:
+    environment = gymnasium.make(f"uavaccel/{name}-v0", **keys).unwrapped
+    environment.reset(seed=seed, options=options)
+    yield environment
+    environment.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space m:UserWarning")  # a position has no bounds
+@pytest.mark.parametrize("name", NEW)
+def test_the_checkers_of_gymnasium_and_stable_baselines_find_nothing(name: str) -> None:
+    environment = gymnasium.make(f"uavaccel/{name}-v0", max_commands=5)
+    check_env(environment.unwrapped, skip_render_check=True)
+    check_env_for_learning(environment)
+    environment.close()
+
+
+@needs_opengl
+@pytest.mark.parametrize("observation", ["colour", "dvs"])
+def test_gates_are_seen_in_pictures(observation: str) -> None:
+    with made("Gates", observation=observation, options={"gates_m": [[3.0, 0.0, -2.0]]}) as environment:
+        seen, *_ = environment.reset(seed=1)
+        there = environment.step(np.array([0.5, 0, 0], np.float32))[0]
+    assert environment.observation_space.contains(there)
+    assert np.ptp(there) > 20
+    assert (np.ptp(seen) > 20) == (observation == "colour")  # of the start there are no events
+
+
+@pytest.mark.parametrize("profile", ["native", "airsim"])
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+@pytest.mark.parametrize("name", NEW)
+def test_every_task_flies_in_every_timing_and_the_same_twice(
+    name: str, command: str, timing: str, profile: str
+) -> None:
+    flights = []
+    for _ in range(2):
+        keys: dict[str, Any] = {"command": command, "timing": timing, "profile": profile, "clock_speed": 10.0}
+        with made(name, **keys) as environment:
+            flown = [environment.step(np.array([0.5, 0.25, -0.125], np.float32)) for _ in range(4)]
+        flights.append(json.dumps([(step[0].tolist(), *step[1:]) for step in flown]))
+        north, east, down = flown[-1][0][-6:-3]
+        assert north > 0.3
+        assert east / north == pytest.approx(0.5, abs=0.05)
+        assert down < -0.05
+    assert flights[0] == flights[1]
+
+
+def test_an_action_is_a_share_of_the_speed() -> None:
+    goal = HoverTask(speed_m_s=4.0).goal(np.array([1.0, -0.5, 0.25], np.float32))
+    assert goal.velocity_m_s == (4.0, -2.0, 1.0)
+    assert goal.height_m is None
+
+
+# --- the environment, with a task that shows what it gets ----------------------------------------------------------
+
+
+class Shown(Task):
+    """Frames are the time in tenths of a second and what the course says."""
+
+    reset_options: ClassVar[tuple[str, ...]] = ("mark",)
+    t_sample_s: float = 0.1
+    won_at: int = 1000
+
+    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+        return {"mark": options.get("mark", int(random.integers(1000))), "last": 0}
+
+    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
+        return np.array([state.time_ns // 10**8, course["last"]], np.float32)
+
+    def advance(self, before: Moment, now: Moment) -> Course:
+        return {**now.course, "last": now.course["last"] + now.commands}
+
+    def reward(self, before: Moment, now: Moment) -> float:
+        return 100.0 * before.commands + now.commands
+
+    def success(self, now: Moment) -> bool:
+        return now.course["last"] >= self.won_at
+
+    def info(self, now: Moment) -> dict[str, Any]:
+        return {"course": dict(now.course)}
+
+
+class ShownEnv(FlightEnv):
+    task_class = Shown
+
+
+@contextmanager
+def shown(**keys: Any) -> Iterator[ShownEnv]:
+    environment = ShownEnv(**keys)
+    yield environment
+    environment.close()
+
+
+def test_observations_are_the_frames_of_the_last_commands_oldest_first() -> None:
+    with shown(history=2) as environment:
+        start = environment.reset(seed=0)[0]
+        first, second = (environment.step(STILL)[0] for _ in range(2))
+    assert start.tolist() == [0, 0] * 4
+    assert first.tolist() == [0, 0, 0, 0, 1, 0, 2, 0]
+    assert second.tolist() == [1, 0, 2, 0, 3, 1, 4, 1]  # by then the first command had been counted
+    assert environment.observation_space == spaces.Box(-np.inf, np.inf, (8,), np.float32)
+
+
+def test_reward_and_ends_are_of_the_course_after_the_command() -> None:
+    with shown(won_at=3, max_commands=2) as environment:
+        environment.reset(seed=0)
+        _, reward, *ends, info = environment.step(STILL)
+        assert (reward, ends, info["is_success"], info["commands"]) == (1.0, [False, False], False, 1)
+        _, reward, *ends, info = environment.step(STILL)
+    assert (reward, ends, info["is_success"], info["course"]["last"]) == (102.0, [True, False], True, 3)
+
+
+def test_infos_are_the_environments_and_the_tasks() -> None:
+    with shown() as environment:
+        _, info = environment.reset(seed=7, options={"mark": 5})
+    keys = ["is_success", "position_m", "collision", "commands", "wall_s", "phase_s", "course"]
+    assert list(info) == keys
+    assert (info["position_m"], info["course"]["mark"], info["commands"]) == ([0.0, 0.0, -10.0], 5, 0)
+
+
+def test_virtual_charges_what_each_frame_costs() -> None:
+    spent = []
+    for image_processing_s in (0.0, 0.05):
+        with shown(timing="virtual", command="adsc", image_processing_s=image_processing_s) as environment:
+            environment.reset(seed=0)
+            spent.append([environment.step(STILL)[4]["phase_s"]["image_processing"] for _ in range(2)])
+    assert spent == [[0.0, 0.0], pytest.approx([0.1, 0.2])]
+
+
+def test_lockstep_charges_nothing() -> None:
+    with shown(image_processing_s=0.05) as environment:
+        environment.reset(seed=0)
+        environment.charge(0.5)
+        info = environment.step(STILL)[4]
+    assert info["wall_s"] == info["phase_s"]["simulation"] == pytest.approx(0.2)
+    assert info["phase_s"]["inference"] == 0.0
+
+
+def test_seeds_draw_the_course_once() -> None:
+    with shown() as environment:
+        drawn = [environment.reset(seed=seed)[1]["course"]["mark"] for seed in (1, 1, None, 2)]
+    random = np.random.default_rng(1)
+    assert drawn[0] == drawn[1] == random.integers(1000)
+    random.integers(2**63)  # the seed of the latencies
+    assert drawn[2] == random.integers(1000)
+    assert drawn[3] != drawn[0]
+
+
+# --- mistakes ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("ObstacleLane", {"lanes": 3}, "reset: unknown option 'lanes'; known: lane"),
+        ("ObstacleLane", {"lane": "seven"}, "option lane = 'seven' must be a whole number"),
+        ("ObstacleLane", {"lane": 1.5}, "option lane = 1.5 must be a whole number"),
+        ("Hover", {"lane": 3}, "unknown option 'lane'; known: waypoint_m"),
+        ("Hover", {"waypoint_m": [1, 2]}, "must be [north, east, down]"),
+        ("Hover", {"waypoint_m": [1, 2, float("nan")]}, "must be [north, east, down]"),
+        ("Gates", {"gates_m": [1, 2, 3]}, "must be [[north, east, down], ...]"),
+    ],
+)
+def test_a_wrong_option_of_reset_is_one_clear_line(name: str, options: dict[str, Any], said: str) -> None:
+    environment = gymnasium.make(f"uavaccel/{name}-v0", observation="state").unwrapped
+    with pytest.raises(UserError) as caught:
+        environment.reset(options=options)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_lane_may_be_a_number_of_numpys() -> None:
+    with made("ObstacleLane", observation="state") as environment:
+        info = environment.reset(options={"lane": np.int64(7)})[1]
+    assert (info["lane"], type(info["lane"])) == (7, int)
+
+
+@pytest.mark.parametrize("action", [-1, 5, 1.0, "north", None])
+def test_an_action_that_is_no_heading_is_refused(action: Any) -> None:
+    with (
+        made("ObstacleLane", observation="state") as environment,
+        pytest.raises(UserError, match="not in the action"),
+    ):
+        environment.step(action)
+
+
+@pytest.mark.parametrize(
+    "action", [[0.0, 0.0], [0.0, 0.0, 1.1], [0.0, -2.0, 0.0], [0.0, 0.0, math.nan], ["a"] * 3, 0]
+)
+def test_an_action_that_is_no_velocity_is_refused(action: Any) -> None:
+    with pytest.raises(UserError, match="not in the action space"):
+        within(HoverTask().action_space(), action)
+
+
+def test_an_action_may_be_a_list_or_off_by_rounding() -> None:
+    clipped = within(HoverTask().action_space(), [1.0 + 1e-9, -1.0, 0.5])
+    assert (clipped.dtype, clipped.tolist()) == (np.float32, [1.0, -1.0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"t_move_s": 0.001}, "t_move_s: 0.001 s is shorter than the physics step of 2 ms"),
+        ({"t_sample_s": 0.0001}, "t_sample_s: 0.0001 s is shorter than the physics step of 2 ms"),
+        ({"t_sample_s": 1e-12}, "t_sample_s: 1e-12 s is shorter"),
+        ({"t_move_s": 0.003}, "t_move_s: 0.003 s is not a positive multiple of the physics step of 2 ms"),
+        ({"t_move_s": 1.0, "t_sample_s": 0.333}, "t_sample_s: 0.333 s is not a positive multiple"),
+        (
+            {"t_move_s": 1e-9, "profile": "airsim"},
+            "t_move_s: 1e-09 s is shorter than the physics step of 3 ms",
+        ),
+        ({"t_sample_s": 0.0001, "profile": "airsim"}, "t_sample_s: 0.0001 s is shorter"),
+    ],
+)
+@pytest.mark.parametrize("task", [LaneTask, HoverTask])
+def test_times_that_cannot_be_are_refused(task: type[Task], keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        validate(task, keys, "task")
+    assert said in str(caught.value)
+
+
+def test_an_unknown_keyword_is_also_pythons_error() -> None:
+    """TorchRL's GymEnv passes `frameskip` and goes on without it when it meets this TypeError."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip") as caught:
+        gymnasium.make("uavaccel/Hover-v0", frameskip=1)
+    assert isinstance(caught.value, UserError)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,82 @@
+"""How fast may ADSC fly, given a latency model, and what TCSC would gain: the model's answer, on a simulated clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from uavaccel.bench.square import SquareGame, fly_square
+from uavaccel.metrics.stlc import mean_stlc
+from uavaccel.metrics.trajectory import mean_position_rmse
+from uavaccel.wire.latency import LatencyConfig
+from uavaccel.wire.session import VirtualSession
+
+CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+GAMES = 5
+
+
+class Advice(NamedTuple):
+    """One ClockSpeed: of each command the median RMSE against the flight without latency, STLC, and the speed-up."""
+
+    clock_speed: float
+    adsc_error_m: float
+    adsc_stlc: float
+    adsc_speedup: float
+    tcsc_error_m: float
+    tcsc_stlc: float
+    tcsc_speedup: float
+
+
+def advise(
+    latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0
+) -> Iterator[Advice]:
+    """The model's answer for each of CLOCK_SPEEDS, on a square path of `rounds` rounds."""
+    with (
+        VirtualSession("blocks", profile) as lockstep,
+        VirtualSession("blocks", profile, latency) as session,
+    ):
+
+        def games(command: str, clock_speed: float) -> list[SquareGame]:
+            return [
+                fly_square(session, command, clock_speed, t_move_s, rounds, seed * GAMES + game)
+                for game in range(GAMES)
+            ]
+
+        ideal = fly_square(lockstep, "tcsc", 1.0, t_move_s, rounds, seed)
+        real_time = games("adsc", 1.0)
+        for clock_speed in CLOCK_SPEEDS:
+            scores = [_score(games(command, clock_speed), ideal, real_time) for command in ("adsc", "tcsc")]
+            yield Advice(clock_speed, *scores[0], *scores[1])
+
+
+def _score(
+    games: Sequence[SquareGame], ideal: SquareGame, real_time: Sequence[SquareGame]
+) -> tuple[float, float, float]:
+    flights = [game.flight for game in games]
+    error_m = float(np.median(mean_position_rmse(flights, [ideal.flight])))
+    stlc = float(np.median(mean_stlc(flights, [game.flight for game in real_time])))
+    speedup = np.mean([game.wall_s for game in real_time]) / np.mean([game.wall_s for game in games])
+    return error_m, stlc, float(speedup)
+
+
+def sentence(advice: Sequence[Advice], error_m: float, t_move_s: float) -> str:
+    """The highest ClockSpeed at which ADSC stays within the error, what TCSC gains at the same error."""
+    adsc = _fastest([each for each in advice if each.adsc_error_m <= error_m], "adsc_speedup")
+    tcsc = _fastest([each for each in advice if each.tcsc_error_m <= error_m], "tcsc_speedup")
+    slow = (
+        f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.adsc_speedup:.1f}x real time"
+        if adsc
+        else f"ADSC leaves {error_m:g} m at any ClockSpeed"
+    )
+    fast = (
+        f"TCSC up to {tcsc.clock_speed:g}, {tcsc.tcsc_speedup:.1f}x"
+        if tcsc
+        else "so does TCSC: its own timer is too coarse"
+    )
+    return f"With commands of {t_move_s:g} s {slow}; {fast}. Modelled."
+
+
+def _fastest(within: Sequence[Advice], key: str) -> Advice | None:
+    return max(within, key=lambda each: float(getattr(each, key)), default=None)

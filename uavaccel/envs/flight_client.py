@@ -1,0 +1,58 @@
+"""The mission computer of an environment: its samples are state, picture and whether something has been hit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.envs.camera_client import CameraClient
+from uavaccel.envs.sensors import from_arrays
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State
+from uavaccel.vision.guard import GuardState
+from uavaccel.wire.client import Client
+
+NO_IMAGE = np.zeros((0, 0), np.uint8)
+
+
+class FlightSample(NamedTuple):
+    """One gathered sample; `collision` as Client.collision has it, empty without one."""
+
+    state: Kinematics
+    image: NDArray[Any]
+    collision: dict[str, Any]
+
+
+class FlightClient(CameraClient):
+    """Gathers flight samples, with pictures of `kind` unless it is None; tells the stopwatches when it renders."""
+
+    def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
+        super().__init__(client, kind or "")
+        self._wants_image = kind is not None
+        self._stopwatches = stopwatches
+
+    def gather(self, state: Kinematics) -> FlightSample:
+        collision = self.client.collision()
+        image = NO_IMAGE
+        if self._wants_image and not collision:
+            self._switch("rendering")
+            image = super().gather(state).image
+            self._switch("simulation")
+        return FlightSample(state, image, collision)
+
+    def _switch(self, phase: str) -> None:
+        for stopwatch in self._stopwatches:
+            stopwatch.switch(phase)
+
+    def get_state(self) -> State:
+        """What the guard remembers, for np.savez."""
+        state = self._guard_state._asdict()
+        return {name: value for name, value in state.items() if value is not None}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self._guard_state = GuardState(**from_arrays(state))

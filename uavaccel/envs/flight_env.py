@@ -1,0 +1,259 @@
+"""The environment of every task: one step is one synchronous command, seen through the task's sensor."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import astuple
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.commands import COMMANDS
+from uavaccel.config import validate
+from uavaccel.envs.flight_client import FlightClient, FlightSample
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.envs.task import Moment, Task
+from uavaccel.errors import UserError
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim import gl
+from uavaccel.sim.saved import State, part, under
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.client import Client
+from uavaccel.wire.session import Session, VirtualSession, open_session
+
+Observation = NDArray[Any]
+Info = dict[str, Any]
+ROUNDING = 1e-6  # by which an action may leave its bounds
+
+
+class UnexpectedKeyword(UserError, TypeError):
+    """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
+
+
+class FlightEnv(gymnasium.Env[Observation, Any]):
+    """An environment made of a task, whose keys are the keywords of `gymnasium.make`. A subclass says which task.
+
+    `reset` takes `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (what it
+    touched, or None), `commands`, `wall_s`, seconds of the game's own wall clock, `phase_s`, those by phase, and what
+    the task adds. Raises UserError for keywords that do not fit.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
+    task_class: ClassVar[type[Task]]
+
+    def __init__(self, render_mode: str | None = None, **keys: Any) -> None:
+        self.task: Any = _task(self.task_class, keys, type(self).__name__)
+        self.render_mode = render_mode
+        self.observation_space = self.task.observation_space()
+        self.action_space = self.task.action_space()
+        self._sensor = self.task.sensor()
+        self._command = COMMANDS[self.task.command]
+        self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
+        self._session: Session | None = None
+        self._client: FlightClient | None = None
+        self._now: Moment
+
+    # --- Gymnasium --------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
+        """A settled hover at the start; all frames of the first observation are of it, or blank.
+
+        Raises UserError for options that the task does not know.
+        """
+        super().reset(seed=seed)
+        course = self.task.draw(self.np_random, self._checked(options or {}))
+        self._start_game(course, np.random.SeedSequence(int(self.np_random.integers(2**63))))
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Fly one command. Raises UserError before the first `reset`, and for an action that is not in the space."""
+        if self._client is None:
+            raise UserError("reset the environment before its first step")
+        action, before = within(self.action_space, action), self._now
+        self._switch("simulation")
+        flown = self._fly(self._client, action)
+        self._switch(None)
+        self._now = flown._replace(course=self.task.advance(before, flown))
+        success = self.task.success(self._now)
+        terminated = success or self.task.failure(self._now)
+        truncated = not terminated and self._now.commands >= self.task.max_commands
+        return (
+            self._observation(),
+            self.task.reward(before, self._now),
+            terminated,
+            truncated,
+            self._info(),
+        )
+
+    def render(self) -> Any:
+        """What the front camera sees: (144, 256, 3) uint8."""
+        if self._client is None or self.render_mode is None:
+            return None
+        return self._client.client.image("colour")
+
+    def close(self) -> None:
+        if self._session is not None:
+            self._session.close()
+        self._session = self._client = None
+
+    # --- time, and going on after a stop ----------------------------------------------------------
+
+    def charge(self, duration_s: float, phase: str = "inference") -> None:
+        """Work of the agent's since the last command: in `virtual` ADSC flies on meanwhile. Nothing elsewhere."""
+        if self.task.timing != "virtual" or self._client is None:
+            return
+        self._client.client.transport.clock.charge(round(duration_s * NS_PER_S))
+        self._stopwatches[0].add(phase, duration_s)
+
+    def get_state(self) -> State:
+        """The running game, all of it, for np.savez: another environment of this task goes on to the same bytes.
+
+        Between two steps. In `wall`, where a game cannot stand still, it is what the next one is drawn from.
+        """
+        state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
+        if self._client is None or not isinstance(self._session, VirtualSession):
+            return state
+        game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
+        state["game"] = json.dumps(game)
+        state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
+        state["frames"] = np.stack(self._frames)
+        state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
+        return state | under("guard", self._client.get_state())
+
+    def set_state(self, state: Mapping[str, Any]) -> Observation:
+        """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
+        self.np_random.bit_generator.state = json.loads(str(state["generator"]))
+        if "game" not in state:
+            return self.reset()[0]
+        session, game = self._opened(), json.loads(str(state["game"]))
+        assert isinstance(session, VirtualSession)
+        self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
+        for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
+            stopwatch.set_state(spent)
+        numbers: list[Any] = [
+            tuple(value) if isinstance(value, list) else value for value in game.pop("state")
+        ]
+        self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
+        self._sensor.set_state(part("sensor", state))
+        assert self._client is not None
+        self._client.set_state(part("guard", state))
+        self._frames.extend(state["frames"])
+        return self._observation()
+
+    # --- inside -----------------------------------------------------------------------------------
+
+    def _checked(self, options: Mapping[str, Any]) -> Mapping[str, Any]:
+        unknown = [str(key) for key in options if key not in self.task.reset_options]
+        if unknown:
+            known = ", ".join(self.task.reset_options) or "none"
+            raise UserError(f"reset: unknown option {unknown[0]!r}; known: {known}")
+        return options
+
+    def _opened(self) -> Session:
+        task = self.task
+        if self._sensor.picture is not None:
+            gl.check_process()
+        if self._session is None:
+            self._session = open_session(task.timing, task.profile, task.scene, task.latency)
+        return self._session
+
+    def _connect(self, client: Client, start_ns: int) -> None:
+        """Fly with this client a game that began at `start_ns` of its wall clock."""
+        self._start_ns = start_ns
+        self._stopwatches = [Stopwatch(client.transport.clock)]
+        if self.task.report_host_times:
+            self._stopwatches.append(Stopwatch(MonotonicClock()))
+        self._client = FlightClient(client, self._sensor.picture, self._stopwatches)
+
+    def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
+        task, start_z_m = self.task, -self.task.altitude_m
+        client = self._opened().start_game(
+            task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m
+        )
+        self._connect(client, client.now_ns())
+        assert self._client is not None
+        first: FlightSample = self._client.gather(self._client.kinematics())
+        self._switch(None)
+        self._now = Moment(first.state, first.state.position_m, None, 0, course)
+        start = self._sensor.reset(first.state, first.image, course)
+        seen = start if task.sees_start and not task.blank_images else self._sensor.blank
+        self._frames.extend([seen] * (self._frames.maxlen or 0))
+        self._command.begin(self._client)
+
+    def _fly(self, client: FlightClient, action: Any) -> Moment:
+        """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
+        task, now = self.task, self._now
+        goal, missing = task.goal(action), task.frames_per_command
+        for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
+            now = now._replace(state=sample.state, position_m=sample.state.position_m)
+            if sample.collision:
+                hit, position_m = str(sample.collision["object"]), tuple(sample.collision["position_m"])
+                now = now._replace(position_m=position_m, collision=hit)
+                break
+            self._frames.append(self._see(sample))
+            missing -= 1
+        self._frames.extend([self._sensor.blank] * missing)
+        return now._replace(commands=now.commands + 1)
+
+    def _see(self, sample: FlightSample) -> NDArray[Any]:
+        self._switch("image_processing")
+        frame = self._sensor.blank
+        if not self.task.blank_images:
+            frame = self._sensor.frame(sample.state, sample.image, self._now.course)
+        if self.task.timing == "virtual" and self._client is not None:
+            self._client.client.transport.clock.charge(round(self.task.image_processing_s * NS_PER_S))
+        self._switch("simulation")
+        return frame
+
+    def _switch(self, phase: str | None) -> None:
+        for stopwatch in self._stopwatches:
+            stopwatch.switch(phase)
+
+    def _observation(self) -> Observation:
+        return np.concatenate(self._frames)
+
+    def _info(self) -> Info:
+        now = self._now
+        info = {
+            "is_success": self.task.success(now),
+            "position_m": [float(each) for each in now.position_m],
+            "collision": now.collision,
+            "commands": now.commands,
+            "wall_s": (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0,
+            "phase_s": self._stopwatches[0].spent_s(),
+            **self.task.info(now),
+        }
+        if self.task.report_host_times:
+            info["host_phase_s"] = self._stopwatches[1].spent_s()
+        return info
+
+
+def _task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
+    try:
+        return validate(task_class, keys, name)
+    except UserError as error:
+        unknown = [key for key in keys if key not in task_class.model_fields]
+        if unknown:
+            raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
+        raise
+
+
+def within(space: spaces.Space[Any], action: Any) -> Any:
+    """The action as the space has it. Raises UserError for one that is not in it."""
+    if isinstance(space, spaces.Box):
+        given = np.asarray(action)
+        if given.shape == space.shape and np.issubdtype(given.dtype, np.number):
+            clipped = np.clip(given, space.low, space.high).astype(space.dtype)
+            if (abs(clipped - given) <= ROUNDING).all():  # not so for NaN
+                return clipped
+    elif space.contains(action):
+        return action
+    raise UserError(f"action {action!r} is not in the action space: {space}")

@@ -1,0 +1,62 @@
+"""`uavaccel/Hover-v0`: reach a waypoint that is drawn at reset, and hold it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.task import Count, Course, Moment, Positive, Task, position_option
+from uavaccel.kinematics import Kinematics
+
+
+class HoverTask(Task):
+    """Observations: the way to the waypoint, attitude, velocity and body rate (13,); m, m/s and rad/s."""
+
+    reset_options: ClassVar[tuple[str, ...]] = ("waypoint_m",)
+    observation: Literal["state"] = "state"
+    speed_m_s: Positive = 2.0
+    reach_m: Positive = 3.0
+    """Waypoints are drawn from the cube of that half side around the start."""
+    radius_m: Positive = 0.5
+    hold_s: Positive = 1.0
+    """Time at the waypoint without a break that wins the game."""
+    max_commands: Count = 60
+
+    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+        drawn = random.uniform(-self.reach_m, self.reach_m, 3) - (0.0, 0.0, self.altitude_m)
+        return {"waypoint_m": position_option(options, "waypoint_m", drawn), "held_s": 0.0}
+
+    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
+        features = super().features(state, course)[0]
+        features[:3] = np.subtract(course["waypoint_m"], state.position_m)
+        return features
+
+    def advance(self, before: Moment, now: Moment) -> Course:
+        there = distance_m(now) <= self.radius_m
+        return {**now.course, "held_s": now.course["held_s"] + self.t_move_s if there else 0.0}
+
+    def reward(self, before: Moment, now: Moment) -> float:
+        """A point for each metre nearer and for each second held, and ten for the end of it."""
+        held_s = self.t_move_s * (now.course["held_s"] > 0)
+        return distance_m(before) - distance_m(now) + held_s + 10.0 * self.success(now) - self.failure(now)
+
+    def success(self, now: Moment) -> bool:
+        return now.collision is None and now.course["held_s"] >= self.hold_s - 1e-9
+
+    def info(self, now: Moment) -> dict[str, Any]:
+        return {"distance_m": distance_m(now), **now.course}
+
+
+def distance_m(now: Moment) -> float:
+    return math.dist(now.course["waypoint_m"], now.position_m)
+
+
+class Hover(FlightEnv):
+    """`reset` draws a waypoint, or takes `options={"waypoint_m": [north, east, down]}`."""
+
+    task_class = HoverTask

@@ -1,0 +1,61 @@
+"""States that can be saved: flat mappings from dotted names to numbers, texts and NumPy arrays.
+
+They survive `np.savez` and, with units.plain, JSON; what reads them takes an array, a list or a NumPy scalar alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.lane.layout import LaneLayout
+
+State = dict[str, Any]
+_NONE = np.zeros(0)
+_NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
+
+
+def under(name: str, state: Mapping[str, Any]) -> State:
+    """The state of a part, as the whole keeps it."""
+    return {f"{name}.{key}": value for key, value in state.items()}
+
+
+def part(name: str, state: Mapping[str, Any]) -> State:
+    """The inverse of `under`, out of the state of the whole."""
+    prefix = f"{name}."
+    return {key[len(prefix) :]: value for key, value in state.items() if key.startswith(prefix)}
+
+
+def of_record(record: NDArray[np.void]) -> State:
+    """The fields of one structured record (1,)."""
+    return {name: record[name][0].copy() for name in record.dtype.names or ()}
+
+
+def into_record(record: NDArray[np.void], state: Mapping[str, Any]) -> None:
+    """Set the fields of one structured record (1,), in place."""
+    for name in record.dtype.names or ():
+        record[name][0] = state[name]
+
+
+def optional(number: int | None) -> NDArray[np.int64]:
+    """A number that may be missing, as an array of one or none."""
+    return np.array([] if number is None else [number], np.int64)
+
+
+def number_or_none(array: Any) -> int | None:
+    """The inverse of `optional`."""
+    return int(array[0]) if len(array) else None
+
+
+def layout_of(state: Mapping[str, Any]) -> LaneLayout:
+    """The lane's layout from its fields."""
+    fields: dict[str, Any] = {}
+    for name, like in vars(_NO_LANE).items():
+        value = np.asarray(state[name])
+        fields[name] = (
+            value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
+        )
+    return LaneLayout(**fields)

@@ -1,0 +1,123 @@
+"""What the vehicle touches: told apart by object, kept as AirSim's CollisionInfo tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kinematics import Vector
+from uavaccel.sim.lane.scene import object_name
+from uavaccel.units import mujoco_to_ned
+
+
+@dataclass(frozen=True)
+class Touch:
+    """The moment at which an object was touched; metres, NED.
+
+    `normal` points out of the object, `position_m` is the vehicle's, at `tick`.
+    """
+
+    tick: int
+    object: str
+    position_m: Vector
+    impact_point_m: Vector
+    normal: Vector
+    penetration_m: float
+
+
+class Touches:
+    """Counts touches since the vehicle was last placed, and keeps the first and the latest.
+
+    A touch begins when something is touched that was not touched before; what stays in touch is no new one.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        self.clear()
+
+    def clear(self) -> None:
+        """Nothing has been touched."""
+        self.count = 0
+        self.first: Touch | None = None
+        self.latest: Touch | None = None
+        self._unread = False
+        self._in_touch: frozenset[int] = frozenset()
+
+    def look(self, tick: int, position_m: NDArray[np.float64]) -> None:
+        """Contacts have begun or ended: `data.contact` holds those of the pose at `tick`, (3,) NED `position_m`."""
+        contacts = _contacts(self._model, self._data)
+        new = [contact for contact in contacts if contact[0] not in self._in_touch]
+        self._in_touch = frozenset(geom for geom, _ in contacts)
+        if not new:
+            return
+        geom, contact = min(new, key=lambda found: found[1].dist)  # the deepest
+        outwards = (
+            1.0 if int(contact.geom[0]) == geom else -1.0
+        )  # MuJoCo's points from the first to the second
+        self.latest = Touch(
+            tick,
+            object_name(self._model, geom),
+            _vector(position_m),
+            _vector(mujoco_to_ned(contact.pos)),
+            _vector(outwards * mujoco_to_ned(contact.frame[:3])),
+            max(-float(contact.dist), 0.0),
+        )
+        self.first = self.first or self.latest
+        self.count += 1
+        self._unread = True
+
+    def read(self) -> bool:
+        """Whether anything was touched since the last reading; AirSim's flag, which reading sets back."""
+        unread, self._unread = self._unread, False
+        return unread
+
+    def get_state(self) -> dict[str, Any]:
+        """All of it, as numbers, texts and arrays."""
+        state: dict[str, Any] = {"count": self.count, "unread": self._unread}
+        state["in_touch"] = np.array(sorted(self._in_touch), np.int64)
+        for name, touch in (("first", self.first), ("latest", self.latest)):
+            if touch is not None:
+                numbers = (*touch.position_m, *touch.impact_point_m, *touch.normal, touch.penetration_m)
+                state |= {f"{name}.tick": touch.tick, f"{name}.object": touch.object}
+                state[f"{name}.numbers"] = np.array(numbers)
+        return state
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        self.count, self._unread = int(state["count"]), bool(state["unread"])
+        self._in_touch = frozenset(int(geom) for geom in state["in_touch"])
+        self.first, self.latest = _touch(state, "first"), _touch(state, "latest")
+
+
+def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, str]:
+    """How far, in m, the vehicle is inside what it touches in `data.contact`, and its name; (0, "") if nothing."""
+    found = min(_contacts(model, data), key=lambda found: found[1].dist, default=None)
+    return (0.0, "") if found is None else (-float(found[1].dist), object_name(model, found[0]))
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, Any]]:
+    """The vehicle's contacts, each with the geom at its other side."""
+    vehicle, found = model.body("quadrotor").id, []
+    for contact in data.contact[: data.ncon]:
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if vehicle in bodies:
+            found.append((int(contact.geom[1 - bodies.index(vehicle)]), contact))
+    return found
+
+
+def _touch(state: Mapping[str, Any], name: str) -> Touch | None:
+    if f"{name}.tick" not in state:
+        return None
+    n = [float(number) for number in state[f"{name}.numbers"]]
+    vectors = (_vector(n[0:3]), _vector(n[3:6]), _vector(n[6:9]))
+    return Touch(int(state[f"{name}.tick"]), str(state[f"{name}.object"]), *vectors, n[9])
+
+
+def _vector(numbers: Any) -> Vector:
+    x, y, z = (float(number) for number in numbers)
+    return x, y, z

@@ -1,0 +1,1 @@
+"""The paper: its experiments under AirSim's and native timing, and each of its claims decided."""

@@ -1,0 +1,74 @@
+"""The paper as a suite: its games are whole runs of other suites, its report is the verdict on each claim."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+from uavaccel.records import RunDirectory
+from uavaccel.suites.paper import report
+from uavaccel.suites.paper.config import PaperConfig, read_claims
+from uavaccel.suites.parts import fly_part, part_cost, part_suite
+from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable
+
+
+@dataclass(frozen=True)
+class Case:
+    """A part: one run of another suite."""
+
+    name: str
+    part_s: float
+    timing: str = "virtual"
+
+    @property
+    def id(self) -> str:
+        return self.name
+
+    def simulated_s(self) -> float:
+        return self.part_s
+
+
+class Paper(Suite[PaperConfig, Case]):
+    """`uavaccel run paper`."""
+
+    name = "paper"
+    config = PaperConfig
+
+    def check(self, config: PaperConfig) -> None:
+        read_claims(config)
+
+    def cases(self, config: PaperConfig) -> Iterator[Case]:
+        for name, part in config.parts.items():
+            yield Case(name, part_cost(part, config.seed)[0])
+
+    def cost(self, config: PaperConfig, case: Case) -> Cost:
+        return part_cost(config.parts[case.name], config.seed)[1]
+
+    def renders(self, config: PaperConfig) -> bool:
+        suites = [part_suite(part, config.seed) for part in config.parts.values()]
+        return any(suite.renders(part_config) for suite, part_config in suites)
+
+    def open(
+        self, config: PaperConfig, timing: str, run: RunDirectory
+    ) -> AbstractContextManager[RunDirectory]:
+        return nullcontext(run)
+
+    def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> Flown:
+        folder = opened.path / "parts" / case.name
+        summary = fly_part(folder, config.parts[case.name], config.seed, _manifest(opened))
+        return Flown({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
+
+    def headline(self, summary: Summary) -> str:
+        return report.headline(summary)
+
+    def overview(self, summary: Summary) -> SummaryTable:
+        return SummaryTable(report.SHORT_HEADER, report.overview(summary))
+
+    def report(self, run: RunDirectory) -> dict[str, Any]:
+        return report.write_report(run)
+
+
+def _manifest(run: RunDirectory) -> Mapping[str, Any]:
+    return {key: value for key, value in run.manifest().items() if key != "resumed"}

@@ -1,0 +1,54 @@
+"""Suites made of runs of other suites: each part is a run directory of its own, below the whole one's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from uavaccel.config import Config
+from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import Experiment, merged, read_mapping
+from uavaccel.suites.registry import find_suite
+from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.suite import AnySuite, Cost, Summary, configuration
+
+
+class Part(Config):
+    """A run of another experiment, with some of its keys changed."""
+
+    experiment: str
+    """Of the experiments that ship, or a YAML file's name."""
+    keys: dict[str, Any] = Field(default_factory=dict)
+    """By dotted key, as --set takes them."""
+
+
+def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
+    """The part's suite and configuration. Raises UserError."""
+    mapping, source = read_mapping(part.experiment)
+    suite = find_suite(mapping.get("suite"), source)
+    return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
+
+
+def fly_part(folder: Path, part: Part, seed: int, manifest: Mapping[str, Any]) -> Summary:
+    """Fly what the part's folder still lacks, in this process, and report it; its summary."""
+    suite, config = part_suite(part, seed)
+    run = begin_run(suite, config, folder, manifest, resume=True)
+    run_suite(suite, config, run)
+    return suite.report(run)
+
+
+def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
+    """Simulated seconds of a part, wall seconds and bytes on disk, about."""
+    suite, config = part_suite(part, seed)
+    cases = list(suite.cases(config))
+    costs = [suite.cost(config, case) for case in cases]
+    total = Cost(sum(cost.wall_s for cost in costs), sum(cost.disk_bytes for cost in costs))
+    return sum(case.simulated_s() for case in cases), total
+
+
+def part_run(run: RunDirectory, name: str) -> RunDirectory:
+    """A part's own run directory. Raises UserError if it was not flown."""
+    return RunDirectory(run.path / "parts" / name)
