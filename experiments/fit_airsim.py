@@ -211,7 +211,7 @@ PAIRS = tuple(combinations(range(len(Parameters._fields)), 2))
 
 def draw(best: Parameters, planes: Sequence[np.ndarray], path: Path) -> None:
     """The misfit over each pair of parameters."""
-    with style.look():
+    with style.project_style():
         figure = style.new_figure(
             9, 6, "Misfit over each pair of parameters", "modelled · experiments/fit_airsim.py"
         )

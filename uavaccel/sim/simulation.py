@@ -182,7 +182,7 @@ class Simulation:
         """
         self.run(wall_ns)
         period = self.running.period = Continue(DeferredReply())
-        if self.profile.exact_times:
+        if self.profile.exact_pauses:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
         else:

@@ -83,6 +83,8 @@ class LatencyConfig(Config):
     """
 
     name: str = ""
+    scale: Annotated[float, Field(ge=0.0)] = 1.0
+    """Requests and replies take so many times what their quantiles say."""
     quantiles: Numbers = QUANTILES
     request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     reply_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
@@ -184,10 +186,12 @@ class Latency:
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
-        return self._draw("request", channel, self._config.request_us) + self._fault_ns("request")
+        drawn_ns = self._draw("request", channel, self._config.request_us)
+        return round(drawn_ns * self._config.scale) + self._fault_ns("request")
 
     def reply_ns(self, channel: str) -> int:
-        return self._draw("reply", channel, self._config.reply_us) + self._fault_ns("reply")
+        drawn_ns = self._draw("reply", channel, self._config.reply_us)
+        return round(drawn_ns * self._config.scale) + self._fault_ns("reply")
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})

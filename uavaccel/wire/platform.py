@@ -11,6 +11,8 @@ from pydantic import Field
 from uavaccel.config import Config
 from uavaccel.sim.executor import Executor
 from uavaccel.sim.frames import Frames
+from uavaccel.sim.profile import AIRSIM, PROFILES, Profile, airsim_variant
+from uavaccel.units import seconds_to_ns
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -53,6 +55,21 @@ class PlatformConfig(Config):
     on a connection with Nagle's algorithm and delayed acknowledgements."""
     frames: FrameConfig = FrameConfig()
     faults: FaultConfig = FaultConfig()
+    goal_timeout_s: Annotated[float, Field(gt=0.0)] = 0.06
+    """AirSim's api_goal_timeout: simulated time without a new goal after which position hold sets in."""
+    exact_pauses: bool = False
+    """A continue-for ends on the tick, as in the profile `native`, and not with a wall timer."""
+    scalable_clock: bool = False
+    """AirSim's ScalableClock: the period of the loop stays 3 ms of wall time, and the step grows with ClockSpeed."""
+
+    def profile(self, name: str, clock_speed: float) -> Profile:
+        """The profile of that name, changed as the keys above say; `native` stays as it is."""
+        if name != AIRSIM.name:
+            return PROFILES[name]
+        step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
+        return airsim_variant(
+            round(AIRSIM.tick_ns * step), seconds_to_ns(self.goal_timeout_s), self.exact_pauses
+        )
 
     def executor(self) -> Executor:
         return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
