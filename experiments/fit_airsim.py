@@ -27,7 +27,7 @@ from uavaccel.suites.dp1.cases import Case
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
-from uavaccel.wire.platform import PlatformConfig
+from uavaccel.wire.platform import FrameConfig, PlatformConfig
 from uavaccel.wire.session import open_session
 from uavaccel.yaml_io import dump_yaml
 
@@ -38,6 +38,9 @@ SIGMA = (
 )
 GAMES = 2  # of each cell
 TAIL = 0.9999  # where a log-normal distribution, which has no largest value, is cut off
+FRAMES = FrameConfig(
+    hz=60.0, stale_pose=True
+)  # of Unreal, for images; not fitted: sources in uavaccel.sim.frames
 ISSUE_US = 100.0  # of Python's msgpack-rpc client: packing and sending without waiting; measured elsewhere, not fitted
 
 
@@ -67,6 +70,7 @@ def model(parameters: Parameters) -> LatencyConfig:
         "call": half,
         "continue_for": log_normal_us(parameters.call_ms * 1500),
         "move": log_normal_us(parameters.callback_ms * 1000),
+        "image": half,
     }
     issue_us = (ISSUE_US,) * len(QUANTILES)
     return LatencyConfig(
@@ -74,7 +78,7 @@ def model(parameters: Parameters) -> LatencyConfig:
         request_us={"call": half},
         reply_us=replies,
         issue_us=issue_us,
-        platform=PlatformConfig(tick_us=parameters.tick_us, integer_clock_speed=True),
+        platform=PlatformConfig(tick_us=parameters.tick_us, integer_clock_speed=True, frames=FRAMES),
     )
 
 
