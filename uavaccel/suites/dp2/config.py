@@ -47,6 +47,8 @@ class PerturbationConfig(Config):
 
     share: Share = 0.0
     """Of the images that are received, those asked for again included."""
+    half_excess: Annotated[float, Field(gt=0.0)] | None = None
+    """ClockSpeed above 1 at which half the share is reached: a renderer with less time; none: the same at all."""
     kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
 
 
