@@ -211,3 +211,52 @@ def test_a_new_game_has_shown_nothing_yet() -> None:
     assert simulation.frames.scene(simulation.world.data) is not simulation.world.data
     simulation.reset(20 * MS)
     assert simulation.frames.scene(simulation.world.data) is simulation.world.data
+
+
+# --- variants for ablations -----------------------------------------------------------------------------------------
+
+
+def test_the_platform_leaves_the_profiles_as_they_are() -> None:
+    assert PlatformConfig().profile("airsim", 50.0) is AIRSIM
+    assert PlatformConfig(scalable_clock=True).profile("native", 50.0) is NATIVE
+
+
+def test_the_scalable_clock_stretches_the_step_and_keeps_the_wall_period() -> None:
+    """At 5x a step of 15 ms: the 20 ms loop falls on 30, the timeout beyond 60 on 75, the recorder on 60."""
+    profile = PlatformConfig(scalable_clock=True).profile("airsim", 5.0)
+    tick_ms = profile.tick_ns / MS
+    assert tick_ms == 15
+    loops = (profile.goal_period_ticks, profile.hover_after_ticks, profile.recorder_ticks)
+    assert [loop * tick_ms for loop in loops] == [30, 75, 60]
+    assert PlatformConfig(scalable_clock=True).profile("airsim", 0.5) is AIRSIM
+
+
+def test_another_goal_timeout() -> None:
+    profile = PlatformConfig(goal_timeout_s=1.0).profile("airsim", 5.0)
+    assert profile.hover_after_ticks == 334, "the first of the 3 ms beyond 1 s"
+    assert (profile.tick_ns, profile.goal_period_ticks) == (AIRSIM.tick_ns, AIRSIM.goal_period_ticks)
+
+
+def test_exact_pauses_end_on_the_tick_and_wait_for_all_of_them() -> None:
+    """Ticks that cost 48 us each: 100 of them take 4.8 ms, where a wall timer at 100x would ring after 3."""
+    profile = PlatformConfig(exact_pauses=True).profile("airsim", 100.0)
+    simulation = Simulation(world_of(profile), 100.0, executor=Executor(48 * US))
+    simulation.reset(0)
+    simulation.pause(0)
+    start_ns = simulation.time_ns
+    reply = simulation.continue_for(300 * MS, 0)
+    assert simulation.next_event_wall_ns() == 4800 * US
+    simulation.advance_to(5 * MS)
+    assert answer(reply).time_ns - start_ns == 300 * MS
+    assert reply.due_wall_ns == 4800 * US
+
+
+def test_a_scaled_model_scales_requests_and_replies() -> None:
+    call = {"call": always(1000.0)}
+    config = LatencyConfig(request_us=call, reply_us=call, issue_us=always(50.0), scale=2.5)
+    draws = Latency(config, np.random.SeedSequence(0))
+    assert [draws.request_ns("state"), draws.reply_ns("state"), draws.issue_ns()] == [
+        2_500_000,
+        2_500_000,
+        50_000,
+    ]

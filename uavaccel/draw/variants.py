@@ -36,7 +36,7 @@ def draw_variants(curves: Sequence[VariantCurve], axis: str, title: str, path: P
 def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source: str) -> Figure:
     """Three panels: STLC, position error and speed-up; places that are numbers on a logarithmic axis."""
     with style.project_style():
-        figure = style.new_figure(11, 4.2, title, source)
+        figure = style.new_figure(12, 4.2, title, source)
         panels = figure.subplots(1, 3)
         clocks = sorted({curve.clock_speed for curve in curves})
         for axes, name, label in zip(
@@ -56,7 +56,7 @@ def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source:
             _set_axis(axes, curves)
         panels[0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
         panels[2].set_yscale("log")
-        panels[2].legend(fontsize=7)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
         return figure
 
 
