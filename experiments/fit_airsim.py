@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from functools import cache
 from itertools import combinations, product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -139,11 +139,11 @@ def outcome(parameters: Parameters) -> dict[str, float]:
         )
     }
     speedups = [cells["real"][t].wall_s.mean() / cells["tcsc"][t].wall_s.mean() for t in T_MOVES_S]
-    longest = [cells[name][1.0].prefixes[24] for name in ("tcsc", "real")]
+    tcsc, real = (cells[name][1.0].prefixes[24] for name in ("tcsc", "real"))
     return {
         "tcsc_speedup": float(speedups[-1]),
         "tcsc_speedup_mean": float(np.mean(speedups)),
-        "tcsc_stlc": float(np.median(mean_stlc(*longest))),
+        "tcsc_stlc": float(np.median(mean_stlc(tcsc, real))),
         "adsc_stlc_1x": pooled_stlc(cells["real"], cells["real"], same=True),
         "adsc_stlc_5x": pooled_stlc(cells["adsc"], cells["real"], same=False),
     }
@@ -193,8 +193,13 @@ def fit(evaluations: int) -> Parameters:
         print(f"  {value:8.2f}  {parameters}", flush=True)
         return value
 
-    options = {"initial_simplex": corners, "maxfev": evaluations, "xatol": 0.02, "fatol": 0.05}
-    found = minimize(to_minimise, start, method="Nelder-Mead", options=options)
+    options: dict[str, Any] = {
+        "initial_simplex": corners,
+        "maxfev": evaluations,
+        "xatol": 0.02,
+        "fatol": 0.05,
+    }
+    found = minimize(to_minimise, start, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
     return Parameters(*(float(f"{value:.2g}") for value in np.exp(found.x)))
 
 

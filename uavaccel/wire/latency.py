@@ -136,7 +136,8 @@ def shipped_latency(profile: str = "native") -> LatencyConfig:
     return read_latency(experiment(SHIPPED[profile]))
 
 
-def _of_the_profile(fields: dict[str, Any]) -> LatencyConfig:
+def of_the_profile(fields: dict[str, Any]) -> LatencyConfig:
+    """The model that ships for the profile of a configuration's fields."""
     return shipped_latency(fields.get("profile", "native"))
 
 
@@ -164,7 +165,7 @@ def _from_file(value: Any) -> Any:
 LatencyModel = Annotated[
     LatencyConfig,
     BeforeValidator(_from_file, json_schema_input_type=LatencyConfig | str),
-    Field(default_factory=_of_the_profile),
+    Field(default_factory=of_the_profile),
 ]
 """Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships
 for the `profile`, a field that has to stand before it."""
