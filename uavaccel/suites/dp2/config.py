@@ -69,6 +69,8 @@ class Dp2Config(FlightExperiment):
     guard: GuardConfig = GuardConfig()
     perturbation: PerturbationConfig = PerturbationConfig()
     """Of the games alone; what they are compared with stays clean."""
+    auto_exposure: bool = False
+    """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     """v2e's parameters of the DVS by which the report looks at the images."""
     sensor_seed: Annotated[int, Field(ge=0)] = 0

@@ -15,6 +15,7 @@ from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
+from uavaccel.vision.exposure import AutoExposure
 from uavaccel.vision.perturb import PerturbationSettings, share_at
 from uavaccel.wire.session import Session
 
@@ -36,7 +37,11 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
     camera = CameraClient(
-        client, _picture(config, case), config.guard.settings(), _perturbation(config, case)
+        client,
+        _picture(config, case),
+        config.guard.settings(),
+        _perturbation(config, case),
+        AutoExposure() if config.auto_exposure else None,
     )
     flight = fly_path(config, case, camera)
     speed, recording = client.speed(), client.recording()
