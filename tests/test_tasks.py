@@ -19,11 +19,13 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_lear
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
+from uavaccel.clock import VirtualClock
 from uavaccel.config import validate
 from uavaccel.envs.flight_env import FlightEnv, within
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import AT_REST, Course, Moment, Task
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
@@ -141,6 +143,7 @@ def course_after(start: tuple[float, float, float], end: tuple[float, float, flo
         ((5.0, 1.0, -2.0), (7.0, 1.0, -4.0), 0, True),  # 1 m above it
         ((5.0, 1.2, -2.0), (13.0, -0.4, -2.0), 2, False),  # both in one command
         ((5.0, 1.2, -2.0), (13.0, 1.0, -2.0), 1, True),  # the first of both
+        ((5.0, -1.4, -2.0), (13.0, -1.0, -2.0), 0, True),  # the second of both: too late
         ((7.0, 1.0, -2.0), (5.0, 1.0, -2.0), 0, False),  # backwards
     ],
 )
@@ -150,7 +153,7 @@ def test_a_gate_is_passed_where_its_plane_is_crossed(start: Any, end: Any, passe
 
 
 def test_only_the_next_gate_counts() -> None:
-    assert course_after((5.0, 5.0, -2.0), (7.0, 5.0, -2.0), passed=1)["passed"] == 1
+    assert course_after((5.0, 5.0, -2.0), (7.0, 5.0, -2.0), passed=1) == {**TWO, "passed": 1}
     assert course_after((11.0, -1.0, -2.0), (13.0, -1.0, -2.0), passed=1)["passed"] == 2
 
 
@@ -200,8 +203,8 @@ def test_gates_are_drawn_within_the_spread_at_the_height_of_the_start() -> None:
 
 def test_a_post_is_hit_and_not_flown_through() -> None:
     with made("Gates", options={"gates_m": [[4.0, 1.2, -2.0]]}) as environment:
-        while not (last := environment.step(np.array([1, 0, 0], np.float32)))[2]:
-            pass
+        flown = [environment.step(np.array([1, 0, 0], np.float32)) for _ in range(20)]
+    last = next(step for step in flown if step[2])
     assert last[4]["collision"] == "obstacle_00"
     assert last[4]["position_m"][0] == pytest.approx(4.0 - 0.2 - 0.3418, abs=0.02)
 
@@ -346,6 +349,17 @@ def test_lockstep_charges_nothing() -> None:
         info = environment.step(STILL)[4]
     assert info["wall_s"] == info["phase_s"]["simulation"] == pytest.approx(0.2)
     assert info["phase_s"]["inference"] == 0.0
+
+
+def test_a_phase_that_raises_is_over() -> None:
+    clock = VirtualClock()
+    stopwatch = Stopwatch(clock)
+    with pytest.raises(KeyError), stopwatch.phase("learning"):  # noqa: PT012 - it raises after some time
+        clock.charge(10**9)
+        raise KeyError
+    clock.charge(10**9)
+    stopwatch.switch(None)
+    assert stopwatch.spent_s()["learning"] == 1.0
 
 
 def test_seeds_draw_the_course_once() -> None:

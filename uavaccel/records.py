@@ -1,7 +1,7 @@
 """The run directory: where runs and reports meet.
 
     config.yaml    the resolved configuration       manifest.json  what the run was made with
-    rows.jsonl     one line a finished case         arrays/        its raw samples, one .npz a case
+    rows.jsonl     one line per finished case       arrays/        its raw samples, one .npz per case
     timing.jsonl   what is never the same twice     summary.json, report.md, figures/  made from all these
 
 A case's arrays are in place before its row is: whatever a crash leaves behind, the cases with a whole row are

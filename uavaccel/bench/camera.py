@@ -19,7 +19,7 @@ PLACES_M = range(0, 150, 10)  # along the lane: many obstacles in view, and few
 FRAMES_AT_EACH = 10
 
 
-def bench_camera(rounds: int = 5) -> dict[str, Any]:
+def frame_rates(rounds: int = 5) -> dict[str, Any]:
     """Frames per second of `Camera.colour` and of a bare loop, the best of `rounds` passes along the lane.
 
     The bare loop is mjr_render and mjr_readPixels in the same GL context with the same settings; what ours adds is

@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.bench.camera import bench_camera as frame_rates
+from uavaccel.bench.camera import frame_rates
 from uavaccel.bench.speed import Measurement, elapsed_s
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout

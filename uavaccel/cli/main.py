@@ -39,7 +39,7 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=v
 @app.command()
 def run(
     experiment: Annotated[
-        str, typer.Argument(help="dp1, dp2, train, evaluate, or an experiment's YAML file.")
+        str, typer.Argument(help="dp1, dp2, train, evaluate, paper, or an experiment's YAML file.")
     ],
     clock: Clock = None,
     command: Commands = None,

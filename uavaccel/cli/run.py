@@ -129,7 +129,7 @@ def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, 
     disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
     return (
         f"{len(cases)} games ({by_clock}: {_sources(clocks)}), {simulated_s:,.0f} simulated s: "
-        f"{duration(wall_s)} and {max(disk_mb, 1):.0f} MB, about, into {out}"
+        f"estimated {duration(wall_s)} and {max(disk_mb, 1):.0f} MB, into {out}"
     )
 
 
@@ -171,10 +171,12 @@ def report_run(run: RunDirectory) -> Summary:
         console.print(headline)
     if table := suite.overview(summary):
         show_table(table)
-    lost = [cell["lost_wall_s"] for cell in summary.get("cells", ()) if cell.get("lost_wall_s")]
+    cells = summary.get("cells", ())
+    lost = [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]
     if lost:
         console.print(
-            f"warning: the machine did not keep up in {len(lost)} cells and lost {sum(lost):.3f} s of wall time"
+            f"warning: the machine did not keep up: {sum(lost):.3f} s of wall time lost "
+            f"in {len(lost)} of {len(cells)} cells"
         )
     for path in sorted((run.path / "figures").glob("*.png")):
         console.print(str(path), markup=False)

@@ -16,7 +16,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
 
 class Lanes(VecEnvWrapper):
-    """Lanes side by side. `meanwhile` is called once a step, after the actions went out: the lanes fly on their own."""
+    """Lanes side by side. `meanwhile` is called once per step, after the actions went out, while the lanes fly."""
 
     def __init__(self, lanes: VecEnv) -> None:
         super().__init__(lanes)

@@ -1,4 +1,4 @@
-"""SimpleFlight's cascade: position, velocity, angle, rate, mixer, once a tick.
+"""SimpleFlight's cascade: position, velocity, angle, rate, mixer, once per tick.
 
 Sources: AirSim v1.8.1, simple_flight/firmware: CascadeController, PositionController, VelocityController,
 AngleLevelController, AngleRateController, PidController, OffboardApi (goal timeout), Mixer. All gains are

@@ -18,7 +18,7 @@ class Speed:
 
     @property
     def real_time_factor(self) -> float:
-        """Achieved simulated seconds a wall second; 0 before the clock ran."""
+        """Achieved simulated seconds per wall second; 0 before the clock ran."""
         return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
 
 

@@ -12,7 +12,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.suite import AnySuite, Suite
 
-# A line a suite; its module is imported when it is asked for.
+# A line per suite; its module is imported when it is asked for.
 SUITES = {
     "dp1": "uavaccel.suites.dp1.suite:Dp1",
     "dp2": "uavaccel.suites.dp2.suite:Dp2",

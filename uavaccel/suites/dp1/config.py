@@ -27,7 +27,7 @@ class Dp1Config(FlightExperiment):
     rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
     t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
     t_sample_s: float | None = None
-    """How often the client gathers the state itself; none: once a command, the server's recorder samples."""
+    """How often the client gathers the state itself; none: once per command, the server's recorder samples."""
     games: int = 20
     """A cell: command, ClockSpeed, T_move and rounds."""
     reference_games: int = 20

@@ -29,7 +29,7 @@ Summary = dict[str, Any]
 def write_report(run: RunDirectory, jobs: int | None = None) -> Summary:
     """Write summary.json, figures/*.png, report.md and report.html into a DP1 run; returns the summary.
 
-    `jobs` processes compute the metrics, by default one for a small run and otherwise one a core; the
+    `jobs` processes compute the metrics, by default one for a small run and otherwise one per core; the
     results do not depend on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged
     files.
     """

@@ -1,4 +1,4 @@
-"""DP1's tables: a line a cell for the terminal and the report, and an overview of the worst cells."""
+"""DP1's tables: a line per cell for the terminal and the report, and an overview of the worst cells."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def _before(collision: dict[str, Any], samples: list[Sample]) -> int:
 
 
 def _picture(config: Dp2Config, case: Case) -> str:
-    """Colour where colours can go wrong, and once a run, to study the guard with; else what the DVS needs."""
+    """Colour where colours can go wrong, and once per run, to study the guard with; else what the DVS needs."""
     return "colour" if case.role == "lockstep" or _perturbation(config, case) else "gray"
 
 

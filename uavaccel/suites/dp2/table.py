@@ -1,4 +1,4 @@
-"""DP2's table: a line a command and ClockSpeed, for the terminal and the report."""
+"""DP2's table: a line per command and ClockSpeed, for the terminal and the report."""
 
 from __future__ import annotations
 

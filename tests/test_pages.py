@@ -1,0 +1,94 @@
+"""What every page says of the project is so: links, files, commands, and the drawings of the architecture."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from tests.test_imports import GROUND, ROOMS
+from uavaccel.cli.main import app
+from uavaccel.suites.registry import SUITES
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/*.md")])
+PAGES_AND_TEXTS = [(page, page.read_text(encoding="utf-8")) for page in PAGES]
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
+def found(pattern: str) -> list[tuple[str, str]]:
+    return [
+        (page.relative_to(ROOT).as_posix(), hit)
+        for page, text in PAGES_AND_TEXTS
+        for hit in re.findall(pattern, text)
+    ]
+
+
+@pytest.mark.parametrize(("page", "link"), sorted(set(found(r"\]\((?!https?:)([^)#]+)\)"))))
+def test_links_lead_somewhere(page: str, link: str) -> None:
+    assert ((ROOT / page).parent / link).exists()
+
+
+@pytest.mark.parametrize(
+    ("page", "file"), sorted(set(found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)")))
+)
+def test_files_that_are_named_are_there(page: str, file: str) -> None:
+    assert "NAME" in file or (ROOT / file).exists()
+
+
+COMMANDS = found(r"`(uavaccel [a-z][^`\n]*)`") + [
+    (page, line.removeprefix(".venv/bin/"))
+    for page, block in found(r"(?ms)^```sh\n(.*?)^```$")
+    for line in block.splitlines()
+    if line.removeprefix(".venv/bin/").startswith("uavaccel ")
+]
+
+
+@pytest.mark.parametrize(("page", "line"), sorted(set(COMMANDS)))
+def test_commands_parse(page: str, line: str) -> None:
+    """The command and its options exist; what they mean is other tests' to say."""
+    _, name, *options = shlex.split(line.partition("#")[0])
+    group = typer.main.get_command(app)
+    group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
+
+
+def test_every_suite_is_among_the_experiments() -> None:
+    readme = (ROOT / "experiments" / "README.md").read_text(encoding="utf-8")
+    assert [name for name in SUITES if f"[{name}.yaml]" not in readme] == []
+
+
+def test_the_drawing_of_the_rooms_is_the_rule_of_imports() -> None:
+    """From below: a room may import rooms of lower lines and no other, but for the ground's."""
+    drawing = ARCHITECTURE.split("```text\n")[1].split("```")[0]
+    known = set(ROOMS) - {"__init__", "__main__"}
+    lines = [set(re.findall(r"\w+", line)) & known for line in drawing.splitlines()]
+    assert sorted(room for line in lines for room in line) == sorted(known)
+    below = set(GROUND)
+    for rooms in reversed(lines):
+        for room in rooms:
+            assert ROOMS[room] - {"__init__"} <= below, room
+        below |= rooms
+
+
+def test_the_way_of_a_command_goes_through_files_and_functions_that_there_are() -> None:
+    files = dict(re.findall(r"participant (\w+) as (\S+)", ARCHITECTURE))
+    names = {key: _defined(ROOT / "uavaccel" / file) for key, file in files.items()}
+    calls = re.findall(r"^ +\w->>(\w): (\w+)\(", ARCHITECTURE, re.MULTILINE)
+    assert len(calls) >= 6
+    for receiver, function in calls:
+        assert function in names[receiver], f"{files[receiver]}: {function}"
+
+
+def _defined(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make (\w+)$", CONTRIBUTING, re.MULTILINE))))
+def test_make_has_its_targets(target: str) -> None:
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
