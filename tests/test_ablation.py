@@ -102,8 +102,8 @@ def test_what_is_tabulated_and_drawn() -> None:
     assert (curve.stlc[1], curve.position_rmse_m[1], curve.speedup[1]) == (1.5, 0.125, 7.5)
     figure = plot_variants([curve], "latency", "Title", "source")
     lines = [panel.get_lines()[0] for panel in figure.axes]
-    assert [line.get_xdata()[1] for line in lines] == [30.0] * 3
-    assert [line.get_ydata()[1] for line in lines] == [1.5, 0.125, 7.5]
+    assert [np.asarray(line.get_xdata())[1] for line in lines] == [30.0] * 3
+    assert [np.asarray(line.get_ydata())[1] for line in lines] == [1.5, 0.125, 7.5]
 
 
 def test_named_variants_stand_side_by_side() -> None:
@@ -112,10 +112,13 @@ def test_named_variants_stand_side_by_side() -> None:
         [VariantCurve("tcsc", 5.0, ["none", "late"], values, values, values)], "variant", "Title", "source"
     )
     assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == ["none", "late"]
-    assert figure.axes[0].get_lines()[0].get_xdata().tolist() == [0.0, 1.0]
+    assert np.asarray(figure.axes[0].get_lines()[0].get_xdata()).tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize("path", sorted(experiment("ablations").glob("*.yaml")), ids=lambda path: path.stem)
+SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_ablations_that_ship_can_be_flown(path: Path) -> None:
     config = validate(AblationConfig, load_yaml(path), path.name)
     assert len({config.experiment(variant).model_dump_json() for variant in config.variants}) == len(

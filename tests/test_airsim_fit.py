@@ -25,7 +25,7 @@ PAPERS_FRAME_SPEEDUPS = {5.0: 4.0, 10.0: 6.4, 50.0: 14.8, 100.0: 15.4}  # sectio
 
 @cache
 def fit() -> ModuleType:
-    """experiments/fit_airsim.py, with a game a cell."""
+    """experiments/fit_airsim.py."""
     path = experiment("fit_airsim.py")
     spec = importlib.util.spec_from_file_location("fit_airsim", path)
     assert spec is not None
@@ -33,7 +33,6 @@ def fit() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules["fit_airsim"] = module
     spec.loader.exec_module(module)
-    module.GAMES = 2
     return module
 
 

@@ -53,7 +53,7 @@ class Sessions:
 
 
 class Ablation(Suite[AblationConfig, Case]):
-    """`uavaccel run experiments/ablations/NAME.yaml`."""
+    """`uavaccel run ablation`."""
 
     name = "ablation"
     config = AblationConfig
