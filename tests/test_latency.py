@@ -25,6 +25,7 @@ from uavaccel.wire.latency import (
     after_wait,
     channel_of,
     read_latency,
+    shipped_latency,
 )
 from uavaccel.yaml_io import dump_yaml, load_yaml
 
@@ -198,6 +199,21 @@ def test_a_block_a_file_of_it_and_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     assert Task.model_validate({"latency": "mine.yaml"}).latency == written, "from the working directory"
     shipped = load_yaml(experiment("latency.yaml"))["latency"]
     assert validate(Task, {}, "task").latency == validate(LatencyConfig, shipped, "shipped")
+
+
+def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
+    block = {"platform": {"tick_us": 70.0, "frames": {"hz": 30.0}}}
+    changed = validate(
+        Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": "airsim", "latency": block}, "dp1"
+    )
+    shipped = shipped_latency("airsim")
+    assert changed.latency.reply_us == shipped.reply_us
+    assert (changed.latency.platform.tick_us, changed.latency.platform.frames.hz) == (70.0, 30.0)
+    assert changed.latency.platform.frames.stale_pose is shipped.platform.frames.stale_pose is True
+    own = validate(
+        Dp1Config, {"suite": "dp1", "clock_speed": [5], "latency": {"reply_us": {"call": [1.0] * 12}}}, "dp1"
+    )
+    assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
 
 
 def test_each_profile_has_a_model_that_ships() -> None:

@@ -153,7 +153,23 @@ class _LatencyFile(Config):
     latency: LatencyConfig
 
 
-def _from_file(value: Any) -> Any:
+def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
+    """The shipped model's block with the keys of `block` in it, however deep."""
+    result = dict(shipped)
+    for key, value in block.items():
+        below = result.get(key)
+        nested = isinstance(value, Mapping) and isinstance(below, Mapping)
+        result[key] = _completed(value, below) if nested else value  # type: ignore[arg-type]
+    return result
+
+
+def _from_block_or_file(value: Any, info: ValidationInfo) -> Any:
+    if (
+        isinstance(value, Mapping)
+        and "profile" in info.data
+        and not {"quantiles", "request_us", "reply_us"} & {*value}
+    ):
+        return _completed(value, of_the_profile(info.data).model_dump(mode="json"))
     if not isinstance(value, str | Path):
         return value
     try:
@@ -164,11 +180,12 @@ def _from_file(value: Any) -> Any:
 
 LatencyModel = Annotated[
     LatencyConfig,
-    BeforeValidator(_from_file, json_schema_input_type=LatencyConfig | str),
+    BeforeValidator(_from_block_or_file, json_schema_input_type=LatencyConfig | str),
     Field(default_factory=of_the_profile),
 ]
 """Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships
-for the `profile`, a field that has to stand before it."""
+for the `profile`, a field that has to stand before it. A block without `quantiles`, `request_us` and `reply_us`, as of
+`--set latency.platform.stall_us=40000`, changes the one that ships."""
 
 
 class Latency:
