@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from uavaccel.config import Config, schema, to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
+from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.wire.latency import (
     QUANTILES,
     WAITS_MS,
@@ -24,6 +25,7 @@ from uavaccel.wire.latency import (
     after_wait,
     channel_of,
     read_latency,
+    shipped_latency,
 )
 from uavaccel.yaml_io import dump_yaml, load_yaml
 
@@ -196,7 +198,34 @@ def test_a_block_a_file_of_it_and_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     assert Task.model_validate({"latency": "mine.yaml"}).latency == written, "from the working directory"
     shipped = load_yaml(experiment("latency.yaml"))["latency"]
-    assert validate(Task, {}, "task").latency.model_dump(mode="json") == {"timer_us": [0.0] * 12, **shipped}
+    assert validate(Task, {}, "task").latency == validate(LatencyConfig, shipped, "shipped")
+
+
+def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
+    block = {"platform": {"tick_us": 70.0, "frames": {"hz": 30.0}}}
+    changed = validate(
+        Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": "airsim", "latency": block}, "dp1"
+    )
+    shipped = shipped_latency("airsim")
+    assert changed.latency.reply_us == shipped.reply_us
+    assert (changed.latency.platform.tick_us, changed.latency.platform.frames.hz) == (70.0, 30.0)
+    assert changed.latency.platform.frames.stale_pose is shipped.platform.frames.stale_pose is True
+    own = validate(
+        Dp1Config, {"suite": "dp1", "clock_speed": [5], "latency": {"reply_us": {"call": [1.0] * 12}}}, "dp1"
+    )
+    assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
+
+
+def test_each_profile_has_a_model_that_ships() -> None:
+    """AirSim's where a configuration says `airsim` and nothing of latency."""
+    for profile, file in (("native", "latency.yaml"), ("airsim", "latency_airsim.yaml")):
+        config = validate(Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": profile}, "dp1")
+        assert config.latency == read_latency(experiment(file))
+    assert read_latency(experiment("latency_airsim.yaml")).platform.tick_us > 0
+    assert (
+        Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency
+        == ZERO_LATENCY
+    )
 
 
 def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path: Path) -> None:

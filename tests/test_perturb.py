@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study
-from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb, perturb_share
+from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb, perturb_share, share_at
 
 
 def flight(images: int, seed: int = 0) -> list[NDArray[np.uint8]]:
@@ -27,6 +27,12 @@ def test_off_by_default() -> None:
     same, kind = perturb_share(image, PerturbationSettings(), 0)
     assert same is image
     assert kind is None
+
+
+def test_the_share_grows_with_clock_speed_from_none_at_1x_to_all_of_it() -> None:
+    shares = [share_at(clock_speed, 0.08, 25.0) for clock_speed in (0.5, 1.0, 6.0, 26.0, 76.0, 1e9)]
+    assert shares == pytest.approx([0.0, 0.0, 0.08 / 6, 0.04, 0.06, 0.08])
+    assert share_at(1.0, 0.08, None) == share_at(100.0, 0.08, None) == 0.08
 
 
 def test_share_and_kinds_are_met_and_follow_the_seed() -> None:

@@ -22,6 +22,7 @@ from uavaccel.sim.world import World
 from uavaccel.units import plain
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
+from uavaccel.wire.platform import PlatformConfig
 from uavaccel.wire.session import Session, VirtualSession, open_session
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +37,27 @@ LATENCY = LatencyConfig(
 
 def session_of(timing: str, profile: str, scene: str = "blocks") -> Any:
     return open_session(timing, profile, scene, LATENCY)
+
+
+def test_a_modelled_simulator_is_saved_with_its_speed_and_what_its_frames_show() -> None:
+    platform = PlatformConfig.model_validate(
+        {"tick_us": 60.0, "frames": {"hz": 60.0, "stale_pose": True}, "faults": {"late": 0.3}}
+    )
+    latency = LATENCY.model_copy(update={"platform": platform})
+    with (
+        VirtualSession("blocks", "airsim", latency) as session,
+        VirtualSession("blocks", "airsim", latency) as other,
+    ):
+        client = session.start_game(100.0, np.random.SeedSequence(5))
+        fly(client, "adsc", 1, 3)
+        again = other.set_state(session.get_state())
+        shown, shown_again = (
+            each._transport._api.simulation.frames.scene(each._world(100.0).data).qpos.tolist()
+            for each in (session, other)
+        )
+        assert shown == shown_again != session._world(100.0).data.qpos.tolist()
+        assert fly(again, "tcsc", 2, 3) == fly(client, "tcsc", 2, 3)
+        assert again.speed() == client.speed()
 
 
 def fly(client: Client, command: str, seed: int, count: int) -> list[Any]:

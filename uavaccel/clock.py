@@ -83,7 +83,7 @@ class Pacer:
         self._numerator, denominator = clock_speed.as_integer_ratio()
         self._tick_wall = self.tick_ns * denominator  # wall ns of `numerator` ticks
 
-    def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
+    def set_clock_speed(self, clock_speed: float | Fraction, wall_ns: int) -> None:
         """Go on at another speed from `wall_ns`: the tick last due then is due at that moment.
 
         Raises UserError unless the speed is a finite number above 0.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.vision.exposure import AutoExposure
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.perturb import PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
@@ -27,7 +28,8 @@ class Sample(NamedTuple):
 class CameraClient:
     """A `MissionClient` around `client` that gathers pictures of `kind`, gray or colour, through the guard.
 
-    `perturbation` spoils a share of the pictures on their way, for testing a pipeline; off by default.
+    `perturbation` spoils a share of the pictures on their way, `exposure` changes their brightness; both are off by
+    default.
     """
 
     def __init__(
@@ -36,15 +38,18 @@ class CameraClient:
         kind: str = "gray",
         guard: GuardSettings | None = None,
         perturbation: PerturbationSettings | None = None,
+        exposure: AutoExposure | None = None,
     ) -> None:
         self.client = client
         self._kind = kind
         self._guard, self._guard_state = guard or GuardSettings(), GuardState()
-        self._perturbation = perturbation
+        self._perturbation, self._exposure = perturbation, exposure
+        self._ran_ns = 0  # wall time for which the simulation ran
         self._received = 0
 
     def gather(self, state: Kinematics) -> Any:
         """The picture of this moment, as a `Sample`. The simulation has to stand still."""
+        self._ran_ns = round(state.time_ns / self.clock_speed)
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
         return Sample(state, acquisition.image, acquisition.retries)
@@ -52,6 +57,8 @@ class CameraClient:
     def _receive(self) -> NDArray[Any]:
         image = self.client.image(self._kind)
         self._received += 1
+        if self._exposure is not None:
+            image = self._exposure.expose(image, self._ran_ns)
         if self._perturbation is None:
             return image
         return perturb_share(image, self._perturbation, self._received)[0]

@@ -21,7 +21,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import seconds_to_ns
-from uavaccel.wire.latency import LatencyModel, shipped_latency
+from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -76,7 +76,7 @@ class Task(Config):
     profile: Literal["native", "airsim"] = "native"
     t_th_wall_s: NotNegative = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
-    latency: LatencyModel = Field(default_factory=shipped_latency)
+    latency: LatencyModel = Field(default_factory=of_the_profile)
     """The latency model that `virtual` draws from, or the YAML file of one; the shipped one where none is given."""
     image_processing_s: NotNegative = 0.0003
     """What the DVS of one frame costs the simulated wall clock of `virtual`."""

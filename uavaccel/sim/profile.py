@@ -6,12 +6,12 @@ SimModeWorldBase.h (3 ms), SimpleFlightApi.hpp (50 Hz commands), Params.hpp (api
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from math import ceil
 
 from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, exact, ticks_exactly
+from uavaccel.units import NS_PER_S, ceil_div, exact, ticks_exactly
 
 
 @dataclass(frozen=True, eq=False)  # each is one of a kind, and hashing seven fields would be slow
@@ -23,7 +23,8 @@ class Profile:
     goal_period_ticks: int  # a command ends on this grid, counted from its acceptance
     hover_after_ticks: int  # position hold sets in so long after a command has returned
     recorder_ticks: int
-    exact_times: bool  # times that the tick does not divide are refused, continue-for ends on the tick
+    exact_times: bool  # times that the tick does not divide are refused
+    exact_pauses: bool  # a continue-for ends on the tick; otherwise a wall timer ends it
     catch_up_wall_ns: int  # backlog that is made good; beyond it simulated time is lost
 
     @property
@@ -61,6 +62,7 @@ NATIVE = Profile(
     hover_after_ticks=30,
     recorder_ticks=25,
     exact_times=True,
+    exact_pauses=True,
     catch_up_wall_ns=100_000_000,
 )
 
@@ -73,7 +75,30 @@ AIRSIM = Profile(
     hover_after_ticks=21,
     recorder_ticks=17,
     exact_times=False,
+    exact_pauses=False,
     catch_up_wall_ns=5_000_000,
 )
 
 PROFILES = {profile.name: profile for profile in (NATIVE, AIRSIM)}
+
+_COMMAND_LOOP_NS, _GOAL_TIMEOUT_NS, _RECORD_NS = 20_000_000, 60_000_000, 50_000_000
+
+
+@cache
+def airsim_variant(
+    tick_ns: int = AIRSIM.tick_ns, goal_timeout_ns: int = _GOAL_TIMEOUT_NS, exact_pauses: bool = False
+) -> Profile:
+    """AirSim with another step, another api_goal_timeout or exact pauses, for ablations; AIRSIM itself by default.
+
+    Its loops end on the step: the command's at 20 ms or after, the timeout and the recorder beyond 60 and 50 ms.
+    """
+    if (tick_ns, goal_timeout_ns, exact_pauses) == (AIRSIM.tick_ns, _GOAL_TIMEOUT_NS, False):
+        return AIRSIM
+    return replace(
+        AIRSIM,
+        tick_ns=tick_ns,
+        goal_period_ticks=ceil_div(_COMMAND_LOOP_NS, tick_ns),
+        hover_after_ticks=goal_timeout_ns // tick_ns + 1,
+        recorder_ticks=_RECORD_NS // tick_ns + 1,
+        exact_pauses=exact_pauses,
+    )

@@ -33,10 +33,10 @@ class CommandLog:
         """The latest ended at `tick`."""
         self._ticks[-1] = (self._ticks[-1][0], tick)
 
-    @property
-    def accepted_tick(self) -> int:
-        """Tick at which the latest was accepted."""
-        return self._ticks[-1][0]
+    def last_goal(self, tick: int, period: int) -> int:
+        """When the latest's loop has last set its goal by `tick`: as it began, and every `period` ticks from there."""
+        accepted = self._ticks[-1][0]
+        return accepted + (tick - accepted) // period * period
 
     def __len__(self) -> int:
         return len(self._ticks)

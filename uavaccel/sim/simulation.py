@@ -11,9 +11,11 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
-from uavaccel.clock import Pacer
+from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.sim import simulation_state
+from uavaccel.sim.executor import UNBOUND, Executor
+from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog, Recording
 from uavaccel.sim.running import Command, Continue, DeferredReply, Running
@@ -28,9 +30,8 @@ __all__ = ["DeferredReply", "Simulation"]
 class Simulation:
     """Clock, commands and recorder over one `World`.
 
-    `catch_up_wall_ns`: backlog of wall time that is made good; what exceeds it is lost and counted. None: no
-    bound, for a simulated wall clock, which is never late. `timer_lateness_ns` draws how late a wall timer ends
-    (`airsim`); on a real clock it is as late as it is.
+    `catch_up_wall_ns`: backlog of wall time that is made good; the rest is lost and counted. None: no bound, for a
+    simulated wall clock. `timer_lateness_ns` draws how late a wall timer ends there (`airsim`).
     """
 
     def __init__(
@@ -40,10 +41,14 @@ class Simulation:
         wall_ns: int = 0,
         catch_up_wall_ns: int | None = None,
         timer_lateness_ns: Callable[[], int] = lambda: 0,
+        executor: Executor = UNBOUND,
+        frames: Frames | None = None,
     ) -> None:
         self.world = world
         self.profile: Profile = world.profile
-        self.pacer = Pacer(clock_speed, self.profile.tick_ns)
+        self.executor, self.frames = executor, frames or Frames()
+        self.clock_speed = positive_clock_speed(clock_speed)  # as asked for; the pacer's comes of it
+        self.pacer = Pacer(executor.speed(self.clock_speed, self.profile.tick_ns), self.profile.tick_ns)
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
@@ -57,11 +62,6 @@ class Simulation:
     # --- time -------------------------------------------------------------------------------------
 
     @property
-    def clock_speed(self) -> Fraction:
-        """Requested simulated seconds a wall second."""
-        return self.pacer.clock_speed
-
-    @property
     def time_ns(self) -> int:
         """Simulated time since the simulation was made; a reset does not set it back, as in AirSim."""
         return self.time_of(self.world.tick)
@@ -71,7 +71,15 @@ class Simulation:
         return self.time0_ns + tick * self.profile.tick_ns
 
     def advance_to(self, wall_ns: int) -> None:
-        """Fly every tick that is due by `wall_ns`, and end what ends on the way."""
+        """Fly every tick that is due by `wall_ns`, end what ends on the way, and show what frames show."""
+        if not self.paused:
+            for tick_ns in self.frames.ticks(self.wall_ns, wall_ns):
+                self._advance_to(tick_ns)
+                if not self.paused:
+                    self.frames.show(self.world.data)
+        self._advance_to(wall_ns)
+
+    def _advance_to(self, wall_ns: int) -> None:
         if self.catch_up_wall_ns is not None and wall_ns - self.wall_ns > self.catch_up_wall_ns:
             self._drop_backlog(wall_ns)
         while not self.paused:
@@ -92,11 +100,8 @@ class Simulation:
             return None
         if (timer := self.wall_timer_ns()) is None:
             return None if (tick := self.running.next_end_tick()) is None else self.pacer.wall_due(tick)
-        return (
-            timer
-            if self.running.command is None
-            else min(timer, self.pacer.wall_due(self.running.command.end_tick))
-        )
+        command = self.running.command
+        return min(timer, self.pacer.wall_due(command.end_tick)) if command else timer
 
     def wall_timer_ns(self) -> int | None:
         """When a running continue-for of the `airsim` profile is over, on the wall clock."""
@@ -144,7 +149,8 @@ class Simulation:
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
         """Go on at another speed. Raises UserError unless it is above 0."""
-        self.pacer.set_clock_speed(clock_speed, wall_ns)
+        self.clock_speed = positive_clock_speed(clock_speed)
+        self.pacer.set_clock_speed(self.executor.speed(self.clock_speed, self.profile.tick_ns), wall_ns)
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""
@@ -166,7 +172,7 @@ class Simulation:
     def _release_continue(self, wall_ns: int) -> None:
         if self.running.period:
             reply, self.running.period = self.running.period.reply, None
-            reply.resolve(self.kinematics(), wall_ns)
+            reply.resolve(self.kinematics(), self.frames.continued(wall_ns))
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
         """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
@@ -176,14 +182,12 @@ class Simulation:
         """
         self.run(wall_ns)
         period = self.running.period = Continue(DeferredReply())
-        if self.profile.exact_times:
+        if self.profile.exact_pauses:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
         else:
             timer = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
-            one_tick = self.pacer.wall_due(
-                self.world.tick + 1
-            )  # the executor flies before it looks at its timer
+            one_tick = self.pacer.wall_due(self.world.tick + 1)  # it flies before it looks at its timer
             period.end_wall_ns = max(timer, one_tick) if duration_ns > 0 else timer
         self.advance_to(wall_ns)  # it may be over already
         return period.reply
@@ -224,14 +228,10 @@ class Simulation:
         if not completed:
             self.commands.cut_short(self.world.tick)
         if self.api_control:
-            self.world.hold_from(self._last_goal_tick() + self.profile.hover_after_ticks)
+            last_goal = self.commands.last_goal(self.world.tick, self.profile.goal_period_ticks)
+            self.world.hold_from(last_goal + self.profile.hover_after_ticks)
         self.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
-
-    def _last_goal_tick(self) -> int:
-        """When the command's loop last set its goal: as it began, and on its grid from there on."""
-        accepted, period = self.commands.accepted_tick, self.profile.goal_period_ticks
-        return accepted + (self.world.tick - accepted) // period * period
 
     def arm(self, armed: bool) -> bool:
         """Switch the rotors on or off; needs API control (OffboardApi::arm)."""
@@ -267,6 +267,7 @@ class Simulation:
         self.running = Running()
         self.commands = CommandLog()
         self.failure = None
+        self.frames.forget()
         self.speed = Speed()
         self.wall_ns = wall_ns
         self.pacer.anchor(wall_ns, self.world.tick)

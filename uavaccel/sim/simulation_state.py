@@ -23,17 +23,21 @@ def of(simulation: Simulation) -> State:
     state |= under("running", simulation.running.get_state()) | under(
         "commands", simulation.commands.get_state()
     )
-    return state | under("world", simulation.world.get_state())
+    return (
+        state | under("frames", simulation.frames.get_state()) | under("world", simulation.world.get_state())
+    )
 
 
 def restore(simulation: Simulation, state: Mapping[str, Any]) -> None:
     """Back to what `of` gave. Raises UserError for the state of another scene or profile."""
     simulation.world.set_state(part("world", state))
-    simulation.pacer = Pacer(Fraction(str(state["clock_speed"])), simulation.profile.tick_ns)
+    simulation.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), simulation.profile.tick_ns
+    simulation.pacer = Pacer(simulation.executor.speed(simulation.clock_speed, tick_ns), tick_ns)
     simulation.pacer.anchor(*(int(number) for number in state["anchor"]))
     simulation.time0_ns, simulation.wall_ns = int(state["time0_ns"]), int(state["wall_ns"])
     simulation.paused, simulation.api_control = bool(state["paused"]), bool(state["api_control"])
     simulation.failure = str(state["failure"]) or None
     simulation.speed = Speed(*(int(number) for number in state["speed"]))
+    simulation.frames.set_state(part("frames", state), simulation.world.data)
     simulation.running.set_state(part("running", state))
     simulation.commands.set_state(part("commands", state))

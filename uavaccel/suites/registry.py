@@ -17,6 +17,7 @@ SUITES = {
     "dp1": "uavaccel.suites.dp1.suite:Dp1",
     "dp2": "uavaccel.suites.dp2.suite:Dp2",
     "train": "uavaccel.suites.training.suite:Training",
+    "ablation": "uavaccel.suites.ablation.suite:Ablation",
     "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
 }

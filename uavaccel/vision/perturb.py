@@ -41,6 +41,18 @@ class PerturbationSettings:
             raise ValueError("a share of perturbed images needs at least one kind")
 
 
+def share_at(clock_speed: float, share: float, half_excess: float | None) -> float:
+    """Share of the images that go wrong at a ClockSpeed: none at 1x or below, `share` in the limit.
+
+    A frame at ClockSpeed k has 1/k of the wall time for the same simulated time; half of `share` is reached where
+    k - 1 is `half_excess`. Without `half_excess` it is `share` at every ClockSpeed.
+    """
+    if half_excess is None:
+        return share
+    excess = max(clock_speed - 1.0, 0.0)
+    return share * excess / (excess + half_excess)
+
+
 def perturb_share(
     image: Image, settings: PerturbationSettings, index: int
 ) -> tuple[Image, PerturbationKind | None]:

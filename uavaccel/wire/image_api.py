@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,8 +58,12 @@ class ImageApi:
         if not self.render:
             raise ValueError("rendering is switched off")
         camera = self.simulation.world.camera(WIDTH, HEIGHT)
-        image: NDArray[Any] = getattr(camera, kind)(self.simulation.world.data)
+        image: NDArray[Any] = getattr(camera, kind)(self._shown())
         return image
+
+    def _shown(self) -> mujoco.MjData:
+        """What there is to see: the present, or what a modelled renderer shows."""
+        return self.simulation.frames.scene(self.simulation.world.data)
 
     def raw_image(self, kind: Any) -> dict[str, Any]:
         """Our own: one picture as bytes, with its shape and NumPy type."""

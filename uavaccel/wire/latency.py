@@ -24,6 +24,7 @@ from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.sim.saved import State, number_or_none, optional, part, under
+from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
@@ -40,7 +41,8 @@ CHANNELS = {
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 _BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
-SHIPPED = "latency.yaml"
+SHIPPED = {"native": "latency.yaml", "airsim": "latency_airsim.yaml"}  # by profile
+_NO_FAULTS = FaultConfig()
 
 # Behind a validator of one's own pydantic takes no list for a tuple.
 Numbers = Annotated[
@@ -76,14 +78,19 @@ class LatencyConfig(Config):
     "pause@10ms" holds after a wait of about 10 ms, "pause" after any other.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
-    server ends (it matters to the `airsim` profile's continue-for alone).
+    server ends (it matters to the `airsim` profile's continue-for alone). `platform` is what the simulator costs
+    beside its messages; `name` is for the reader of a run.
     """
 
+    name: str = ""
+    scale: Annotated[float, Field(ge=0.0)] = 1.0
+    """Requests and replies take so many times what their quantiles say."""
     quantiles: Numbers = QUANTILES
     request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     reply_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
     issue_us: Numbers = (0.0,) * len(QUANTILES)
     timer_us: Numbers = (0.0,) * len(QUANTILES)
+    platform: PlatformConfig = PlatformConfig()
 
     @field_validator("request_us", "reply_us")
     @classmethod
@@ -122,9 +129,16 @@ ZERO_LATENCY = LatencyConfig()
 
 
 @cache
-def shipped_latency() -> LatencyConfig:
-    """The model that ships, as measured by `uavaccel calibrate`."""
-    return read_latency(experiment(SHIPPED))
+def shipped_latency(profile: str = "native") -> LatencyConfig:
+    """The model that ships for a profile: measured by `uavaccel calibrate`, or AirSim's as experiments/fit_airsim.py
+    found it.
+    """
+    return read_latency(experiment(SHIPPED[profile]))
+
+
+def of_the_profile(fields: dict[str, Any]) -> LatencyConfig:
+    """The model that ships for the profile of a configuration's fields."""
+    return shipped_latency(fields.get("profile", "native"))
 
 
 def read_latency(path: Path) -> LatencyConfig:
@@ -139,7 +153,23 @@ class _LatencyFile(Config):
     latency: LatencyConfig
 
 
-def _from_file(value: Any) -> Any:
+def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
+    """The shipped model's block with the keys of `block` in it, however deep."""
+    result = dict(shipped)
+    for key, value in block.items():
+        below = result.get(key)
+        nested = isinstance(value, Mapping) and isinstance(below, Mapping)
+        result[key] = _completed(value, below) if nested else value  # type: ignore[arg-type]
+    return result
+
+
+def _from_block_or_file(value: Any, info: ValidationInfo) -> Any:
+    if (
+        isinstance(value, Mapping)
+        and "profile" in info.data
+        and not {"quantiles", "request_us", "reply_us"} & {*value}
+    ):
+        return _completed(value, of_the_profile(info.data).model_dump(mode="json"))
     if not isinstance(value, str | Path):
         return value
     try:
@@ -150,10 +180,12 @@ def _from_file(value: Any) -> Any:
 
 LatencyModel = Annotated[
     LatencyConfig,
-    BeforeValidator(_from_file, json_schema_input_type=LatencyConfig | str),
-    Field(default_factory=shipped_latency),
+    BeforeValidator(_from_block_or_file, json_schema_input_type=LatencyConfig | str),
+    Field(default_factory=of_the_profile),
 ]
-"""Type of a configuration's field `latency`: a block or a YAML file's name; the shipped model where none is given."""
+"""Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships
+for the `profile`, a field that has to stand before it. A block without `quantiles`, `request_us` and `reply_us`, as of
+`--set latency.platform.stall_us=40000`, changes the one that ships."""
 
 
 class Latency:
@@ -165,22 +197,41 @@ class Latency:
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
         self._drawn: dict[tuple[str, str], int] = {}
         self._wait_ns: int | None = None
+        self.stall_ns = round(config.platform.stall_us * 1e3)
 
     def waited(self, wait_ns: int) -> None:
         """A command or a continue-for took so long, and both ends may have slept."""
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
-        return self._draw("request", channel, self._config.request_us)
+        drawn_ns = self._draw("request", channel, self._config.request_us)
+        return round(drawn_ns * self._config.scale) + self._fault_ns("request")
 
     def reply_ns(self, channel: str) -> int:
-        return self._draw("reply", channel, self._config.reply_us)
+        drawn_ns = self._draw("reply", channel, self._config.reply_us)
+        return round(drawn_ns * self._config.scale) + self._fault_ns("reply")
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})
 
     def timer_ns(self) -> int:
         return self._draw("timer", "", {"": self._config.timer_us})
+
+    def frame_ns(self) -> int:
+        """How long a frame is waited for: even up to two periods."""
+        longest_us = 2 * self._config.platform.frame_ns() / 1e3
+        return self._draw("frame", "", {"": tuple(longest_us * share for share in self._config.quantiles)})
+
+    def _fault_ns(self, direction: str) -> int:
+        """How long a fault of the connection holds up the next message of a direction."""
+        faults, key = self._config.platform.faults, ("fault", direction)
+        if faults == _NO_FAULTS:
+            return 0
+        if key not in self._streams:
+            drawn = self._drawn.setdefault(key, 0)
+            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}", drawn))
+        self._drawn[key] += 1
+        return next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
         if self._config is ZERO_LATENCY:  # which flights by the million draw from
@@ -200,12 +251,17 @@ class Latency:
         if not any(table):
             while True:
                 yield 0
-        key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
-        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
-        generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]  # a number takes one step
+        generator = self._generator(name, drawn)
         while True:
             uniform = generator.random(_BLOCK)
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
+
+    def _generator(self, name: str, drawn: int) -> np.random.Generator:
+        """A generator of its own by the name, `drawn` numbers on: a number takes one step."""
+        key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
+        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+        generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]
+        return generator
 
     def get_state(self) -> State:
         """Where the draws stand, and what they are drawn from."""

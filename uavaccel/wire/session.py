@@ -15,7 +15,7 @@ import numpy as np
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.saved import State
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -125,8 +125,9 @@ class VirtualSession:
     """The simulation in this process, under a simulated wall clock; `latency` zero is `lockstep`."""
 
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
-        self._world = World(scene, PROFILES[profile])
-        self._latency = latency
+        self._scene, self._profile, self._latency = scene, profile, latency
+        self._worlds: dict[Profile, World] = {}
+        self._world(1.0)
 
     def start_game(
         self,
@@ -138,9 +139,23 @@ class VirtualSession:
         client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
         return _start(client, clock_speed, lane, height_m)
 
+    def _world(self, clock_speed: float) -> World:
+        """The world for a ClockSpeed: one for all, unless the latency model's platform says otherwise."""
+        profile = self._latency.platform.profile(self._profile, clock_speed)
+        if profile not in self._worlds:
+            self._worlds[profile] = World(self._scene, profile)
+        return self._worlds[profile]
+
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
-        simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
+        platform = self._latency.platform
+        simulation = Simulation(
+            self._world(clock_speed),
+            clock_speed,
+            timer_lateness_ns=latency.timer_ns,
+            executor=platform.executor(),
+            frames=platform.new_frames(latency.frame_ns),
+        )
         self._transport = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
         transport: Any = self._transport
         self._client = Client(transport, clock_speed)
@@ -167,7 +182,8 @@ class VirtualSession:
         return client
 
     def close(self) -> None:
-        self._world.close()
+        for world in self._worlds.values():
+            world.close()
 
     def __enter__(self) -> Self:
         return self

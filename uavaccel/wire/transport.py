@@ -194,11 +194,12 @@ class VirtualTransport:
         self._api = api
         self._latency = latency
         self._handled_ns = clock.now_ns()
+        self._unanswered: Call | None = None  # the last command sent without waiting
 
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
-        arrival = self.clock.now_ns() + self._latency.request_ns(call.channel)
+        arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())
         self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
         self._run_to(self._handled_ns)
         try:
@@ -210,7 +211,11 @@ class VirtualTransport:
             call.deferred = value
         else:
             call.value = value
-            call.reply_wall_ns = self._handled_ns + self._latency.reply_ns(call.channel)
+            ready_ns = self._handled_ns
+            if call.channel == "image":
+                ready_ns = self._api.simulation.frames.drawn(ready_ns)
+            call.reply_wall_ns = ready_ns + self._latency.reply_ns(call.channel)
+        self._unanswered = None if blocking else call
         if not blocking:
             self.clock.charge(self._latency.issue_ns())
         return call
@@ -228,6 +233,19 @@ class VirtualTransport:
 
     def close(self) -> None:
         pass
+
+    def _let_through_ns(self) -> int:
+        """When Nagle's algorithm lets a request go that follows an unanswered command, on a modelled client's socket.
+
+        The answer, or else the server's delayed acknowledgement, which `stall_us` stands for, lets it through.
+        """
+        call, stall_ns = self._unanswered, self._latency.stall_ns
+        if not stall_ns or call is None:
+            return 0
+        acknowledged_ns = call.handled_ns + stall_ns
+        if call.deferred is None or (answered_ns := call.deferred.due_wall_ns) is None:
+            return acknowledged_ns
+        return min(acknowledged_ns, answered_ns)
 
     def _run_until_due(self, call: Call, deferred: DeferredReply, deadline_ns: int | None) -> bool:
         simulation = self._api.simulation

@@ -47,6 +47,8 @@ class PerturbationConfig(Config):
 
     share: Share = 0.0
     """Of the images that are received, those asked for again included."""
+    half_excess: Annotated[float, Field(gt=0.0)] | None = None
+    """ClockSpeed above 1 at which half the share is reached: a renderer with less time; none: the same at all."""
     kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
 
 
@@ -67,6 +69,8 @@ class Dp2Config(FlightExperiment):
     guard: GuardConfig = GuardConfig()
     perturbation: PerturbationConfig = PerturbationConfig()
     """Of the games alone; what they are compared with stays clean."""
+    auto_exposure: bool = False
+    """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     """v2e's parameters of the DVS by which the report looks at the images."""
     sensor_seed: Annotated[int, Field(ge=0)] = 0

@@ -15,7 +15,8 @@ from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
-from uavaccel.vision.perturb import PerturbationSettings
+from uavaccel.vision.exposure import AutoExposure
+from uavaccel.vision.perturb import PerturbationSettings, share_at
 from uavaccel.wire.session import Session
 
 SCENE = "lane"
@@ -36,7 +37,11 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
     camera = CameraClient(
-        client, _picture(config, case), config.guard.settings(), _perturbation(config, case)
+        client,
+        _picture(config, case),
+        config.guard.settings(),
+        _perturbation(config, case),
+        AutoExposure() if config.auto_exposure else None,
     )
     flight = fly_path(config, case, camera)
     speed, recording = client.speed(), client.recording()
@@ -110,8 +115,9 @@ def _picture(config: Dp2Config, case: Case) -> str:
 def _perturbation(config: Dp2Config, case: Case) -> PerturbationSettings | None:
     if case.role != "game" or config.perturbation.share == 0:
         return None
-    seed = int(case.seed(config.seed).generate_state(1)[0])
-    return PerturbationSettings(config.perturbation.share, config.perturbation.kinds, seed)
+    seed, model = int(case.seed(config.seed).generate_state(1)[0]), config.perturbation
+    share = share_at(case.clock_speed, model.share, model.half_excess)
+    return PerturbationSettings(share, model.kinds, seed)
 
 
 def _north_m(flight: Flight) -> float:

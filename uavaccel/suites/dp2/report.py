@@ -113,7 +113,8 @@ def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) 
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
     if summary["perturbed_share"]:
         warnings.append(
-            f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way; "
+            f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way"
+            f"{', fewer where the ClockSpeed is low' if config['perturbation'].get('half_excess') else ''}; "
             "those of the runs at 1x that they are compared with were not."
         )
     if not drawing_known and any(row["timing"] == "virtual" for row in rows):

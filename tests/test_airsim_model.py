@@ -1,0 +1,262 @@
+"""The modelled AirSim to the nanosecond: ticks that cost wall time, frames, stalled requests, a link that fails."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.simulating import NORTH, answer, go_to, position, simulate, world_of
+from uavaccel.clock import VirtualClock
+from uavaccel.commands import COMMANDS
+from uavaccel.config import validate
+from uavaccel.errors import UserError
+from uavaccel.sim.executor import Executor
+from uavaccel.sim.frames import Frames
+from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.sim.simulation import Simulation
+from uavaccel.wire.api import Api
+from uavaccel.wire.client import Client
+from uavaccel.wire.latency import QUANTILES, Latency, LatencyConfig
+from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
+from uavaccel.wire.transport import VirtualTransport
+
+US, MS = 1_000, 1_000_000
+
+
+def always(microseconds: float) -> tuple[float, ...]:
+    return (microseconds,) * len(QUANTILES)
+
+
+def new_client(clock_speed: float, **platform: Any) -> Client:
+    """A game of the profile `airsim` in which a call takes 1 ms there and 1 ms back."""
+    call = {"call": always(1000.0)}
+    config = LatencyConfig(request_us=call, reply_us=call, platform=PlatformConfig(**platform))
+    draws = Latency(config, np.random.SeedSequence(0))
+    world_of(AIRSIM).reset()
+    simulation = Simulation(
+        world_of(AIRSIM),
+        clock_speed,
+        executor=config.platform.executor(),
+        frames=config.platform.new_frames(draws.frame_ns),
+    )
+    client = Client(VirtualTransport(Api(simulation), VirtualClock(), draws, exclusive=True))
+    client.start_game(clock_speed)
+    return client
+
+
+# --- ticks --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("asked", "integer", "cost_us", "speed"),
+    [
+        (5, False, 48, Fraction(5)),  # 600 us a tick: the cost does not show
+        (100, False, 48, Fraction(125, 2)),  # 3 ms in 48 us
+        (100, False, 0, Fraction(100)),
+        (2.9, True, 0, Fraction(2)),  # static_cast<long long>
+        (0.5, True, 0, Fraction(1, 2)),  # below 1 AirSim shortens the step instead
+        (90.5, True, 50, Fraction(60)),
+    ],
+)
+def test_the_speed_saturates_where_a_tick_takes_its_cost(
+    asked: float, integer: bool, cost_us: int, speed: Fraction
+) -> None:
+    assert Executor(cost_us * US, integer).speed(Fraction(str(asked)), AIRSIM.tick_ns) == speed
+
+
+def test_lost_time_is_never_made_good() -> None:
+    simulation = simulate(100.0, AIRSIM, executor=Executor(48 * US))
+    simulation.advance_to(480 * US - 1)
+    assert simulation.world.tick == 9
+    simulation.advance_to(480 * US)
+    assert simulation.world.tick == 10, "at 100x it would be 16"
+    assert simulation.clock_speed == 100, "as it was asked for"
+
+
+def test_a_continue_for_asks_for_wall_time_at_the_speed_that_was_asked_for() -> None:
+    """So one at 100x brings 62.5x of it, and TCSC goes on with the difference."""
+    simulation = simulate(100.0, AIRSIM, executor=Executor(48 * US))
+    simulation.pause(0)
+    start_ns = simulation.time_ns
+    reply = simulation.continue_for(900 * MS, 0)
+    due_ns = simulation.next_event_wall_ns()
+    assert due_ns == 9 * MS
+    simulation.advance_to(due_ns)
+    assert answer(reply).time_ns - start_ns == 9 * MS // (48 * US) * AIRSIM.tick_ns
+
+
+def test_a_change_of_speed_keeps_what_a_tick_costs() -> None:
+    simulation = simulate(1.0, AIRSIM, executor=Executor(60 * US))
+    simulation.set_clock_speed(100.0, 0)
+    assert go_to(simulation, 10) == 600 * US
+
+
+# --- the client's connection --------------------------------------------------------------------------------
+
+
+def test_a_request_behind_an_unanswered_command_is_held_for_the_acknowledgement() -> None:
+    """TCSC at 1x: the command is handled at 1 ms, so its continue-for at 41; it flies 504 ms, and a reply is 1 ms."""
+    walls = []
+    for stall_us in (0.0, 40_000.0):
+        client = new_client(1.0, stall_us=stall_us)
+        COMMANDS["tcsc"].begin(client)
+        client.kinematics()
+        start_ns = client.now_ns()
+        client.move_async(NORTH, 0.5)
+        client.continue_for(504 * MS)
+        walls.append(client.now_ns() - start_ns)
+    assert walls == [(1 + 504 + 1) * MS, (1 + 40 + 504 + 1) * MS]
+
+
+def test_an_answer_lets_the_held_request_through() -> None:
+    """The command of 20 ms at 10x ends after 2.1 ms of wall time; what was sent behind it goes then, not at 40 ms."""
+    client = new_client(10.0, stall_us=40_000.0)
+    client.run()
+    start_ns = client.now_ns()
+    future = client.move_async(NORTH, 0.02)
+    client.join(future)
+    client.call("ping")
+    assert client.now_ns() - start_ns < 8 * MS
+
+
+def test_adsc_is_not_stalled() -> None:
+    walls = []
+    for stall_us in (0.0, 40_000.0):
+        client = new_client(10.0, stall_us=stall_us)
+        COMMANDS["adsc"].begin(client)
+        start_ns = client.now_ns()
+        list(COMMANDS["adsc"].fly(client, NORTH, 0.1, 0.1))
+        walls.append(client.now_ns() - start_ns)
+    assert walls[0] == walls[1]
+
+
+def test_faults_come_with_their_shares_and_their_delays() -> None:
+    faults = FaultConfig(dropped=0.01, stalled=0.04, late=0.15, late_us=7000.0)
+    stream = delays_ns(faults, np.random.default_rng(1))
+    delays = np.array([next(stream) for _ in range(40_000)])
+    shares = {delay: float(np.mean(delays == delay * MS)) for delay in (200, 40, 7, 0)}
+    assert sum(shares.values()) == 1
+    assert shares == pytest.approx({200: 0.01, 40: 0.04, 7: 0.15, 0: 0.80}, abs=0.01)
+
+
+def test_every_message_is_delayed_by_a_fault_that_always_comes() -> None:
+    client = new_client(1.0, faults={"late": 1.0, "late_us": 3000.0})
+    start_ns = client.now_ns()
+    client.call("ping")
+    assert client.now_ns() - start_ns == (1 + 3 + 1 + 3) * MS
+
+
+@pytest.mark.parametrize("bad", [{"tick_us": -1.0}, {"faults": {"late": 1.5}}, {"frames": {"rate": 60.0}}])
+def test_a_platform_that_cannot_be_is_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(UserError):
+        validate(PlatformConfig, bad, "platform")
+
+
+# --- frames -------------------------------------------------------------------------------------------------
+
+
+def test_the_game_ticks_on_multiples_of_the_period_after_a_moment_up_to_another() -> None:
+    frames = Frames(16 * MS, stale_pose=True)
+    assert list(frames.ticks(0, 48 * MS)) == [16 * MS, 32 * MS, 48 * MS]
+    assert list(frames.ticks(16 * MS, 31 * MS)) == []
+    assert list(Frames(16 * MS).ticks(0, 48 * MS)) == []
+    assert list(Frames(stale_pose=True).ticks(0, 48 * MS)) == []
+
+
+def test_an_image_and_a_continue_for_wait_for_their_frames_paused() -> None:
+    """The request 1 ms, the frame, the reply 1 ms; and no simulated time passes meanwhile."""
+    client = new_client(10.0, frames={"hz": 62.5, "after_continue": True})
+    waits = iter([5 * MS, 11 * MS])
+    client.transport._api.simulation.frames.wait_ns = lambda: next(waits)  # type: ignore[attr-defined]
+    client.pause()
+    start, start_ns = client.kinematics(), client.now_ns()
+    state = client.continue_for(30 * MS)
+    assert state.time_ns - start.time_ns == 30 * MS
+    assert client.now_ns() - start_ns == (1 + 3 + 5 + 1) * MS
+    client.transport.wait(client.transport.send("uavaccelImage", ("none",), blocking=True))
+    assert client.now_ns() - start_ns == (1 + 3 + 5 + 1 + 1 + 11 + 1) * MS
+    assert client.call("uavaccelState")[0] == state.time_ns
+
+
+def test_waits_for_a_frame_are_even_up_to_two_periods() -> None:
+    config = LatencyConfig(platform=PlatformConfig.model_validate({"frames": {"hz": 50.0}}))
+    draws = Latency(config, np.random.SeedSequence(3))
+    waits_ms = np.array([draws.frame_ns() for _ in range(20_000)]) / MS
+    assert np.quantile(waits_ms, [0.0, 0.25, 0.5, 0.75, 1.0]) == pytest.approx([0, 10, 20, 30, 40], abs=0.6)
+
+
+def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
+    """At 10x with a frame every 16 ms, paused at 40: what was flown by 32, not the 80 simulated ms since."""
+    world = world_of(AIRSIM)
+    simulation = simulate(10.0, AIRSIM, frames=Frames(16 * MS, stale_pose=True))
+    simulation.fly_velocity(NORTH, 2.0, 0)
+    assert simulation.frames.scene(world.data) is world.data, "before the first frame there is the start"
+    simulation.advance_to(40 * MS)
+    simulation.pause(40 * MS)
+    paused = position(simulation)
+    again = simulate(10.0, AIRSIM)
+    again.fly_velocity(NORTH, 2.0, 0)
+    again.advance_to(32 * MS)
+    shown = simulation.frames.scene(world.data).qpos.copy()
+    assert np.array_equal(shown, world.data.qpos), "the world, which both flew, stands at the last frame now"
+    assert not np.array_equal(paused, position(again))
+
+
+def test_a_new_game_has_shown_nothing_yet() -> None:
+    simulation = simulate(10.0, NATIVE, frames=Frames(16 * MS, stale_pose=True))
+    simulation.advance_to(20 * MS)
+    assert simulation.frames.scene(simulation.world.data) is not simulation.world.data
+    simulation.reset(20 * MS)
+    assert simulation.frames.scene(simulation.world.data) is simulation.world.data
+
+
+# --- variants for ablations -----------------------------------------------------------------------------------------
+
+
+def test_the_platform_leaves_the_profiles_as_they_are() -> None:
+    assert PlatformConfig().profile("airsim", 50.0) is AIRSIM
+    assert PlatformConfig(scalable_clock=True).profile("native", 50.0) is NATIVE
+
+
+def test_the_scalable_clock_stretches_the_step_and_keeps_the_wall_period() -> None:
+    """At 5x a step of 15 ms: the 20 ms loop falls on 30, the timeout beyond 60 on 75, the recorder on 60."""
+    profile = PlatformConfig(scalable_clock=True).profile("airsim", 5.0)
+    tick_ms = profile.tick_ns / MS
+    assert tick_ms == 15
+    loops = (profile.goal_period_ticks, profile.hover_after_ticks, profile.recorder_ticks)
+    assert [loop * tick_ms for loop in loops] == [30, 75, 60]
+    assert PlatformConfig(scalable_clock=True).profile("airsim", 0.5) is AIRSIM
+
+
+def test_another_goal_timeout() -> None:
+    profile = PlatformConfig(goal_timeout_s=1.0).profile("airsim", 5.0)
+    assert profile.hover_after_ticks == 334, "the first of the 3 ms beyond 1 s"
+    assert (profile.tick_ns, profile.goal_period_ticks) == (AIRSIM.tick_ns, AIRSIM.goal_period_ticks)
+
+
+def test_exact_pauses_end_on_the_tick_and_wait_for_all_of_them() -> None:
+    """Ticks that cost 48 us each: 100 of them take 4.8 ms, where a wall timer at 100x would ring after 3."""
+    profile = PlatformConfig(exact_pauses=True).profile("airsim", 100.0)
+    simulation = Simulation(world_of(profile), 100.0, executor=Executor(48 * US))
+    simulation.reset(0)
+    simulation.pause(0)
+    start_ns = simulation.time_ns
+    reply = simulation.continue_for(300 * MS, 0)
+    assert simulation.next_event_wall_ns() == 4800 * US
+    simulation.advance_to(5 * MS)
+    assert answer(reply).time_ns - start_ns == 300 * MS
+    assert reply.due_wall_ns == 4800 * US
+
+
+def test_a_scaled_model_scales_requests_and_replies() -> None:
+    call = {"call": always(1000.0)}
+    config = LatencyConfig(request_us=call, reply_us=call, issue_us=always(50.0), scale=2.5)
+    draws = Latency(config, np.random.SeedSequence(0))
+    assert [draws.request_ns("state"), draws.reply_ns("state"), draws.issue_ns()] == [
+        2_500_000,
+        2_500_000,
+        50_000,
+    ]

@@ -1,0 +1,149 @@
+"""An ablation's report: accuracy and speed-up of each command and ClockSpeed under every variant."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from uavaccel.draw.document import Paragraph, Picture, Table
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.variants import VariantCurve, draw_variants
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1.figures import source_line
+from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.summary import summary_of
+from uavaccel.suites.pages import finished_rows, write_pages
+
+GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
+HEADER = (
+    "variant",
+    "command",
+    "ClockSpeed",
+    "games",
+    "STLC median [q25, q75]",
+    "RMSE median, m",
+    "effective speed-up",
+    "gaps beyond the goal timeout",
+)
+
+Entry = Mapping[str, Any]
+
+
+def write_report(run: RunDirectory) -> dict[str, Any]:
+    """Write summary.json, figures/ablation.png, report.md and report.html; returns the summary."""
+    config = run.config()
+    rows = finished_rows(run, "ablation")
+    entries: list[dict[str, Any]] = []
+    for variant in config["variants"]:
+        own = [row for row in rows if row["variant"] == variant["name"]]
+        if own:
+            scores = score_cells(cells_of(own), lambda row: run.load_arrays(str(row["arrays"])))
+            entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
+    summary = {"suite": "ablation", "title": config["title"], "seed": config["seed"], "entries": entries}
+    run.write_json("summary.json", summary)
+    path = run.file("figures/ablation.png")
+    source = source_line(rows)
+    draw_variants(curves(entries, config["times_clock_speed"]), config["axis"], config["title"], path, source)
+    picture = Picture(path, f"{config['title']}. {_READING} Source: {source}.")
+    write_pages(run, config["title"], [Table(HEADER, table(summary)), Paragraph(_READING), picture])
+    return summary
+
+
+def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]) -> list[dict[str, Any]]:
+    """An entry a command and ClockSpeed: games of all T_moves and rounds pooled, games without latency left out.
+
+    The speed-up is the mean over the T_moves of the most rounds, as the paper averages it.
+    """
+    pooled: dict[tuple[str, float], list[CellScores]] = defaultdict(list)
+    for score in scores:
+        if score.cell.key.timing != "lockstep":
+            pooled[score.cell.key.command, score.cell.key.clock_speed].append(score)
+    entries = []
+    for (command, clock_speed), members in pooled.items():
+        stlc = np.concatenate([member.stlc for member in members])
+        rmse_m = np.concatenate([member.position_rmse_m for member in members])
+        gap_s = np.concatenate([member.command_gap_s for member in members])
+        most = max(member.cell.key.rounds for member in members)
+        speedups = [
+            cell["effective_speedup"]
+            for cell in cells
+            if (cell["command"], cell["clock_speed"], cell["rounds"]) == (command, clock_speed, most)
+            and cell["timing"] != "lockstep"
+        ]
+        known = stlc[np.isfinite(stlc)]
+        entries.append(
+            {
+                "variant": variant,
+                "command": command,
+                "clock_speed": clock_speed,
+                "games": len(stlc),
+                "failed_games": sum(member.cell.failed for member in members),
+                "stlc_quartiles": [float(q) for q in np.quantile(known, (0.25, 0.5, 0.75))]
+                if known.size
+                else None,
+                "position_rmse_m_median": float(np.nanmedian(rmse_m)) if known.size else None,
+                "effective_speedup": float(np.mean(speedups)) if None not in speedups and speedups else None,
+                "share_beyond_goal_timeout": float(np.mean(gap_s > GOAL_TIMEOUT_S + 1e-9))
+                if gap_s.size
+                else None,
+            }
+        )
+    return entries
+
+
+def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """One row of text an entry, below `HEADER`; what cannot be known is "-"."""
+    return [_line(entry) for entry in summary["entries"]]
+
+
+def _line(entry: Entry) -> tuple[str, ...]:
+    quartiles = entry["stlc_quartiles"]
+    failed = f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
+    return (
+        entry["variant"],
+        command_name(entry["command"]),
+        clock_label(entry["clock_speed"]),
+        f"{entry['games']}{failed}",
+        "-" if quartiles is None else f"{quartiles[1]:.3f} [{quartiles[0]:.3f}, {quartiles[2]:.3f}]",
+        _number(entry["position_rmse_m_median"], ".3f"),
+        _number(entry["effective_speedup"], ".2f"),
+        _number(entry["share_beyond_goal_timeout"], ".0%"),
+    )
+
+
+def _number(value: float | None, spec: str) -> str:
+    return "-" if value is None else format(value, spec)
+
+
+def curves(entries: Sequence[Entry], times_clock_speed: bool) -> list[VariantCurve]:
+    """A curve a command and ClockSpeed; a value without anything to compare with is NaN."""
+    grouped: dict[tuple[str, float], list[Entry]] = defaultdict(list)
+    for entry in entries:
+        grouped[entry["command"], entry["clock_speed"]].append(entry)
+    return [
+        VariantCurve(
+            command,
+            clock_speed,
+            [_place(entry["variant"], clock_speed if times_clock_speed else 1.0) for entry in own],
+            np.array([(entry["stlc_quartiles"] or [np.nan] * 3)[1] for entry in own], float),
+            np.array([entry["position_rmse_m_median"] for entry in own], float),
+            np.array([entry["effective_speedup"] for entry in own], float),
+        )
+        for (command, clock_speed), own in sorted(grouped.items())
+    ]
+
+
+def _place(name: str, factor: float) -> float | str:
+    try:
+        return float(name) * factor
+    except ValueError:
+        return name
+
+
+_READING = (
+    "STLC and position error against ADSC at 1x under the same variant: medians over games, T_moves and rounds pooled; "
+    "effective speed-up: its mean over the T_moves of the most rounds."
+)

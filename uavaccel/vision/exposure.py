@@ -1,0 +1,39 @@
+"""A MODEL of a game engine's auto-exposure, which the paper switched off: a gain that follows the brightness, slowly.
+
+Unreal moves the exposure by so many stops per second of its own running time, at most (its defaults: 3 up, 1 down),
+and does not while the game is paused. That time is wall time: at ClockSpeed k the exposure has 1/k of it for the same
+flight, so that images of one place are of other brightness.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.units import NS_PER_S
+from uavaccel.vision.guard import mean_brightness
+
+UP_STOPS_PER_S, DOWN_STOPS_PER_S = 3.0, 1.0
+LARGEST_STOPS = 2.0  # either way; this project's choice
+
+Image = NDArray[np.uint8]
+
+
+class AutoExposure:
+    """Brings every image's mean brightness towards that of the first, which is taken as it is."""
+
+    def __init__(self) -> None:
+        self.stops = 0.0
+        self._target: float | None = None
+        self._last_ns = 0
+
+    def expose(self, image: Image, ran_ns: int) -> Image:
+        """A copy as it is exposed after `ran_ns` of running wall time in all; gray or colour."""
+        brightness = max(mean_brightness(image), 1.0)
+        if self._target is None:
+            self._target, self._last_ns = brightness, ran_ns
+        wanted = float(np.clip(np.log2(self._target / brightness), -LARGEST_STOPS, LARGEST_STOPS))
+        passed_s = (ran_ns - self._last_ns) / NS_PER_S
+        step = np.clip(wanted - self.stops, -DOWN_STOPS_PER_S * passed_s, UP_STOPS_PER_S * passed_s)
+        self.stops, self._last_ns = self.stops + float(step), ran_ns
+        return np.clip(np.round(image * 2.0**self.stops), 0, 255).astype(np.uint8)

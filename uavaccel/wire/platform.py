@@ -1,0 +1,92 @@
+"""What a modelled simulator costs beside its messages: its ticks, its frames, and a connection that fails at times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from uavaccel.config import Config
+from uavaccel.sim.executor import Executor
+from uavaccel.sim.frames import Frames
+from uavaccel.sim.profile import AIRSIM, PROFILES, Profile, airsim_variant
+from uavaccel.units import seconds_to_ns
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
+STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algorithm waits for (TCP_DELACK_MIN)
+
+
+class FrameConfig(Config):
+    """Unreal's frames (uavaccel.sim.frames)."""
+
+    hz: NotNegative = 0.0
+    """Frames per wall second; 0: an image is drawn when it is asked for."""
+    stale_pose: bool = False
+    """Images show the pose of the last frame before a pause."""
+    after_continue: bool = False
+    """The reply of a continue-for waits for a frame too, the simulation paused."""
+
+
+class FaultConfig(Config):
+    """Shares of the messages, of either direction, that something happens to."""
+
+    dropped: Share = 0.0
+    """Lost, and sent again after TCP's least time-out of 200 ms."""
+    stalled: Share = 0.0
+    """Held until a delayed acknowledgement comes, 40 ms."""
+    late: Share = 0.0
+    """Late by `late_us`."""
+    late_us: NotNegative = 10_000.0
+
+
+class PlatformConfig(Config):
+    """The simulator's side of a modelled wall clock; by default it costs nothing and nothing fails."""
+
+    tick_us: NotNegative = 0.0
+    """Wall time that a tick of physics takes; the speed saturates at the tick over it."""
+    integer_clock_speed: bool = False
+    """A ClockSpeed above 1 loses its fraction, as in AirSim."""
+    stall_us: NotNegative = 0.0
+    """A request that follows a command whose reply is still out waits so long after it: 40 000 for AirSim's client
+    on a connection with Nagle's algorithm and delayed acknowledgements."""
+    frames: FrameConfig = FrameConfig()
+    faults: FaultConfig = FaultConfig()
+    goal_timeout_s: Annotated[float, Field(gt=0.0)] = 0.06
+    """AirSim's api_goal_timeout: simulated time without a new goal after which position hold sets in."""
+    exact_pauses: bool = False
+    """A continue-for ends on the tick, as in the profile `native`, and not with a wall timer."""
+    scalable_clock: bool = False
+    """AirSim's ScalableClock: the period of the loop stays 3 ms of wall time, and the step grows with ClockSpeed."""
+
+    def profile(self, name: str, clock_speed: float) -> Profile:
+        """The profile of that name, changed as the keys above say; `native` stays as it is."""
+        if name != AIRSIM.name:
+            return PROFILES[name]
+        step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
+        return airsim_variant(
+            round(AIRSIM.tick_ns * step), seconds_to_ns(self.goal_timeout_s), self.exact_pauses
+        )
+
+    def executor(self) -> Executor:
+        return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
+
+    def frame_ns(self) -> int:
+        """From one frame to the next; 0 without frames."""
+        return round(1e9 / self.frames.hz) if self.frames.hz else 0
+
+    def new_frames(self, wait_ns: Callable[[], int]) -> Frames:
+        """The frames of one game; `wait_ns` draws how long one is waited for."""
+        return Frames(self.frame_ns(), self.frames.stale_pose, self.frames.after_continue, wait_ns)
+
+
+def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:
+    """What each message of a stream is held up by; one number is drawn for each."""
+    at = np.cumsum([faults.dropped, faults.stalled, faults.late])
+    delays = (RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0)
+    while True:
+        for uniform in generator.random(1024):
+            yield delays[int(np.searchsorted(at, uniform, side="right"))]
