@@ -37,7 +37,8 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None and out.exists():
         raise UserError(f"{out}: exists; take another --out")
-    benches = {**BENCHES, "batch": partial(bench_batch, batch)}
+    benches: dict[str, Callable[[], Iterator[bench.Measurement]]] = {**BENCHES}
+    benches["batch"] = partial(bench_batch, batch)
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")
     measurements = [each for name in names or BENCHES for each in _printed(_where_possible(benches[name]))]
