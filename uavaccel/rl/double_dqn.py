@@ -12,6 +12,7 @@ import math
 import random
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -112,8 +113,8 @@ class DoubleDQN:
     def _learn_beside_the_flight(self) -> None:
         """An equal part of what is owed, so that all is done before the next is."""
         if self.owed and not self._parts:
-            self._parts.extend(self._parts_of_a_step() * self.owed)
             self._flights_left = self._rhythm[0]
+            self._parts.extend(self._parts_of(self.owed, self._flights_left))
         if not self._parts:
             return
         with self.stopwatch.phase("learning"):
@@ -123,9 +124,12 @@ class DoubleDQN:
         if not self._parts:
             self.owed = 0
 
-    def _parts_of_a_step(self) -> list[Callable[[], None]]:
-        """A gradient step in parts of about equal length; on a GPU, where it is short, in one."""
-        return [self._step_at_once] if self.device.type == "cuda" else [self._draw, self._step]
+    def _parts_of(self, steps: int, flights: int) -> list[Callable[[], None]]:
+        """Gradient steps in parts of about equal length; on a GPU, where they are short, many to a part."""
+        if self.device.type != "cuda":
+            return [self._draw, self._step] * steps
+        shares = np.diff(np.linspace(0, steps, flights + 1).round().astype(int))
+        return [partial(self._steps_at_once, int(share)) for share in shares]
 
     def _draw(self) -> None:
         self._batch = self._half_mirrored(self._sample())
@@ -137,24 +141,31 @@ class DoubleDQN:
         self._descend(self._batch, self._targets)
         self.updates += 1
 
-    def _step_at_once(self) -> None:
-        batch = self._sample()
+    def _steps_at_once(self, steps: int) -> None:
+        """Batches drawn together, and a launch of the recorded step for each: the GPU is never waited for."""
+        if not steps:
+            return
+        size = self.options.batch_size
+        together = self._sample(steps)
+        batches = [Batch(*(each[at : at + size] for each in together)) for at in range(0, steps * size, size)]
         if self._graph is None:
             for group in self.policy.optimizer.param_groups:
                 group["lr"] = th.tensor(self.rate, device=self.device)
-            self._graph = GraphedStep(self._learn_from, self.policy, self.policy.optimizer, batch)
+            self._graph = GraphedStep(self._learn_from, self.policy, self.policy.optimizer, batches[0])
         for group in self.policy.optimizer.param_groups:
             group["lr"].fill_(self.rate)
-        self._graph(batch)
-        self.updates += 1
+        for batch in batches:
+            self._graph(batch)
+        self.updates += steps
 
     def _learn_from(self, batch: Batch) -> None:
         batch = self._half_mirrored(batch)
         self._descend(batch, self.targets(batch))
 
-    def _sample(self) -> Batch:
+    def _sample(self, batches: int = 1) -> Batch:
         options = self.options
-        return self.buffer.sample(options.batch_size, options.n_steps, options.gamma, self.random)
+        count = batches * options.batch_size
+        return self.buffer.sample(count, options.n_steps, options.gamma, self.random)
 
     def _descend(self, batch: Batch, targets: th.Tensor) -> None:
         """One step of the online network towards the targets, by Huber's loss."""
