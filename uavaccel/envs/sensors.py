@@ -14,8 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.saved import State
-from uavaccel.vision.dvs import PRESETS, DvsState, init_state, step
+from uavaccel.sim.saved import State, part, under
+from uavaccel.vision.dvs import (
+    NO_EVENTS,
+    PRESETS,
+    Counts,
+    DvsState,
+    Events,
+    init_state,
+    step,
+    step_with_events,
+)
 from uavaccel.vision.dvs import make_sensor as make_dvs
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 from uavaccel.wire.image_api import HEIGHT, WIDTH
@@ -68,36 +77,69 @@ class Memoryless(ABC):
 
 
 class EventCamera:
-    """Event images (1, 36, 64): 128 plus ON minus OFF events, summed over 4 x 4 pixels."""
+    """Event images (1, 36, 64): 128 plus ON minus OFF events since the last sample, summed over 4 x 4 pixels.
+
+    `listed` keeps the events one by one too.
+    """
 
     picture: str | None = "gray"
 
-    def __init__(self, preset: str, seed: int) -> None:
+    def __init__(self, preset: str, seed: int, listed: bool = False) -> None:
         self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
         self._dvs = make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed)
         self._state: DvsState | None = None
         self._start_ns = 0
+        self._between: dict[
+            str, Any
+        ] = {}  # counts of frames since the last sample, and when the last one was
+        self._events: list[Events] | None = [] if listed else None
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """Nothing has moved: no events."""
         self._start_ns = state.time_ns
         self._state = init_state(self._dvs, image)
+        self._between = {}
+        self.take_events()
         return self.blank
 
+    def look(self, time_ns: int, image: NDArray[Any]) -> None:
+        """A frame between two samples: its events belong to the next one."""
+        on, off = self._count(time_ns, image)
+        if self._between:
+            on, off = on + self._between["on"], off + self._between["off"]
+        self._between = {"on": on, "off": off, "time_ns": time_ns}
+
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+        if self._between.get("time_ns") != state.time_ns:  # else it has been seen
+            self.look(state.time_ns, image)
+        counts, self._between = self._between, {}
+        return dvs_observation(counts["on"], counts["off"])[None]
+
+    def _count(self, time_ns: int, image: NDArray[Any]) -> tuple[Counts, Counts]:
         assert self._state is not None
-        time_s = (state.time_ns - self._start_ns) * 1e-9
-        self._state, on, off = step(self._dvs, self._state, image, time_s)
-        return dvs_observation(on, off)[None]
+        time_s = (time_ns - self._start_ns) * 1e-9
+        if self._events is None:
+            self._state, on, off = step(self._dvs, self._state, image, time_s)
+        else:
+            self._state, on, off, events = step_with_events(self._dvs, self._state, image, time_s)
+            self._events.append(events)
+        return on, off
+
+    def take_events(self) -> Events:
+        """The events (n, 4) since this was last called, or the start: rows (t in s, x, y, p), as step_with_events."""
+        taken, self._events = self._events, None if self._events is None else []
+        return np.concatenate([NO_EVENTS, *(taken or [])])
 
     def get_state(self) -> State:
         assert self._state is not None
-        return {"start_ns": self._start_ns, **self._state._asdict()}
+        return {"start_ns": self._start_ns, **self._state._asdict()} | under("between", self._between)
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        fields = from_arrays(state)
+        self._between = from_arrays(part("between", state))
+        fields = from_arrays({name: value for name, value in state.items() if "." not in name})
         self._start_ns = fields.pop("start_ns")
         self._state = DvsState(**fields)
+        self.take_events()
 
 
 class ColourCamera(Memoryless):
@@ -139,13 +181,18 @@ class StateSensor(Memoryless):
 
 
 def make_sensor(
-    observation: str, features: Features, blank: NDArray[np.float32], dvs_preset: str, dvs_seed: int
+    observation: str,
+    features: Features,
+    blank: NDArray[np.float32],
+    dvs_preset: str,
+    dvs_seed: int,
+    listed: bool,
 ) -> Sensor:
     """The sensor of an observation's name; `features`, and a frame of them without content, are for "state"."""
     if observation == "state":
         return StateSensor(features, blank)
     if observation == "dvs":
-        return EventCamera(dvs_preset, dvs_seed)
+        return EventCamera(dvs_preset, dvs_seed, listed)
     cameras: dict[str, type[ColourCamera | DepthCamera]] = {"colour": ColourCamera, "depth": DepthCamera}
     return cameras[observation]()
 

@@ -6,11 +6,12 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
@@ -18,10 +19,11 @@ from uavaccel.resources import asset
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.saved import State
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.world import World
+from uavaccel.sim.watched import WatchedWorld
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
+from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
@@ -125,7 +127,7 @@ class VirtualSession:
     """The simulation in this process, under a simulated wall clock; `latency` zero is `lockstep`."""
 
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
-        self._world = World(scene, PROFILES[profile])
+        self._world = WatchedWorld(scene, PROFILES[profile])
         self._latency = latency
 
     def start_game(
@@ -140,11 +142,23 @@ class VirtualSession:
 
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
-        simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
-        self._transport = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
+        self._simulation = Simulation(self._world, clock_speed, timer_lateness_ns=latency.timer_ns)
+        self._transport = VirtualTransport(Api(self._simulation), clock, latency, exclusive=True)
         transport: Any = self._transport
         self._client = Client(transport, clock_speed)
         return self._client
+
+    def watch(self, every_ticks: int, look: Callable[[int, Callable[[], NDArray[np.uint8]]], None]) -> None:
+        """Call `look` at every so many ticks, with the simulated time in ns and what takes a gray picture.
+
+        It happens inside the simulation: no message is sent, and no wall time passes.
+        """
+        world = self._world
+
+        def picture() -> NDArray[np.uint8]:
+            return world.camera(WIDTH, HEIGHT).gray(world.data)
+
+        world.watch(every_ticks, lambda tick: look(self._simulation.time_of(tick), picture))
 
     def get_state(self) -> State:
         """The present game, all of it: world, simulation, wall clock, latencies, what the client knows.
