@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple
 from typing import Any, ClassVar
@@ -178,13 +178,14 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
                 self._session.watch(task.dvs_ticks, self._look)
         return self._session
 
-    def _look(self, time_ns: int, picture: Callable[[], NDArray[np.uint8]]) -> None:
+    def _look(self, time_ns: int) -> None:
         """What the event camera sees between two samples: it is on board, so no message and no wall time are due."""
         assert isinstance(self._sensor, EventCamera)
+        assert isinstance(self._session, VirtualSession)
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self._sensor.look(time_ns, picture())
+            self._sensor.look(time_ns, self._session.picture())
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""

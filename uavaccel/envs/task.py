@@ -109,16 +109,7 @@ class Task(Config):
     @property
     def dvs_ticks(self) -> int | None:
         """Ticks from one of the event camera's frames to the next; None: it sees the samples alone."""
-        if self.dvs_rate_hz is None:
-            return None
-        physics_hz = NS_PER_S / PROFILES[self.profile].tick_ns
-        ticks = round(physics_hz / self.dvs_rate_hz)
-        if not ticks > 0 or abs(ticks * self.dvs_rate_hz / physics_hz - 1) > RATE_ROUNDING:
-            raise ValueError(
-                f"dvs_rate_hz = {self.dvs_rate_hz:g} does not divide the {physics_hz:g} steps per second of the "
-                f"physics; {physics_hz / max(ticks, 1):g} does"
-            )
-        return ticks
+        return None if self.dvs_rate_hz is None else rate_ticks(self.dvs_rate_hz, self.profile)
 
     @property
     def t_th_ns(self) -> int:
@@ -197,6 +188,18 @@ class Task(Config):
     def info(self, now: Moment) -> dict[str, Any]:
         """What infos have beside the keys of `FlightEnv`."""
         return dict(now.course)
+
+
+def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:
+    """Ticks between two frames. Raises ValueError where the rate does not divide that of the physics."""
+    physics_hz = NS_PER_S / PROFILES[profile].tick_ns
+    ticks = round(physics_hz / rate_hz)
+    if not ticks > 0 or abs(ticks * rate_hz / physics_hz - 1) > RATE_ROUNDING:
+        raise ValueError(
+            f"{key} = {rate_hz:g} does not divide the {physics_hz:g} steps per second of the physics; "
+            f"{physics_hz / max(ticks, 1):g} does"
+        )
+    return ticks
 
 
 def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.float64]) -> list[Any]:

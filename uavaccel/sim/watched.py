@@ -13,20 +13,27 @@ class WatchedWorld(World):
 
     def __init__(self, scene: str, profile: Profile) -> None:
         super().__init__(scene, profile)
-        self._every_ticks = 0
-        self._look: Callable[[int], None]
+        self._watchers: list[tuple[int, Callable[[int], None]]] = []
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> None:
         """Call `look` with the tick whenever it has reached a multiple of `every_ticks`, from now on."""
-        self._every_ticks, self._look = every_ticks, look
+        self._watchers.append((every_ticks, look))
 
     def advance(self, ticks: int) -> int:
         """As World.advance; a vehicle that is frozen where it touched something is not looked at any more."""
-        every, flown = self._every_ticks, 0
-        while every and flown < ticks and not (self.freeze_on_collision and self.collision_tick is not None):
-            due = min(ticks - flown, every - self.tick % every)
-            flown += super().advance(due)
-            if self.tick % every:
-                break  # as far as was asked, or up to a touch
-            self._look(self.tick)
+        flown = 0
+        while self._watchers and flown < ticks and not self._frozen:
+            to_next = min(every - self.tick % every for every, _ in self._watchers)
+            due = min(ticks - flown, to_next)
+            chunk = super().advance(due)
+            flown += chunk
+            if chunk < due:  # a touch
+                break
+            for every, look in self._watchers:
+                if self.tick % every == 0:
+                    look(self.tick)
         return flown or super().advance(ticks)
+
+    @property
+    def _frozen(self) -> bool:
+        return self.freeze_on_collision and self.collision_tick is not None

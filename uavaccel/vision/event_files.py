@@ -37,10 +37,15 @@ def columns_of(events: NDArray[np.floating]) -> EventColumns:
     return EventColumns(np.sort(t_us), pixels[:, 0], pixels[:, 1], (rows[:, 3] > 0).astype(np.uint8))
 
 
-def write_events(path: Path, events: NDArray[np.floating], height: int, width: int) -> Path:
-    """Write rows (n, 4) into a file whose suffix says how: .h5 or .npz. Raises UserError for another one."""
+def check_format(path: Path) -> None:
+    """Raise UserError for a file that `write_events` does not write."""
     if path.suffix not in FORMATS:
         raise UserError(f"{path}: events are written as {' or '.join(FORMATS)}")
+
+
+def write_events(path: Path, events: NDArray[np.floating], height: int, width: int) -> Path:
+    """Write rows (n, 4) into a file whose suffix says how: .h5 or .npz. Raises UserError for another one."""
+    check_format(path)
     columns = columns_of(events)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".npz":

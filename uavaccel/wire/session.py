@@ -148,17 +148,16 @@ class VirtualSession:
         self._client = Client(transport, clock_speed)
         return self._client
 
-    def watch(self, every_ticks: int, look: Callable[[int, Callable[[], NDArray[np.uint8]]], None]) -> None:
-        """Call `look` at every so many ticks, with the simulated time in ns and what takes a gray picture.
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> None:
+        """Call `look` at every so many ticks, with the simulated time in ns.
 
         It happens inside the simulation: no message is sent, and no wall time passes.
         """
-        world = self._world
+        self._world.watch(every_ticks, lambda tick: look(self._simulation.time_of(tick)))
 
-        def picture() -> NDArray[np.uint8]:
-            return world.camera(WIDTH, HEIGHT).gray(world.data)
-
-        world.watch(every_ticks, lambda tick: look(self._simulation.time_of(tick), picture))
+    def picture(self) -> NDArray[np.uint8]:
+        """The front camera's gray picture of this tick, taken inside the simulation too."""
+        return self._world.camera(WIDTH, HEIGHT).gray(self._world.data)
 
     def get_state(self) -> State:
         """The present game, all of it: world, simulation, wall clock, latencies, what the client knows.
