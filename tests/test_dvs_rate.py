@@ -160,3 +160,17 @@ def test_milliseconds_point_at_the_first_event_then_or_later() -> None:
     for ms, index in enumerate(first_of_each_ms(t_us).tolist()):
         assert all(t < 1000 * ms for t in t_us[:index])
         assert all(t >= 1000 * ms for t in t_us[index:])
+
+
+def test_tonic_reads_them_as_dsec(tmp_path: Path) -> None:
+    """Where tonic, a public reader of event data sets, is installed."""
+    dsec = pytest.importorskip("tonic.datasets.dsec")
+    write_events(tmp_path / "lane" / "events_left" / "events.h5", EVENTS, 144, 256)
+    reader = dsec.DSEC.__new__(dsec.DSEC)  # whose constructor downloads
+    reader.location_on_system, reader.recording_selection = str(tmp_path), ["lane"]
+    reader.data_selection, reader.target_selection = ["events_left"], []
+    reader.transform = reader.target_transform = reader.transforms = None
+    read = reader[0][0][0]
+    assert read["events_left"]["t"].tolist() == [500, 2000, 2000, 5000]
+    assert read["events_left"]["x"].tolist() == [3, 255, 0, 7]
+    assert read["ms_to_idx"].tolist() == [0, 1, 1, 3, 3, 3]

@@ -108,7 +108,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         """
         if not self.task.list_events or not isinstance(self._sensor, EventCamera):
             raise UserError("list_events must be true for a list of events")
-        return self._sensor.take_events()
+        return self._sensor.counter.take_events()
 
     def close(self) -> None:
         if self._session is not None:
@@ -185,7 +185,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self._sensor.look(time_ns, self._session.picture())
+            self._sensor.counter.look(self._session.picture(), time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""

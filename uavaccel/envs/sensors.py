@@ -14,18 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.saved import State, part, under
-from uavaccel.vision.dvs import (
-    NO_EVENTS,
-    PRESETS,
-    Counts,
-    DvsState,
-    Events,
-    init_state,
-    step,
-    step_with_events,
-)
+from uavaccel.sim.saved import State
+from uavaccel.vision.dvs import PRESETS
 from uavaccel.vision.dvs import make_sensor as make_dvs
+from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 from uavaccel.wire.image_api import HEIGHT, WIDTH
 
@@ -86,60 +78,24 @@ class EventCamera:
 
     def __init__(self, preset: str, seed: int, listed: bool = False) -> None:
         self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
-        self._dvs = make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed)
-        self._state: DvsState | None = None
-        self._start_ns = 0
-        self._between: dict[
-            str, Any
-        ] = {}  # counts of frames since the last sample, and when the last one was
-        self._events: list[Events] | None = [] if listed else None
+        self.counter = EventCounter(make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed), listed)
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """Nothing has moved: no events."""
-        self._start_ns = state.time_ns
-        self._state = init_state(self._dvs, image)
-        self._between = {}
-        self.take_events()
+        self.counter.start(image, state.time_ns)
         return self.blank
 
-    def look(self, time_ns: int, image: NDArray[Any]) -> None:
-        """A frame between two samples: its events belong to the next one."""
-        on, off = self._count(time_ns, image)
-        if self._between:
-            on, off = on + self._between["on"], off + self._between["off"]
-        self._between = {"on": on, "off": off, "time_ns": time_ns}
-
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
-        if self._between.get("time_ns") != state.time_ns:  # else it has been seen
-            self.look(state.time_ns, image)
-        counts, self._between = self._between, {}
-        return dvs_observation(counts["on"], counts["off"])[None]
-
-    def _count(self, time_ns: int, image: NDArray[Any]) -> tuple[Counts, Counts]:
-        assert self._state is not None
-        time_s = (time_ns - self._start_ns) * 1e-9
-        if self._events is None:
-            self._state, on, off = step(self._dvs, self._state, image, time_s)
-        else:
-            self._state, on, off, events = step_with_events(self._dvs, self._state, image, time_s)
-            self._events.append(events)
-        return on, off
-
-    def take_events(self) -> Events:
-        """The events (n, 4) since this was last called, or the start: rows (t in s, x, y, p), as step_with_events."""
-        taken, self._events = self._events, None if self._events is None else []
-        return np.concatenate([NO_EVENTS, *(taken or [])])
+        """The events since the last sample, this picture's and those of pictures that `counter` saw between."""
+        if not self.counter.has_seen(state.time_ns):
+            self.counter.look(image, state.time_ns)
+        return dvs_observation(*self.counter.take())[None]
 
     def get_state(self) -> State:
-        assert self._state is not None
-        return {"start_ns": self._start_ns, **self._state._asdict()} | under("between", self._between)
+        return self.counter.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        self._between = from_arrays(part("between", state))
-        fields = from_arrays({name: value for name, value in state.items() if "." not in name})
-        self._start_ns = fields.pop("start_ns")
-        self._state = DvsState(**fields)
-        self.take_events()
+        self.counter.set_state(from_arrays(state))
 
 
 class ColourCamera(Memoryless):

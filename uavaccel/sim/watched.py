@@ -15,9 +15,11 @@ class WatchedWorld(World):
         super().__init__(scene, profile)
         self._watchers: list[tuple[int, Callable[[int], None]]] = []
 
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> None:
-        """Call `look` with the tick whenever it has reached a multiple of `every_ticks`, from now on."""
-        self._watchers.append((every_ticks, look))
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        """Call `look` with the tick whenever it has reached a multiple of `every_ticks`; what is returned ends that."""
+        watcher = every_ticks, look
+        self._watchers.append(watcher)
+        return lambda: self._watchers.remove(watcher)
 
     def advance(self, ticks: int) -> int:
         """As World.advance; a vehicle that is frozen where it touched something is not looked at any more."""

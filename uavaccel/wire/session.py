@@ -148,12 +148,12 @@ class VirtualSession:
         self._client = Client(transport, clock_speed)
         return self._client
 
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> None:
-        """Call `look` at every so many ticks, with the simulated time in ns.
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        """Call `look` at every so many ticks, with the simulated time in ns; what is returned ends that.
 
         It happens inside the simulation: no message is sent, and no wall time passes.
         """
-        self._world.watch(every_ticks, lambda tick: look(self._simulation.time_of(tick)))
+        return self._world.watch(every_ticks, lambda tick: look(self._simulation.time_of(tick)))
 
     def picture(self) -> NDArray[np.uint8]:
         """The front camera's gray picture of this tick, taken inside the simulation too."""

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.task import rate_ticks
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_lane
+from uavaccel.vision.dvs import PRESETS, make_sensor
+from uavaccel.vision.event_counter import EventCounter
+from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.session import Session, VirtualSession
 
 
@@ -23,19 +25,20 @@ class WatchedLane(ObstacleLane):
     def __init__(self, rate_hz: float, **task: Any) -> None:
         super().__init__(**task)
         self._every_ticks = rate_ticks(rate_hz, self.task.profile, "--events-rate-hz")
-        self.events = EventCamera(self.task.dvs_preset, self.task.dvs_seed, listed=True)
+        sensor = make_sensor(PRESETS[self.task.dvs_preset], (HEIGHT, WIDTH), self.task.dvs_seed)
+        self.events = EventCounter(sensor, listed=True)
 
     def _opened(self) -> Session:
         opened = self._session is not None
         session = super()._opened()
         if not opened and isinstance(session, VirtualSession):
-            session.watch(self._every_ticks, lambda time_ns: self.events.look(time_ns, session.picture()))
+            session.watch(self._every_ticks, lambda time_ns: self.events.look(session.picture(), time_ns))
         return session
 
     def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
         super()._start_game(course, latencies)
         assert isinstance(self._session, VirtualSession)
-        self.events.reset(self._now.state, self._session.picture(), course)
+        self.events.start(self._session.picture(), self._now.state.time_ns)
 
 
 def lane_events(config: EvaluateConfig, lane: int, rate_hz: float) -> NDArray[np.float32]:
