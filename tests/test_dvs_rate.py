@@ -19,8 +19,14 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
+from uavaccel.suites.dp2.cases import cases as cases_of
+from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.dp2.flights import SCENE, fly_game
+from uavaccel.suites.dp2.scores import counts_of
+from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS, make_sensor
 from uavaccel.vision.event_files import first_of_each_ms, write_events
+from uavaccel.wire.session import open_session
 
 LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
 AHEAD = 2
@@ -174,3 +180,41 @@ def test_tonic_reads_them_as_dsec(tmp_path: Path) -> None:
     assert read["events_left"]["t"].tolist() == [500, 2000, 2000, 5000]
     assert read["events_left"]["x"].tolist() == [3, 255, 0, 7]
     assert read["ms_to_idx"].tolist() == [0, 1, 1, 3, 3, 3]
+
+
+def dp2_game(*overrides: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Row and arrays of a short path's game."""
+    mapping, source = read_mapping("dp2")
+    path = "path=[[1, 0], [0.5, 0.8]]"
+    config = resolve(Dp2Config, mapping, source, {"clock_speed": [5.0]}, [path, *overrides])
+    (case,) = (case for case in cases_of(config) if (case.role, case.command) == ("game", "adsc"))
+    with open_session("virtual", config.profile, SCENE, config.latency) as session:
+        return fly_game(config, case, session)
+
+
+@needs_opengl
+def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
+    """An ADSC game, whose samples come late: after a frame of the grid, and in between."""
+    row, arrays = dp2_game()
+    watched_row, watched = dp2_game("dvs_rate_hz=50")
+    assert watched_row == row
+    assert {*watched} - {*arrays} == {"dvs_on", "dvs_off"}
+    assert all(np.array_equal(watched[name], arrays[name]) for name in arrays)
+    on, off = counts_of(watched, "clean", 0)
+    assert on.shape == arrays["image"].shape
+    assert not on[0].any()
+    at_samples = counts_of(arrays, "clean", 0)
+    for fast, slow in zip((on, off), at_samples, strict=True):
+        assert fast.sum() > slow.sum()  # what comes and goes between two samples is seen too
+    # Whatever was seen between, the events add up to the change of log intensity, but for less than one more.
+    pixels = Pixels(arrays["image"][0])
+    risen, fallen = on.sum(axis=0) * pixels.positive, off.sum(axis=0) * pixels.negative
+    rest = Pixels.log(arrays["image"][-1]) - pixels.base - risen + fallen
+    assert (rest < pixels.positive + 1e-4).all()
+    assert (-rest < pixels.negative + 1e-4).all()
+
+
+def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
+    mapping, source = read_mapping("dp2")
+    with pytest.raises(UserError, match="dvs_rate_hz needs timing and reference_timing virtual or lockstep"):
+        resolve(Dp2Config, mapping, source, {"timing": "wall"}, ["dvs_rate_hz=100"])
