@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.bench.camera import frame_rates
 from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
@@ -21,6 +22,7 @@ from uavaccel.wire.session import WallSession
 PICTURES = 300
 LANE = 0
 T_SAMPLE_S = 0.33
+AHEAD = 2
 
 
 def bench_camera() -> Iterator[Measurement]:
@@ -64,6 +66,20 @@ def bench_dvs() -> Iterator[Measurement]:
         took.append(elapsed_s(count))
     note = f"median of {len(took)} frames of a planned flight; bound: the aim"
     yield Measurement("DVS, per frame", median(took) * 1e3, "ms", 0.6, note)
+
+
+def bench_event_camera() -> Iterator[Measurement]:
+    """What the event camera costs per simulated second, pictures and events, at the samples alone and faster."""
+    for rate_hz in (None, 100.0, 500.0):
+        environment = ObstacleLane(dvs_rate_hz=rate_hz)
+        environment.reset(seed=0, options={"lane": LANE})
+        environment.step(AHEAD)
+        took = [elapsed_s(lambda: environment.step(AHEAD)) for _ in range(3)]  # noqa: B023  called at once
+        environment.close()
+        name = "at the samples" if rate_hz is None else f"at {rate_hz:g} Hz"
+        yield Measurement(
+            f"event camera {name}", median(took) * 1e3, "ms/simulated s", note="flight included"
+        )
 
 
 def lane_frames() -> list[NDArray[np.uint8]]:

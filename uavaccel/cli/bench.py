@@ -17,13 +17,15 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.manifest import describe_run
 
-BENCHES: dict[str, Callable[[], Iterator[bench.Measurement]]] = {
+Bench = Callable[[], Iterator[bench.Measurement]]
+BENCHES: dict[str, Bench] = {
     "hot-loop": bench.bench_hot_loop,
     "tcsc": bench.bench_tcsc,
     "virtual": bench.bench_virtual,
     "camera": bench_images.bench_camera,
     "image": bench_images.bench_image,
     "dvs": bench_images.bench_dvs,
+    "event-camera": bench_images.bench_event_camera,
     "batch": bench_batch,
 }
 
@@ -37,8 +39,7 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None and out.exists():
         raise UserError(f"{out}: exists; take another --out")
-    benches: dict[str, Callable[[], Iterator[bench.Measurement]]] = {**BENCHES}
-    benches["batch"] = partial(bench_batch, batch)
+    benches: dict[str, Bench] = {**BENCHES, "batch": partial(bench_batch, batch)}
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")
     measurements = [each for name in names or BENCHES for each in _printed(_where_possible(benches[name]))]
@@ -54,7 +55,7 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
         )
 
 
-def _where_possible(work: Callable[[], Iterator[bench.Measurement]]) -> Iterator[bench.Measurement]:
+def _where_possible(work: Bench) -> Iterator[bench.Measurement]:
     """The measurements, or one line that says why this machine has none."""
     try:
         yield from work()

@@ -95,11 +95,21 @@ def view(
         str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest, or best.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
+    events: Annotated[
+        Path | None,
+        typer.Option(help="Instead, a file of the game's events: .h5 in DSEC's layout, or .npz."),
+    ] = None,
+    events_rate_hz: Annotated[
+        float, typer.Option(min=0.1, help="Frames per simulated second of the camera that sees them.")
+    ] = 100.0,
 ) -> None:
     """Show a game: an MP4 of camera, DVS and map side by side, and a contact sheet."""
-    from uavaccel.cli.view import view_game
+    from uavaccel.cli.view import view_events, view_game
 
-    view_game(source, case, out)
+    if events is not None:
+        view_events(source, case, events, events_rate_hz)
+    else:
+        view_game(source, case, out)
 
 
 @app.command()

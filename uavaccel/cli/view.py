@@ -7,16 +7,21 @@ from pathlib import Path
 
 from rich.console import Console
 
+from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
-from uavaccel.suites.evaluation.film import film_lane
+from uavaccel.suites.evaluation.events import lane_events
+from uavaccel.suites.evaluation.film import best_first, film_lane
 from uavaccel.suites.evaluation.flights import lane_case
 from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import suite_of
+from uavaccel.suites.suite import choose_row
+from uavaccel.vision.event_files import check_format, write_events
+from uavaccel.wire.image_api import HEIGHT, WIDTH
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -39,9 +44,33 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
     console.print(str(write_contact_sheet(film, folder / f"{name}.png")), markup=False)
 
 
+def view_events(source: str, case: str | None, events: Path, rate_hz: float) -> None:
+    """Write the events of a game, as `view_game` takes it, into the file `events` (.h5 or .npz); print their number.
+
+    Raises UserError for another kind of file, if there is no such game, or if `source` is not flown by a policy.
+    """
+    check_format(events)
+    if (policy_folder(source) / MANIFEST).is_file():
+        config, lane = _policy_game(source, case or lane_case(0))
+    else:
+        run = RunDirectory(source)
+        if run.config().get("suite") != "evaluate":
+            raise UserError(f"--events: {source} must be a policy or a run of evaluate")
+        row = choose_row(run, case, best_first(run.rows()))
+        config, lane = validate(EvaluateConfig, run.config(), str(run.path)), int(row["lane"])
+    seen = lane_events(config, lane, rate_hz)
+    write_events(events, seen, HEIGHT, WIDTH)
+    console.print(f"{events}: {len(seen)} events of lane {lane} at {rate_hz:g} frames/s", markup=False)
+
+
 def _fly_policy(policy: str, case: str) -> tuple[str, Film]:
+    config, lane = _policy_game(policy, case)
+    return case, film_lane(config, lane)
+
+
+def _policy_game(policy: str, case: str) -> tuple[EvaluateConfig, int]:
     lane = re.fullmatch(r"lane-(\d+)", case)
     if not lane:
         raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
     mapping = completed({"agent": policy, "task": {"timing": "lockstep"}})
-    return case, film_lane(resolve(EvaluateConfig, mapping, "view"), int(lane[1]))
+    return resolve(EvaluateConfig, mapping, "view"), int(lane[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import astuple
 from typing import Any, ClassVar
 
@@ -17,6 +18,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.config import validate
 from uavaccel.envs.flight_client import FlightClient, FlightSample
+from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment, Task
 from uavaccel.errors import UserError
@@ -99,6 +101,15 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             return None
         return self._client.client.image("colour")
 
+    def take_events(self) -> NDArray[np.float32]:
+        """Events (n, 4) of the running game since this was last called: rows (t in s, x, y, p = 1 or -1).
+
+        Raises UserError unless the task has `list_events`.
+        """
+        if not self.task.list_events or not isinstance(self._sensor, EventCamera):
+            raise UserError("list_events must be true for a list of events")
+        return self._sensor.counter.take_events()
+
     def close(self) -> None:
         if self._session is not None:
             self._session.close()
@@ -163,7 +174,18 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             gl.check_process()
         if self._session is None:
             self._session = open_session(task.timing, task.profile, task.scene, task.latency)
+            if isinstance(self._session, VirtualSession) and task.dvs_ticks and not task.blank_images:
+                self._session.watch(task.dvs_ticks, self._look)
         return self._session
+
+    def _look(self, time_ns: int) -> None:
+        """What the event camera sees between two samples: it is on board, so no message and no wall time are due."""
+        assert isinstance(self._sensor, EventCamera)
+        assert isinstance(self._session, VirtualSession)
+        with ExitStack() as phases:
+            for stopwatch in self._stopwatches:
+                phases.enter_context(stopwatch.aside("image_processing"))
+            self._sensor.counter.look(self._session.picture(), time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""

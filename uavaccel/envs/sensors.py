@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.saved import State
-from uavaccel.vision.dvs import PRESETS, DvsState, init_state, step
+from uavaccel.vision.dvs import PRESETS
 from uavaccel.vision.dvs import make_sensor as make_dvs
+from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 from uavaccel.wire.image_api import HEIGHT, WIDTH
 
@@ -68,36 +69,33 @@ class Memoryless(ABC):
 
 
 class EventCamera:
-    """Event images (1, 36, 64): 128 plus ON minus OFF events, summed over 4 x 4 pixels."""
+    """Event images (1, 36, 64): 128 plus ON minus OFF events since the last sample, summed over 4 x 4 pixels.
+
+    `listed` keeps the events one by one too.
+    """
 
     picture: str | None = "gray"
 
-    def __init__(self, preset: str, seed: int) -> None:
+    def __init__(self, preset: str, seed: int, listed: bool = False) -> None:
         self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
-        self._dvs = make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed)
-        self._state: DvsState | None = None
-        self._start_ns = 0
+        self.counter = EventCounter(make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed), listed)
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """Nothing has moved: no events."""
-        self._start_ns = state.time_ns
-        self._state = init_state(self._dvs, image)
+        self.counter.start(image, state.time_ns)
         return self.blank
 
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
-        assert self._state is not None
-        time_s = (state.time_ns - self._start_ns) * 1e-9
-        self._state, on, off = step(self._dvs, self._state, image, time_s)
-        return dvs_observation(on, off)[None]
+        """The events since the last sample, this picture's and those of pictures that `counter` saw between."""
+        if not self.counter.has_seen(state.time_ns):
+            self.counter.look(image, state.time_ns)
+        return dvs_observation(*self.counter.take())[None]
 
     def get_state(self) -> State:
-        assert self._state is not None
-        return {"start_ns": self._start_ns, **self._state._asdict()}
+        return self.counter.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        fields = from_arrays(state)
-        self._start_ns = fields.pop("start_ns")
-        self._state = DvsState(**fields)
+        self.counter.set_state(from_arrays(state))
 
 
 class ColourCamera(Memoryless):
@@ -139,13 +137,18 @@ class StateSensor(Memoryless):
 
 
 def make_sensor(
-    observation: str, features: Features, blank: NDArray[np.float32], dvs_preset: str, dvs_seed: int
+    observation: str,
+    features: Features,
+    blank: NDArray[np.float32],
+    dvs_preset: str,
+    dvs_seed: int,
+    listed: bool,
 ) -> Sensor:
     """The sensor of an observation's name; `features`, and a frame of them without content, are for "state"."""
     if observation == "state":
         return StateSensor(features, blank)
     if observation == "dvs":
-        return EventCamera(dvs_preset, dvs_seed)
+        return EventCamera(dvs_preset, dvs_seed, listed)
     cameras: dict[str, type[ColourCamera | DepthCamera]] = {"colour": ColourCamera, "depth": DepthCamera}
     return cameras[observation]()
 

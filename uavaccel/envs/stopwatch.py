@@ -36,6 +36,16 @@ class Stopwatch:
         finally:
             self.switch(None)
 
+    @contextmanager
+    def aside(self, phase: str) -> Iterator[None]:
+        """What passes inside belongs to `phase`, and afterwards to whatever it was before."""
+        before = self._phase
+        self.switch(phase)
+        try:
+            yield
+        finally:
+            self.switch(before)
+
     def add(self, phase: str, duration_s: float) -> None:
         """Time known from elsewhere."""
         self._spent_ns[phase] += round(duration_s * NS_PER_S)

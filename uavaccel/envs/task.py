@@ -20,13 +20,14 @@ from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
-from uavaccel.units import seconds_to_ns
+from uavaccel.units import NS_PER_S, seconds_to_ns
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Count = Annotated[int, Field(ge=1)]
 Course = Mapping[str, Any]
+RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
@@ -63,6 +64,11 @@ class Task(Config):
     dvs_seed: Annotated[int, Field(ge=0)] = 0
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
 
+    dvs_rate_hz: Positive | None = None
+    """Frames per simulated second that the event camera sees, up to every step of the physics; else one per sample."""
+    list_events: bool = False
+    """Whether the event camera keeps its events one by one, for `take_events`."""
+
     command: Literal["adsc", "tcsc"] = "tcsc"
     t_move_s: Positive = 0.2
     t_sample_s: Positive = 0.2
@@ -89,6 +95,22 @@ class Task(Config):
         check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
         return self
 
+    @model_validator(mode="after")
+    def _events_come_from_a_dvs(self) -> Self:
+        if self.dvs_rate_hz is None and not self.list_events:
+            return self
+        if self.observation != "dvs" or self.timing == "wall":
+            raise ValueError(
+                "dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep"
+            )
+        _ = self.dvs_ticks
+        return self
+
+    @property
+    def dvs_ticks(self) -> int | None:
+        """Ticks from one of the event camera's frames to the next; None: it sees the samples alone."""
+        return None if self.dvs_rate_hz is None else rate_ticks(self.dvs_rate_hz, self.profile)
+
     @property
     def t_th_ns(self) -> int:
         """T_th in simulated nanoseconds: 0 where continue-for is exact; else the latency times ClockSpeed.
@@ -110,7 +132,9 @@ class Task(Config):
     def sensor(self) -> Sensor:
         """What turns samples into frames."""
         blank = np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
-        return make_sensor(self.observation, self.features, blank, self.dvs_preset, self.dvs_seed)
+        return make_sensor(
+            self.observation, self.features, blank, self.dvs_preset, self.dvs_seed, self.list_events
+        )
 
     def observation_space(self) -> spaces.Box:
         """Of the frames of `history` commands, stacked along the first axis."""
@@ -164,6 +188,18 @@ class Task(Config):
     def info(self, now: Moment) -> dict[str, Any]:
         """What infos have beside the keys of `FlightEnv`."""
         return dict(now.course)
+
+
+def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:
+    """Ticks between two frames. Raises ValueError where the rate does not divide that of the physics."""
+    physics_hz = NS_PER_S / PROFILES[profile].tick_ns
+    ticks = round(physics_hz / rate_hz)
+    if not ticks > 0 or abs(ticks * rate_hz / physics_hz - 1) > RATE_ROUNDING:
+        raise ValueError(
+            f"{key} = {rate_hz:g} does not divide the {physics_hz:g} steps per second of the physics; "
+            f"{physics_hz / max(ticks, 1):g} does"
+        )
+    return ticks
 
 
 def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.float64]) -> list[Any]:

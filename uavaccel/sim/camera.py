@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import weakref
 from collections.abc import Callable
 from contextvars import ContextVar
@@ -34,6 +35,8 @@ from uavaccel.sim.view import (
     set_quality,
     to_metres,
 )
+
+_GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 
 
 class FrontCamera(Protocol):
@@ -88,8 +91,8 @@ class Camera:
         self.width, self.height = width, height
         self._view = View(model, width, height, camera, fov_deg)
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
-        self._pixels: Image = np.empty((height, width, 3), np.uint8)
-        self._depth: DepthImage = np.empty((height, width), np.float32)
+        self._pixels: Image = np.empty((height, width, 4), np.uint8)  # as the driver has them: read unchanged
+        self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
         self._ray_length = ray_lengths(width, height, self._view.half_width)
         self._open()
 
@@ -100,6 +103,7 @@ class Camera:
         self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._read_pixels = gl.pixel_reader()
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         _close_at_exit(self)
 
@@ -111,9 +115,10 @@ class Camera:
     def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
         """Red, green, blue; (height, width, 3) uint8."""
         self._draw(data)
-        picture = _target(self._pixels, out)
-        mujoco.mjr_readPixels(picture, None, self._rectangle, self._context)
-        return _turned_over(picture, out)
+        self._read_colours()
+        shape = (self.height, self.width, 3)
+        picture = _target(shape, self._pixels.dtype, out)
+        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB, dst=picture), out)
 
     def render_again(self, out: Image) -> None:
         """The scene of the last picture once more, upside down: the bare loop that ours is measured against."""
@@ -123,13 +128,13 @@ class Camera:
     def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
         """Luma of the colour picture (ITU-R BT.601, as OpenCV and v2e take it); (height, width) uint8."""
         self._draw(data)
-        mujoco.mjr_readPixels(self._pixels, None, self._rectangle, self._context)
-        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGB2GRAY), out)
+        self._read_colours()
+        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY), out)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
         """Metres along the optical axis (AirSim's DepthPlanar); `far_m` for the sky; (height, width) float32."""
         self._draw(data, as_ids=True)  # depth needs no lighting
-        picture = _target(self._depth, out)
+        picture = _target((self.height, self.width), np.dtype(np.float32), out)
         mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
         return to_metres(self.model, _turned_over(picture, out))
 
@@ -142,7 +147,7 @@ class Camera:
     def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
         """Id of the geom seen, -1 for the sky; (height, width) int32. Names: `object_names`."""
         self._draw(data, as_ids=True)
-        mujoco.mjr_readPixels(self._pixels, None, self._rectangle, self._context)
+        self._read_colours()
         return self._view.geoms(self._pixels[::-1], out)
 
     def object_names(self, geoms: GeomImage) -> list[str]:
@@ -156,6 +161,10 @@ class Camera:
         self._bind()
         scene = self._view.update(data, as_ids)
         mujoco.mjr_render(self._rectangle, scene, self._context)
+
+    def _read_colours(self) -> None:
+        """Red, green, blue, alpha, four bytes per pixel: leaving out the fourth takes the driver five times as long."""
+        self._read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
 
     def _bind(self) -> None:
         if self._gl is None:
@@ -190,10 +199,10 @@ def object_names(model: mujoco.MjModel, geoms: GeomImage) -> list[str]:
     return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
 
-def _target(like: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:
-    """Where to read a picture like that into: `out` itself, if OpenGL can write there, else a fresh array."""
-    fits = out is not None and out.flags.c_contiguous and (out.shape, out.dtype) == (like.shape, like.dtype)
-    return out if out is not None and fits else np.empty_like(like)
+def _target(shape: tuple[int, ...], dtype: np.dtype[Any], out: NDArray[Any] | None) -> NDArray[Any]:
+    """Where to read a picture of that form into: `out` itself, if OpenGL can write there, else a fresh array."""
+    fits = out is not None and out.flags.c_contiguous and (out.shape, out.dtype) == (shape, dtype)
+    return out if out is not None and fits else np.empty(shape, dtype)
 
 
 def _turned_over(picture: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:

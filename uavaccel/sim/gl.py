@@ -93,6 +93,15 @@ def sample_textures_fast(context: Any) -> None:
         GL.glTexParameteri(target, GL.GL_TEXTURE_MAG_FILTER, GL.GL_NEAREST)
 
 
+def pixel_reader() -> Any:
+    """glReadPixels of the present context's library, without PyOpenGL's checks, which take longer than the call."""
+    from OpenGL.platform import PLATFORM  # that of the first context, so not before there is one
+
+    read_pixels = PLATFORM.GL.glReadPixels
+    read_pixels.restype = None
+    return read_pixels
+
+
 def describe_renderer() -> GlRenderer:
     """The renderer that cameras of this process get. Raises UserError where there is none."""
     context, renderer = make_context(8, 8)

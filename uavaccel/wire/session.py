@@ -6,11 +6,12 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
@@ -18,10 +19,11 @@ from uavaccel.resources import asset
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.saved import State
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.world import World
+from uavaccel.sim.watched import WatchedWorld
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
+from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
@@ -126,7 +128,7 @@ class VirtualSession:
 
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
         self._scene, self._profile, self._latency = scene, profile, latency
-        self._worlds: dict[Profile, World] = {}
+        self._worlds: dict[Profile, WatchedWorld] = {}
         self._world(1.0)
 
     def start_game(
@@ -139,27 +141,41 @@ class VirtualSession:
         client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
         return _start(client, clock_speed, lane, height_m)
 
-    def _world(self, clock_speed: float) -> World:
+    def _world(self, clock_speed: float) -> WatchedWorld:
         """The world for a ClockSpeed: one for all, unless the latency model's platform says otherwise."""
         profile = self._latency.platform.profile(self._profile, clock_speed)
         if profile not in self._worlds:
-            self._worlds[profile] = World(self._scene, profile)
+            self._worlds[profile] = WatchedWorld(self._scene, profile)
         return self._worlds[profile]
 
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
         platform = self._latency.platform
-        simulation = Simulation(
+        self._simulation = Simulation(
             self._world(clock_speed),
             clock_speed,
             timer_lateness_ns=latency.timer_ns,
             executor=platform.executor(),
             frames=platform.new_frames(latency.frame_ns),
         )
-        self._transport = VirtualTransport(Api(simulation), clock, latency, exclusive=True)
+        self._transport = VirtualTransport(Api(self._simulation), clock, latency, exclusive=True)
         transport: Any = self._transport
         self._client = Client(transport, clock_speed)
         return self._client
+
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        """Call `look` at every so many ticks, with the simulated time in ns; what is returned ends that.
+
+        It happens inside the simulation: no message is sent, and no wall time passes.
+        """
+        simulation = self._simulation
+        world = self._world(float(simulation.clock_speed))
+        return world.watch(every_ticks, lambda tick: look(simulation.time_of(tick)))
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The front camera's gray picture of this tick, taken inside the simulation too."""
+        world = self._simulation.world
+        return world.camera(WIDTH, HEIGHT).gray(world.data)
 
     def get_state(self) -> State:
         """The present game, all of it: world, simulation, wall clock, latencies, what the client knows.

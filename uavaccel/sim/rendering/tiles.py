@@ -39,7 +39,10 @@ class Tiles:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         self._offsets = [ctypes.c_void_p(TILE_BYTES * place) for place in range(count)]
-        self._api, self._read_pixels = _opengl()
+        self._read_pixels = gl.pixel_reader()
+        from OpenGL import GL  # takes the platform of the first context, so not before there is one
+
+        self._api: Any = GL
         self._sheets = [int(sheet) for sheet in self._api.glGenBuffers(SHEETS)]
         self._bound = -1
         for sheet in range(SHEETS):
@@ -78,13 +81,3 @@ class Tiles:
         self._api.glDeleteBuffers(SHEETS, self._sheets)
         self._context.free()  # before its GL context, or it would free what is another's
         gl.release(self._gl)
-
-
-def _opengl() -> tuple[Any, Any]:
-    """PyOpenGL's functions, and glReadPixels without its checks, which take longer than the call."""
-    from OpenGL import GL  # takes the platform of the first context, so not before there is one
-    from OpenGL.platform import PLATFORM
-
-    read_pixels = PLATFORM.GL.glReadPixels
-    read_pixels.restype = None
-    return GL, read_pixels

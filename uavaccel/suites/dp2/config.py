@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.commands.slices import check_times
 from uavaccel.config import Config
+from uavaccel.envs.task import rate_ticks
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.profile import PROFILES
@@ -73,6 +74,8 @@ class Dp2Config(FlightExperiment):
     """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     """v2e's parameters of the DVS by which the report looks at the images."""
+    dvs_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
+    """Frames per simulated second that the DVS sees while a game is flown; else it looks at the images afterwards."""
     sensor_seed: Annotated[int, Field(ge=0)] = 0
     """Of the DVS's thresholds: one sensor for all ClockSpeeds."""
 
@@ -97,6 +100,14 @@ class Dp2Config(FlightExperiment):
     def _times_fit(self) -> Dp2Config:
         profile = PROFILES[self.profile]
         check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
+        return self
+
+    @model_validator(mode="after")
+    def _dvs_is_on_board(self) -> Dp2Config:
+        if self.dvs_rate_hz is not None:
+            rate_ticks(self.dvs_rate_hz, self.profile)
+            if "wall" in (self.timing, self.reference_timing):
+                raise ValueError("dvs_rate_hz needs timing and reference_timing virtual or lockstep")
         return self
 
     def wire_lane(self) -> Any:

@@ -11,7 +11,7 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.scores import count_events
+from uavaccel.suites.dp2.scores import counts_of
 from uavaccel.suites.suite import Row, choose_row
 
 
@@ -22,7 +22,7 @@ def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
     arrays = run.load_arrays(row["arrays"])
     if "image" not in arrays:
         raise UserError(f"{run.path / row['arrays']}: holds no images")
-    on, off = count_events(arrays["image"], arrays["time_s"], config.dvs_preset, config.sensor_seed)
+    on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
     images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
     film = Film(_title(row), arrays["time_s"], images, on, off, arrays["position_m"], config.layout())
     return row["case"], film

@@ -12,6 +12,7 @@ from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.suites.dp2.cases import Case, velocities
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
+from uavaccel.suites.dp2.event_client import Arrays, EventClient
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
@@ -36,14 +37,20 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
     """Fly one game: its row, without the arrays' path, and its arrays (see `arrays_of`)."""
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
-    camera = CameraClient(
+    asked = (
         client,
         _picture(config, case),
         config.guard.settings(),
         _perturbation(config, case),
         AutoExposure() if config.auto_exposure else None,
     )
-    flight = fly_path(config, case, camera)
+    counts: Arrays = {}
+    if config.dvs_rate_hz is None:
+        flight = fly_path(config, case, CameraClient(*asked))
+    else:
+        with EventClient(*asked, config=config, session=session) as camera:
+            flight = fly_path(config, case, camera)
+            counts = camera.arrays(len(flight.samples))
     speed, recording = client.speed(), client.recording()
     start = flight.samples[0].state
     row = {
@@ -70,7 +77,7 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
         "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
         "error": speed["failure"],
     }
-    return row, arrays_of(flight, velocities(config)[: flight.commands])
+    return row, arrays_of(flight, velocities(config)[: flight.commands]) | counts
 
 
 def fly_path(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:

@@ -20,7 +20,7 @@ from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 Row = Mapping[str, Any]
 Arrays = Mapping[str, np.ndarray]
 LoadArrays = Callable[[Row], Arrays]
-Counts = NDArray[np.uint16]
+Counts = NDArray[np.unsignedinteger]
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,16 @@ def count_events(
     return on, off
 
 
+def counts_of(arrays: Arrays, preset: str, sensor_seed: int) -> tuple[Counts, Counts]:
+    """What the DVS saw in a game: counted while it was flown, or else in the images that were kept."""
+    if "dvs_on" in arrays:
+        return arrays["dvs_on"], arrays["dvs_off"]
+    return count_events(arrays["image"], arrays["time_s"], preset, sensor_seed)
+
+
 def see(row: Row, arrays: Arrays, preset: str, sensor_seed: int) -> SeenFlight:
     """A game with its DVS counts."""
-    on, off = count_events(arrays["image"], arrays["time_s"], preset, sensor_seed)
+    on, off = counts_of(arrays, preset, sensor_seed)
     return SeenFlight(row, arrays["sample_index"], arrays["position_m"], arrays["orientation_wxyz"], on, off)
 
 

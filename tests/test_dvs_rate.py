@@ -1,0 +1,220 @@
+"""An event camera faster than the samples, beside the pixel model written down once more; and files of its events."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.opengl import needs_opengl
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.files import read_arrays
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.lane.layout import draw_layout, lane_seed
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+from uavaccel.suites.dp2.cases import cases as cases_of
+from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.dp2.flights import SCENE, fly_game
+from uavaccel.suites.dp2.scores import counts_of
+from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.vision.dvs import PRESETS, make_sensor
+from uavaccel.vision.event_files import first_of_each_ms, write_events
+from uavaccel.wire.session import open_session
+
+LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
+AHEAD = 2
+
+
+def frames_of(commands: int) -> list[NDArray[np.uint8]]:
+    """The gray picture of every tick of a flight straight ahead, taken without the environment."""
+    world = World("lane", NATIVE)
+    world.set_lane(draw_layout(lane_seed("training", LANE)))
+    world.reset((0.0, 0.0, -2.0))
+    camera, frames = world.camera(256, 144), []
+    frames.append(camera.gray(world.data))
+    for _ in range(commands):
+        world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0), -2.0))
+        world.hold_from(None)
+        for _ in range(SAMPLES[-1]):
+            world.advance(1)
+            frames.append(camera.gray(world.data))
+    world.close()
+    return frames
+
+
+class Pixels:
+    """v2e's clean pixel in plain numpy: lin-log intensity, whole thresholds of change, the remainder kept."""
+
+    def __init__(self, first: NDArray[np.uint8]) -> None:
+        sensor = make_sensor(PRESETS["clean"], first.shape, 0)
+        self.positive, self.negative = sensor.positive_threshold, sensor.negative_threshold
+        self.base = self.log(first)
+
+    @staticmethod
+    def log(frame: NDArray[np.uint8]) -> NDArray[np.float32]:
+        x = frame.astype(np.float64)
+        return np.round(np.where(x <= 20, x * np.log(20) / 20, np.log(np.maximum(x, 1))), 8).astype(
+            np.float32
+        )
+
+    def count(self, frame: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
+        change = self.log(frame) - self.base
+        on = np.floor_divide(np.maximum(change, 0), self.positive).astype(np.int32)
+        off = np.floor_divide(np.maximum(-change, 0), self.negative).astype(np.int32)
+        self.base = self.base + on.astype(np.float32) * self.positive - off.astype(np.float32) * self.negative
+        return on, off
+
+
+@needs_opengl
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate_hz", "commands"), [(500.0, 1), (100.0, 2)])
+def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int) -> None:
+    every = round(1 / (rate_hz * TICK_S))
+    frames = frames_of(commands)
+    pixels, images = Pixels(frames[0]), []
+    events_on = events_off = 0
+    for first in range(0, commands * SAMPLES[-1], SAMPLES[-1]):
+        start = first
+        for end in (first + sample for sample in SAMPLES):
+            counts = [pixels.count(frames[tick]) for tick in range(start + every, end + 1, every)]
+            on, off = (np.sum(each, axis=0) for each in zip(*counts, strict=True))
+            events_on, events_off = events_on + on.sum(), events_off + off.sum()
+            blocks = (on - off).reshape(36, 4, 64, 4).sum(axis=(1, 3))
+            images.append(np.clip(128 + blocks, 0, 255))
+            start = end
+    with closing(ObstacleLane(dvs_rate_hz=rate_hz, list_events=True)) as environment:
+        environment.reset(seed=0, options={"lane": LANE})
+        seen = np.concatenate([environment.step(AHEAD)[0] for _ in range(commands)])
+        events = environment.take_events()
+        assert not len(environment.take_events())
+    np.testing.assert_array_equal(seen, images)
+    assert ((events[:, 3] > 0).sum(), (events[:, 3] < 0).sum()) == (events_on, events_off)
+    assert (np.diff(events[:, 0]) >= 0).all()
+    assert len(np.unique(events[:, 0])) > 100 * commands  # stamps of their own, not those of the samples
+    assert 0.0 < events[0, 0] <= events[-1, 0] <= commands
+
+
+@needs_opengl
+def test_the_flight_is_the_same_and_goes_on_from_a_saved_game() -> None:
+    with closing(ObstacleLane()) as slow, closing(ObstacleLane(dvs_rate_hz=50.0)) as fast:
+        infos = []
+        for environment in (slow, fast):
+            environment.reset(seed=1)
+            infos.append([environment.step(action)[4] for action in (2, 0, 4)])
+        assert infos[0] == infos[1]
+        state = fast.get_state()
+        after = fast.step(3)[0]
+        with closing(ObstacleLane(dvs_rate_hz=50.0)) as other:
+            other.set_state(state)
+            assert other.step(3)[0].tobytes() == after.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"dvs_rate_hz": 300.0}, "does not divide the 500 steps per second of the physics; 250 does"),
+        ({"dvs_rate_hz": 900.0}, "500 does"),
+        ({"dvs_rate_hz": 100.0, "observation": "depth"}, "need observation dvs"),
+        ({"dvs_rate_hz": 100.0, "timing": "wall"}, "timing virtual or lockstep"),
+        ({"dvs_rate_hz": -1.0}, "dvs_rate_hz"),
+    ],
+)
+def test_what_rate_cannot_be(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        ObstacleLane(**keys)
+
+
+def test_events_are_listed_only_on_request() -> None:
+    with closing(ObstacleLane()) as environment, pytest.raises(UserError, match="list_events must be true"):
+        environment.take_events()
+
+
+EVENTS = np.array(
+    [[0.0005, 3, 1, 1], [0.002, 255, 143, -1], [0.002, 0, 0, 1], [0.0049996, 7, 9, -1]], np.float32
+)
+
+
+def test_files_of_events_are_read_back(tmp_path: Path) -> None:
+    expected = {"t": [500, 2000, 2000, 5000], "x": [3, 255, 0, 7], "y": [1, 143, 0, 9], "p": [1, 0, 1, 0]}
+    with h5py.File(write_events(tmp_path / "a" / "events.h5", EVENTS, 144, 256)) as file:
+        for name, values in expected.items():
+            assert file[f"events/{name}"][:].tolist() == values
+        assert [file[f"events/{name}"].dtype.str for name in "txyp"] == ["<u4", "<u2", "<u2", "|u1"]
+        assert file["ms_to_idx"][:].tolist() == [0, 1, 1, 3, 3, 3]
+        assert (int(file["t_offset"][()]), file.attrs["width"], file.attrs["height"]) == (0, 256, 144)
+    arrays = read_arrays(write_events(tmp_path / "events.npz", EVENTS, 144, 256))
+    assert {name: arrays[name].tolist() for name in "txyp"} == expected
+    assert (int(arrays["height"]), int(arrays["width"])) == (144, 256)
+
+
+def test_no_events_are_a_file_too_and_other_files_are_refused(tmp_path: Path) -> None:
+    with h5py.File(write_events(tmp_path / "none.h5", EVENTS[:0], 144, 256)) as file:
+        assert len(file["events/t"]) == 0
+    with pytest.raises(UserError, match=r"none\.txt: events are written as \.h5 or \.npz"):
+        write_events(tmp_path / "none.txt", EVENTS, 144, 256)
+
+
+def test_milliseconds_point_at_the_first_event_then_or_later() -> None:
+    t_us = np.sort(np.random.default_rng(0).integers(0, 30_000, 200)).astype(np.uint32)
+    for ms, index in enumerate(first_of_each_ms(t_us).tolist()):
+        assert all(t < 1000 * ms for t in t_us[:index])
+        assert all(t >= 1000 * ms for t in t_us[index:])
+
+
+def test_tonic_reads_them_as_dsec(tmp_path: Path) -> None:
+    """Where tonic, a public reader of event data sets, is installed."""
+    dsec = pytest.importorskip("tonic.datasets.dsec")
+    write_events(tmp_path / "lane" / "events_left" / "events.h5", EVENTS, 144, 256)
+    reader = dsec.DSEC.__new__(dsec.DSEC)  # whose constructor downloads
+    reader.location_on_system, reader.recording_selection = str(tmp_path), ["lane"]
+    reader.data_selection, reader.target_selection = ["events_left"], []
+    reader.transform = reader.target_transform = reader.transforms = None
+    read = reader[0][0][0]
+    assert read["events_left"]["t"].tolist() == [500, 2000, 2000, 5000]
+    assert read["events_left"]["x"].tolist() == [3, 255, 0, 7]
+    assert read["ms_to_idx"].tolist() == [0, 1, 1, 3, 3, 3]
+
+
+def dp2_game(*overrides: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Row and arrays of a short path's game."""
+    mapping, source = read_mapping("dp2")
+    path = "path=[[1, 0], [0.5, 0.8]]"
+    config = resolve(Dp2Config, mapping, source, {"clock_speed": [5.0]}, [path, *overrides])
+    (case,) = (case for case in cases_of(config) if (case.role, case.command) == ("game", "adsc"))
+    with open_session("virtual", config.profile, SCENE, config.latency) as session:
+        return fly_game(config, case, session)
+
+
+@needs_opengl
+def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
+    """An ADSC game, whose samples come late: after a frame of the grid, and in between."""
+    row, arrays = dp2_game()
+    watched_row, watched = dp2_game("dvs_rate_hz=50")
+    assert watched_row == row
+    assert {*watched} - {*arrays} == {"dvs_on", "dvs_off"}
+    assert all(np.array_equal(watched[name], arrays[name]) for name in arrays)
+    on, off = counts_of(watched, "clean", 0)
+    assert on.shape == arrays["image"].shape
+    assert not on[0].any()
+    at_samples = counts_of(arrays, "clean", 0)
+    for fast, slow in zip((on, off), at_samples, strict=True):
+        assert fast.sum() > slow.sum()  # what comes and goes between two samples is seen too
+    # Whatever was seen between, the events add up to the change of log intensity, but for less than one more.
+    pixels = Pixels(arrays["image"][0])
+    risen, fallen = on.sum(axis=0) * pixels.positive, off.sum(axis=0) * pixels.negative
+    rest = Pixels.log(arrays["image"][-1]) - pixels.base - risen + fallen
+    assert (rest < pixels.positive + 1e-4).all()
+    assert (-rest < pixels.negative + 1e-4).all()
+
+
+def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
+    mapping, source = read_mapping("dp2")
+    with pytest.raises(UserError, match="dvs_rate_hz needs timing and reference_timing virtual or lockstep"):
+        resolve(Dp2Config, mapping, source, {"timing": "wall"}, ["dvs_rate_hz=100"])

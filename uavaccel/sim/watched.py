@@ -1,0 +1,41 @@
+"""A world that is looked at while it flies: at fixed ticks, in the middle of whatever was asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from uavaccel.sim.profile import Profile
+from uavaccel.sim.world import World
+
+
+class WatchedWorld(World):
+    """A `World` that calls back at every so many ticks, once `watch` was called. Looking changes no flight."""
+
+    def __init__(self, scene: str, profile: Profile) -> None:
+        super().__init__(scene, profile)
+        self._watchers: list[tuple[int, Callable[[int], None]]] = []
+
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        """Call `look` with the tick whenever it has reached a multiple of `every_ticks`; what is returned ends that."""
+        watcher = every_ticks, look
+        self._watchers.append(watcher)
+        return lambda: self._watchers.remove(watcher)
+
+    def advance(self, ticks: int) -> int:
+        """As World.advance; a vehicle that is frozen where it touched something is not looked at any more."""
+        flown = 0
+        while self._watchers and flown < ticks and not self._frozen:
+            to_next = min(every - self.tick % every for every, _ in self._watchers)
+            due = min(ticks - flown, to_next)
+            chunk = super().advance(due)
+            flown += chunk
+            if chunk < due:  # a touch
+                break
+            for every, look in self._watchers:
+                if self.tick % every == 0:
+                    look(self.tick)
+        return flown or super().advance(ticks)
+
+    @property
+    def _frozen(self) -> bool:
+        return self.freeze_on_collision and self.collision_tick is not None

@@ -1,0 +1,58 @@
+"""DP2's mission computer with an event camera on board, which sees more frames than there are samples."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.envs.camera_client import CameraClient, Sample
+from uavaccel.envs.task import rate_ticks
+from uavaccel.kinematics import Kinematics
+from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.vision.dvs import PRESETS, make_sensor
+from uavaccel.vision.event_counter import EventCounter
+from uavaccel.wire.image_api import HEIGHT, WIDTH
+from uavaccel.wire.session import Session, VirtualSession
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class EventClient(CameraClient):
+    """Counts the events from one sample to the next, in the simulation: nothing of it travels, or takes wall time."""
+
+    def __init__(self, *asked: Any, config: Dp2Config, session: Session) -> None:
+        super().__init__(*asked)
+        assert isinstance(session, VirtualSession)
+        assert config.dvs_rate_hz is not None
+        sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
+        self._session, self._noise_seed = session, config.sensor_seed
+        self._counter = EventCounter(sensor)
+        self._counts: list[tuple[NDArray[Any], NDArray[Any]]] = []
+        self._stop = session.watch(rate_ticks(config.dvs_rate_hz, config.profile), self._look)
+
+    def _look(self, time_ns: int) -> None:
+        self._counter.look(self._session.picture(), time_ns)
+
+    def gather(self, state: Kinematics) -> Sample:
+        """The sample, and beside it the events since the last one; the first begins the game."""
+        if not self._counts:
+            self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
+        elif not self._counter.has_seen(state.time_ns):
+            self._look(state.time_ns)
+        self._counts.append(self._counter.take())
+        sample: Sample = super().gather(state)
+        return sample
+
+    def arrays(self, samples: int) -> Arrays:
+        """`dvs_on` and `dvs_off` (n, 144, 256) of the first samples: bytes, unless a pixel had more than 255 events."""
+        both = np.array(self._counts[:samples])
+        both = both.astype(np.uint8 if both.max() < 256 else np.uint16)
+        return {"dvs_on": both[:, 0], "dvs_off": both[:, 1]}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()

@@ -1,0 +1,86 @@
+"""A DVS that sees more frames than it is asked about: what happened is counted until somebody takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from uavaccel.vision.dvs import (
+    NO_EVENTS,
+    Counts,
+    DvsSensor,
+    DvsState,
+    Events,
+    Frame,
+    init_state,
+    step,
+    step_with_events,
+)
+
+NS = 1e-9
+
+
+class EventCounter:
+    """The events of one sensor since they were last taken; `listed` keeps them one by one too."""
+
+    def __init__(self, sensor: DvsSensor, listed: bool = False) -> None:
+        self.sensor = sensor
+        self._state: DvsState | None = None
+        self._start_ns = 0
+        self._counts: tuple[Counts, Counts] | None = None
+        self._seen_ns: int | None = None
+        self._events: list[Events] | None = [] if listed else None
+
+    def start(self, frame: Frame, time_ns: int, noise_seed: int = 0) -> None:
+        """Begin with this frame, which makes no events; stamps count from its time."""
+        self._state, self._start_ns = init_state(self.sensor, frame, noise_seed=noise_seed), time_ns
+        self._counts = self._seen_ns = None
+        self.take_events()
+
+    def look(self, frame: Frame, time_ns: int) -> None:
+        """See the next frame (H, W)."""
+        assert self._state is not None
+        time_s = (time_ns - self._start_ns) * NS
+        if self._events is None:
+            self._state, on, off = step(self.sensor, self._state, frame, time_s)
+        else:
+            self._state, on, off, events = step_with_events(self.sensor, self._state, frame, time_s)
+            self._events.append(events)
+        before = self._counts
+        self._counts = (on, off) if before is None else (on + before[0], off + before[1])
+        self._seen_ns = time_ns
+
+    def has_seen(self, time_ns: int) -> bool:
+        """Whether the last frame that nobody has taken the events of was of this moment."""
+        return self._seen_ns == time_ns
+
+    def take(self) -> tuple[Counts, Counts]:
+        """ON and OFF counts (H, W) since they were last taken."""
+        assert self._state is not None
+        none = np.zeros(self._state.base_log.shape, np.int32)
+        counts, self._counts, self._seen_ns = self._counts or (none, none), None, None
+        return counts
+
+    def take_events(self) -> Events:
+        """The events (n, 4) since they were last taken: rows (t in s, x, y, p), as step_with_events."""
+        taken, self._events = self._events, None if self._events is None else []
+        return np.concatenate([NO_EVENTS, *(taken or [])])
+
+    def get_state(self) -> dict[str, Any]:
+        """All but the listed events, for np.savez."""
+        assert self._state is not None
+        state = {"start_ns": self._start_ns, **self._state._asdict()}
+        if self._counts is not None:
+            state |= {"on": self._counts[0], "off": self._counts[1], "seen_ns": self._seen_ns}
+        return state
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave: arrays, and plain numbers."""
+        fields = dict(state)
+        self._start_ns, self._seen_ns = fields.pop("start_ns"), fields.pop("seen_ns", None)
+        on, off = fields.pop("on", None), fields.pop("off", None)
+        self._counts = None if on is None else (on, off)
+        self._state = DvsState(**fields)
+        self.take_events()
