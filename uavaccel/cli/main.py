@@ -51,6 +51,9 @@ def run(
     timing: Timing = None,
     profile: Profile = None,
     seed: Seed = None,
+    with_run: Annotated[
+        str | None, typer.Option("--with", help="Of paper: a run of rl, which decides what needs training.")
+    ] = None,
     jobs: Jobs = 1,
     out: Out = None,
     resume: Resume = False,
@@ -69,6 +72,7 @@ def run(
         "timing": timing,
         "profile": profile,
         "seed": seed,
+        "with_run": with_run,
     }
     run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run))
 

@@ -80,7 +80,9 @@ def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
 
     Raises UsageError where the suite has no such key, or takes one value and was given several.
     """
-    option = f"--{name.replace('clock_speed', 'clock').removesuffix('_s').replace('_', '-')}"
+    option = (
+        f"--{name.replace('clock_speed', 'clock').removesuffix('_s').removesuffix('_run').replace('_', '-')}"
+    )
     fields = suite.config.model_fields
     task = fields["task"].annotation if "task" in fields else None
     holder: type[BaseModel] = suite.config

@@ -128,6 +128,7 @@ class VirtualSession:
 
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
         self._scene, self._profile, self._latency = scene, profile, latency
+        self._simulation: Simulation | None = None
         self._worlds: dict[Profile, WatchedWorld] = {}
         self._world(1.0)
 
@@ -168,13 +169,17 @@ class VirtualSession:
 
         It happens inside the simulation: no message is sent, and no wall time passes.
         """
-        simulation = self._simulation
-        world = self._world(float(simulation.clock_speed))
-        return world.watch(every_ticks, lambda tick: look(simulation.time_of(tick)))
+        begun = self._simulation
+        world = self._world(1.0 if begun is None else float(begun.clock_speed))
+        return world.watch(every_ticks, lambda tick: look(self._present().time_of(tick)))
+
+    def _present(self) -> Simulation:
+        assert self._simulation is not None, "no game has begun"
+        return self._simulation
 
     def picture(self) -> NDArray[np.uint8]:
         """The front camera's gray picture of this tick, taken inside the simulation too."""
-        world = self._simulation.world
+        world = self._present().world
         return world.camera(WIDTH, HEIGHT).gray(world.data)
 
     def get_state(self) -> State:

@@ -79,7 +79,8 @@ _INCONSISTENCIES = (
     "The paper gives TCSC's speed-up at 100x with rendering off as 62x (I), 65x (V) and 50x (IV-D): each is taken as "
     "50x to 65x within its own error. Error is 1 minus the pooled median STLC over its maximum of 2. ADSC above 1.8 "
     "only below 5x can hold pooled over rounds and T_moves alone, as in Figure 5. Table I's differences are "
-    "significant at n = 100 for ADSC's collapse alone. STLC's lambda, the network, the reward and the lane's geometry "
+    "significant at n = 100 for ADSC's collapse alone. What the paper says of DVS-ED is decided by the median image; "
+    "the largest stands beside it. STLC's lambda, the network, the reward and the lane's geometry "
     "are not in the paper: they are this project's own choice. ADSC and TCSC are flown here with one recorder sample "
     "every 50 ms, and 20 games in each cell of DP1, as in the paper."
 )

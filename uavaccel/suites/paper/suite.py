@@ -10,6 +10,7 @@ from typing import Any
 from uavaccel.records import RunDirectory
 from uavaccel.suites.paper import report
 from uavaccel.suites.paper.config import PaperConfig, read_claims
+from uavaccel.suites.paper.verdicts import training_run
 from uavaccel.suites.parts import fly_part, part_cost, part_suite
 from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable
 
@@ -38,6 +39,8 @@ class Paper(Suite[PaperConfig, Case]):
 
     def check(self, config: PaperConfig) -> None:
         read_claims(config)
+        if config.with_run is not None:
+            training_run(config.with_run)
 
     def cases(self, config: PaperConfig) -> Iterator[Case]:
         for name, part in config.parts.items():

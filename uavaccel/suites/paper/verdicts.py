@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
@@ -41,11 +40,12 @@ def _evidence(config: PaperConfig, run: RunDirectory, profile: str) -> dict[str,
     if f"dp2-{profile}" in config.parts:
         found["dp2"] = Images.of(part_run(run, f"dp2-{profile}"))
     if config.with_run is not None:
-        found["rl"] = Policies.of(_rl_run(Path(config.with_run)), profile)
+        found["rl"] = Policies.of(training_run(config.with_run), profile)
     return found
 
 
-def _rl_run(path: Path) -> RunDirectory:
+def training_run(path: str) -> RunDirectory:
+    """The run of the suite `rl` at a path. Raises UserError if it is none."""
     run = RunDirectory(path)
     if run.config().get("suite") != "rl":
         raise UserError(f"--with {path}: is a run of {run.config().get('suite')}, not of rl")
