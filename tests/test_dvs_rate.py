@@ -226,7 +226,7 @@ def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
 @needs_opengl
 def test_the_events_of_a_game_of_an_agent_that_sees_none() -> None:
     """At the samples' own rate they are those that an agent with a DVS would have seen, summed over each frame."""
-    task = {"timing": "lockstep", "split": "evaluation", "max_commands": 2, "t_sample_s": 0.5}
+    task: dict[str, Any] = {"timing": "lockstep", "split": "evaluation", "max_commands": 2, "t_sample_s": 0.5}
     flown = {"agent": "straight", "games": 1, "task": {**task, "observation": "state"}}
     events = lane_events(validate(EvaluateConfig, flown, "test"), 0, rate_hz=2.0)
     with closing(ObstacleLane(**task)) as seeing:
