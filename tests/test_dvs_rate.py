@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
+from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.files import read_arrays
@@ -23,6 +24,8 @@ from uavaccel.suites.dp2.cases import cases as cases_of
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.flights import SCENE, fly_game
 from uavaccel.suites.dp2.scores import counts_of
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.events import lane_events
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS, make_sensor
 from uavaccel.vision.event_files import first_of_each_ms, write_events
@@ -218,3 +221,24 @@ def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
     mapping, source = read_mapping("dp2")
     with pytest.raises(UserError, match="dvs_rate_hz needs timing and reference_timing virtual or lockstep"):
         resolve(Dp2Config, mapping, source, {"timing": "wall"}, ["dvs_rate_hz=100"])
+
+
+@needs_opengl
+def test_the_events_of_a_game_of_an_agent_that_sees_none() -> None:
+    """At the samples' own rate they are those that an agent with a DVS would have seen, summed over each frame."""
+    task: dict[str, Any] = {"timing": "lockstep", "split": "evaluation", "max_commands": 2, "t_sample_s": 0.5}
+    flown = {"agent": "straight", "games": 1, "task": {**task, "observation": "state"}}
+    events = lane_events(validate(EvaluateConfig, flown, "test"), 0, rate_hz=2.0)
+    with closing(ObstacleLane(**task)) as seeing:
+        seeing.reset(seed=0, options={"lane": 0})
+        frames = np.concatenate([seeing.step(AHEAD)[0] for _ in range(2)]).astype(int) - 128
+    counted = np.zeros((4, 36, 64), int)
+    sample = np.minimum(events[:, 0] // 0.5000001, 3).astype(int)
+    np.add.at(
+        counted,
+        (sample, events[:, 2].astype(int) // 4, events[:, 1].astype(int) // 4),
+        events[:, 3].astype(int),
+    )
+    np.testing.assert_array_equal(np.clip(counted, -128, 127), frames)
+    with pytest.raises(UserError, match="--events-rate-hz = 300 does not divide"):
+        lane_events(validate(EvaluateConfig, flown, "test"), 0, rate_hz=300.0)
