@@ -52,6 +52,14 @@ class Latencies:
             **({"timer_us": quantiles_us(self.timer)} if self.timer else {}),
         }
 
+    def counts(self) -> str:
+        """How many samples stand behind the tables, in words."""
+        request, reply = (
+            sum(len(each) for name, each in samples.items() if "@" not in name)
+            for samples in (self.request, self.reply)
+        )
+        return f"{request} requests, {reply} replies, {len(self.issue)} issues, {len(self.timer)} wall timers"
+
 
 def quantiles_us(samples_ns: Sequence[int]) -> list[float]:
     """Quantiles of samples in ns, to a tenth of a microsecond."""
@@ -112,7 +120,10 @@ def _ping(client: Client, latencies: Latencies) -> None:
 
 
 def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], latencies: Latencies) -> None:
-    """Match the two ends' events; the first call of a batch has no moment at which the client became ready."""
+    """Match the two ends' events; the first call of a batch has no moment at which the client became ready.
+
+    A coalesced call travels with the next one, and takes no time of its own.
+    """
     handled, ended, paused, late = _server_times(server)
     latencies.timer += late
     deferred = {"move": ended, "continue_for": paused}
@@ -122,10 +133,10 @@ def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], l
     for event in tracing.events:
         if event.kind == "call":
             arrived[event.channel] = handled[event.method].pop(0)
-            if ready is not None:
+            if ready is not None and not event.coalesced:
                 latencies.add(latencies.request, event.channel, wait_ns, arrived[event.channel] - ready)
         elif event.kind == "issued":
-            if ready is not None:
+            if ready is not None and not event.coalesced:
                 latencies.issue.append(event.wall_ns - ready)
             ready = event.wall_ns
         else:

@@ -24,6 +24,8 @@ class ClientEvent(NamedTuple):
     method: str
     channel: str
     wall_ns: int
+    coalesced: bool = False
+    """It travels with the next one."""
 
 
 class TracingTransport:
@@ -38,9 +40,9 @@ class TracingTransport:
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         called_ns = self.clock.now_ns()
         call = self._inner.send(method, params, blocking, coalesced)
-        self.events.append(ClientEvent("call", method, call.channel, called_ns))
+        self.events.append(ClientEvent("call", method, call.channel, called_ns, coalesced))
         if not blocking:
-            self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns()))
+            self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns(), coalesced))
         return call
 
     def wait(self, call: Call, deadline_ns: int | None = None) -> bool:

@@ -10,7 +10,9 @@ from rich.table import Table
 from uavaccel.bench.agreement import Agreement, check_agreement
 from uavaccel.bench.calibration import calibrate
 from uavaccel.bench.machine import check_machine
+from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
+from uavaccel.manifest import describe_run
 from uavaccel.sim.gl import describe_renderer
 from uavaccel.wire.latency import read_latency, shipped_latency
 from uavaccel.yaml_io import dump_yaml
@@ -33,10 +35,13 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
         raise UserError(f"{out}: exists; take another --out")
     verdict = check_machine()["verdict"]
     console.print(f"machine check: {verdict}")
-    block = calibrate(profile, commands, images=_can_draw()).block()
-    out.write_text(
-        f"# Measured by `uavaccel calibrate`; machine: {verdict}\n" + dump_yaml({"latency": block})
+    latencies = calibrate(profile, commands, images=_can_draw())
+    block, host = latencies.block(), describe_run([], 0, "")["host"]
+    head = (
+        f"# Measured by `uavaccel calibrate`, profile {profile}, on {calendar_time()}; machine: {verdict}\n"
+        f"# {host['cpu_model']}, {host['cores']} cores, {host['platform']}\n# {latencies.counts()}\n"
     )
+    out.write_text(head + dump_yaml({"latency": block}))
     names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
     for kind in names:
         for channel, table in block[kind].items():
