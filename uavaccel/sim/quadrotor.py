@@ -182,12 +182,8 @@ def accelerate(
     """
     density = air_density(parameters.ground_altitude_m - state.position[2])
     ratio = density / air_density(0.0)
-    u0, u1, u2, u3 = (
-        state.rotor_output[0],
-        state.rotor_output[1],
-        state.rotor_output[2],
-        state.rotor_output[3],
-    )
+    output = state.rotor_output
+    u0, u1, u2, u3 = output[0], output[1], output[2], output[3]
     thrust, arm = parameters.max_thrust_n * ratio, parameters.rotor_arm_m
 
     # rotors: 0 front right, 1 rear left (both counter-clockwise), 2 front left, 3 rear right
