@@ -9,6 +9,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 # Errors, and no warnings: an index that is out of reach matters only if a package is found nowhere else.
+# pip warns of every index out of reach, however quiet it is told to be: shown where it fails.
+LOG := $(VENV)/set-up.log
 PIP := $(BIN)/python -m pip install -qq --retries 1
 TORCH := $(shell grep '^torch==' constraints.txt)
 
@@ -30,8 +32,8 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 		{ echo "no virtual environment: apt-get install python3-venv" >&2; exit 1; }
 	@echo "setting up $(VENV); the first time takes minutes"
-	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)"
-	@$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)" 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+	@$(PIP) --constraint constraints.txt --editable '.[dev]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
 clean:

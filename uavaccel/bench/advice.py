@@ -10,11 +10,13 @@ import numpy as np
 from uavaccel.bench.square import SquareGame, fly_square
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import mean_position_rmse
+from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyConfig
 from uavaccel.wire.session import VirtualSession
 
 CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 GAMES = 5
+T_TH_WALL_S = 0.001  # as in the experiments
 
 
 class Advice(NamedTuple):
@@ -38,13 +40,18 @@ def advise(
         VirtualSession("blocks", profile, latency) as session,
     ):
 
+        def t_th(clock_speed: float) -> int:
+            return PROFILES[profile].t_th_ns(T_TH_WALL_S, clock_speed, t_move_s)
+
         def games(command: str, clock_speed: float) -> list[SquareGame]:
             return [
-                fly_square(session, command, clock_speed, t_move_s, rounds, seed * GAMES + game)
+                fly_square(
+                    session, command, clock_speed, t_move_s, rounds, seed * GAMES + game, t_th(clock_speed)
+                )
                 for game in range(GAMES)
             ]
 
-        ideal = fly_square(lockstep, "tcsc", 1.0, t_move_s, rounds, seed)
+        ideal = fly_square(lockstep, "tcsc", 1.0, t_move_s, rounds, seed, t_th(1.0))
         real_time = games("adsc", 1.0)
         for clock_speed in CLOCK_SPEEDS:
             scores = [_score(games(command, clock_speed), ideal, real_time) for command in ("adsc", "tcsc")]

@@ -32,7 +32,8 @@ class AdviceRequest:
     profile: str
 
 
-class _Latency(Config):
+class _Model(Config):
+    profile: str
     latency: LatencyModel
 
 
@@ -44,9 +45,9 @@ def show_advice(request: AdviceRequest) -> None:
         raise UserError(f"--error {request.error_m:g}: must be above 0 metres")
     if not 1 <= request.rounds <= MOST_ROUNDS:
         raise UserError(f"--rounds {request.rounds}: must be 1 to {MOST_ROUNDS}")
-    PROFILES[request.profile].command_ticks(request.t_move_s, "--t-move")
+    PROFILES[request.profile].check_duration(request.t_move_s, "--t-move")
     given = {} if request.latency is None else {"latency": str(request.latency)}
-    latency = validate(_Latency, given, "advise").latency
+    latency = validate(_Model, {"profile": request.profile, **given}, "advise").latency
     table = Table(*HEADER, box=None, pad_edge=False)
     found = []
     for each in advise(latency, request.profile, request.t_move_s, request.rounds):

@@ -20,7 +20,7 @@ from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
-from uavaccel.units import NS_PER_S, seconds_to_ns
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -113,15 +113,8 @@ class Task(Config):
 
     @property
     def t_th_ns(self) -> int:
-        """T_th in simulated nanoseconds: 0 where continue-for is exact; else the latency times ClockSpeed.
-
-        At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
-        """
-        profile = PROFILES[self.profile]
-        if profile.exact_times:
-            return 0
-        latency_s = min(self.t_th_wall_s * self.clock_speed, 0.1 * self.t_sample_s)
-        return max(seconds_to_ns(latency_s), profile.tick_ns)
+        """TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
+        return PROFILES[self.profile].t_th_ns(self.t_th_wall_s, self.clock_speed, self.t_sample_s)
 
     # --- senses -----------------------------------------------------------------------------------
 

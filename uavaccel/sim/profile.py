@@ -11,7 +11,7 @@ from functools import cache, lru_cache
 from math import ceil
 
 from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, ceil_div, exact, ticks_exactly
+from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns, ticks_exactly
 
 
 @dataclass(frozen=True, eq=False)  # each is one of a kind, and hashing seven fields would be slow
@@ -30,6 +30,16 @@ class Profile:
     @property
     def tick_s(self) -> float:
         return self.tick_ns / NS_PER_S
+
+    def t_th_ns(self, t_th_wall_s: float, clock_speed: float, t_sample_s: float) -> int:
+        """TCSC's T_th in simulated nanoseconds: 0 where continue-for is exact; else latency × ClockSpeed.
+
+        At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
+        """
+        if self.exact_times:
+            return 0
+        latency_s = min(t_th_wall_s * clock_speed, 0.1 * t_sample_s)
+        return max(seconds_to_ns(latency_s), self.tick_ns)
 
     def check_duration(self, duration_s: float, name: str) -> None:
         """Raise UserError where TCSC cannot fly a command, or a sample, of that time.

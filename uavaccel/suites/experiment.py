@@ -11,7 +11,6 @@ from pydantic import Field, field_validator
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
-from uavaccel.units import seconds_to_ns
 from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]
@@ -78,15 +77,8 @@ def timing_of(config: Experiment) -> str:
 
 
 def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> int:
-    """T_th in simulated nanoseconds: 0 where continue-for is exact; else the latency times ClockSpeed.
-
-    At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
-    """
-    profile = PROFILES[config.profile]
-    if profile.exact_times:
-        return 0
-    latency_s = min(config.t_th_wall_s * clock_speed, 0.1 * t_sample_s)
-    return max(seconds_to_ns(latency_s), profile.tick_ns)
+    """TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
+    return PROFILES[config.profile].t_th_ns(config.t_th_wall_s, clock_speed, t_sample_s)
 
 
 ExperimentType = TypeVar("ExperimentType", bound=Experiment)
