@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uavaccel.draw.document import Block, Heading, Listing, to_html, to_markdown
+from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 
@@ -16,6 +16,12 @@ def finished_rows(run: RunDirectory, suite: str) -> list[dict[str, Any]]:
     if not rows:
         raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game of {suite}")
     return rows
+
+
+def summary_blocks(headline: str, summary: Mapping[str, Any], picture: Picture) -> list[Block]:
+    """The result in a sentence, its figure, and summary.json as a table to unfold: a report of one cell."""
+    table = Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json")
+    return [Paragraph(headline + "."), table, picture]
 
 
 def write_pages(run: RunDirectory, title: str, blocks: Sequence[Block]) -> None:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Picture
 from uavaccel.draw.survival import draw_survival
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import headline, summarise
-from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
 
 FIGURE = "figures/figure8_survival.png"
@@ -28,12 +28,7 @@ def write_report(run: RunDirectory) -> Summary:
     picture = Picture(
         path, f"Figure 8. Share of the games that got at least so far north. Source: {_source([run])}."
     )
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json"),
-        picture,
-    ]
-    write_pages(run, f"Evaluation of {summary['agent']}", blocks)
+    write_pages(run, f"Evaluation of {summary['agent']}", summary_blocks(headline(summary), summary, picture))
     return summary
 
 

@@ -9,13 +9,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Picture
 from uavaccel.draw.phases import PhaseTimes, draw_phases
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.summary import headline, summarise
@@ -34,12 +34,11 @@ def write_report(run: RunDirectory) -> Summary:
     run.write_json("summary.json", summary)
     path = draw_trainings([run], run.file(FIGURE))
     picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json"),
-        picture,
-    ]
-    write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
+    write_pages(
+        run,
+        f"Training, {config.algorithm}, seed {config.seed}",
+        summary_blocks(headline(summary), summary, picture),
+    )
     return summary
 
 
