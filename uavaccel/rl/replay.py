@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
@@ -18,6 +18,30 @@ class Batch(NamedTuple):
     dones: th.Tensor  # (n, 1): the game was over, not cut short
     rewards: th.Tensor  # (n, 1)
     discounts: th.Tensor  # (n, 1): of the rating of what followed
+
+
+class Row(NamedTuple):
+    """One command of every lane, as the replay buffer takes it; filled group by group."""
+
+    observations: NDArray[Any]
+    actions: NDArray[np.int64]
+    rewards: NDArray[np.float64]
+    after: NDArray[Any]
+    dones: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+    @classmethod
+    def like(cls, observations: NDArray[Any]) -> Row:
+        """An empty one for observations (lanes, ...)."""
+        lanes = len(observations)
+        return cls(
+            np.empty_like(observations),
+            np.empty(lanes, np.int64),
+            np.empty(lanes),
+            np.empty_like(observations),
+            np.empty(lanes, np.bool_),
+            np.empty(lanes, np.bool_),
+        )
 
 
 class ReplayBuffer:
@@ -48,7 +72,7 @@ class ReplayBuffer:
         self,
         observations: NDArray[np.generic],
         actions: NDArray[np.int64],
-        rewards: NDArray[np.float32],
+        rewards: NDArray[np.floating[Any]],
         next_observations: NDArray[np.generic],
         dones: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
