@@ -102,18 +102,22 @@ class ReplayBuffer:
         discounts = gamma ** counted.sum(axis=1).astype(np.float32)
         final = (rows + last) % self.rows
         dones = self.dones[final, lanes] * (1.0 - self.truncated[final, lanes])
-        row, lane, after = (th.from_numpy(each).to(self.device) for each in (rows, lanes, final))
+        row, lane, after, actions = self._sent(rows, lanes, final, self.actions[rows, lanes])
+        dones, rewards, discounts = self._sent(
+            *(each.astype(np.float32) for each in (dones, rewards, discounts))
+        )
         return Batch(
             self.observations[row, lane],
-            self._column(self.actions[rows, lanes]),
+            actions[:, None],
             self.next_observations[after, lane],
-            self._column(dones.astype(np.float32)),
-            self._column(rewards.astype(np.float32)),
-            self._column(discounts.astype(np.float32)),
+            dones[:, None],
+            rewards[:, None],
+            discounts[:, None],
         )
 
-    def _column(self, values: NDArray[np.generic]) -> th.Tensor:
-        return th.from_numpy(values[:, None]).to(self.device)
+    def _sent(self, *values: NDArray[np.generic]) -> th.Tensor:
+        """Arrays (n,) of one type on the device, in one go: a transfer waits for all that the GPU has to do."""
+        return th.from_numpy(np.stack(values)).to(self.device)
 
     def get_state(self) -> dict[str, NDArray[np.generic]]:
         """All of it, as arrays."""
