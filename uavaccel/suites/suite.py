@@ -102,6 +102,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         Raises UserError if the run has no finished game or damaged files.
         """
 
+    def why_serial(self, config: ConfigType) -> str:
+        """`serial`, where that depends on the configuration."""
+        return self.serial
+
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
 
