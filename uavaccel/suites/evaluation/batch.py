@@ -1,7 +1,7 @@
 """An evaluation's games flown side by side: each lane of a batch flies whole games, its agent in the same process.
 
-So nothing is waited for between commands, and each decision is one of a batch of 1, as in a single environment: networks
-give other last bits for several observations at once.
+So nothing is waited for between commands, and each decision is of one observation, as in a single environment: of several
+at once a network's ratings differ in their last bits.
 """
 
 from __future__ import annotations
