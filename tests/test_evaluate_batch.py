@@ -34,7 +34,7 @@ def rows_of(run: RunDirectory) -> bytes:
 @pytest.mark.slow
 @needs_opengl
 def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
-    short, keys = "task.max_commands=12", {"agent": "default", "games": 5}
+    short, keys = "task.max_commands=12", dict[str, Any](agent="default", games=5)
     single = evaluated(tmp_path / "1", short, **keys)
     batch = evaluated(tmp_path / "3", short, "environments=3", **keys)
     assert rows_of(batch) == rows_of(single)

@@ -139,6 +139,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """The result in a sentence."""
         return ""
 
+    def pace(self, run: RunDirectory) -> str:
+        """What its games took on this machine, in a sentence; it is in no summary, since it is never the same twice."""
+        return ""
+
     def overview(self, summary: Summary) -> SummaryTable | None:
         """The result in a small table."""
         return None

@@ -1,7 +1,7 @@
 """An evaluation's games flown side by side: each lane of a batch flies whole games, its agent in the same process.
 
-So nothing is waited for between commands, and each decision is of one observation, as in a single environment: of several
-at once a network's ratings differ in their last bits.
+So nothing is waited for between commands, and each decision is of one observation, as in a single environment: of
+several at once a network's ratings differ in their last bits.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.suite import Flown
 from uavaccel.units import NS_PER_S
 
+FlownOnLane = tuple[dict[str, Any], dict[str, float]]  # row, host times
+
 
 class AgentLane(ObstacleLane):
     """An `ObstacleLane` with its agent on board."""
@@ -33,7 +35,7 @@ class AgentLane(ObstacleLane):
         self._config = validate(EvaluateConfig, config, "evaluation")
         self._agent: Agent = make_agent(self._config.agent, self._config.task)
 
-    def fly(self, lane: int) -> tuple[dict[str, Any], dict[str, float]]:
+    def fly(self, lane: int) -> FlownOnLane:
         """A game's row, and what it took on this machine."""
         clock = MonotonicClock()
         start_ns = clock.now_ns()
@@ -46,7 +48,7 @@ class GamesInBatch:
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         count = min(config.environments, len(lanes))
-        self._left, self._flown = deque(lanes), dict[int, Flown]()
+        self._left, self._flown = deque(lanes), dict[int, FlownOnLane]()
         self._batch = LaneBatch(AgentLane, count, **config.task.model_dump(mode="json"))
         try:
             self._batch.call("take_agent", config.model_dump(mode="json"))
@@ -66,9 +68,9 @@ class GamesInBatch:
         while lane not in self._flown:
             environment, (row, host) = self._batch.call_wait()
             self._send_off(environment)
-            wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-            self._flown[row["lane"]] = Flown(row, host={**host, "wall_s": wall_s})
-        return self._flown.pop(lane)
+            self._flown[row["lane"]] = row, host
+        row, host = self._flown.pop(lane)
+        return Flown(row, host={**host, "wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S})
 
     def _send_off(self, environment: int) -> None:
         if self._left:

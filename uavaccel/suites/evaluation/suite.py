@@ -20,6 +20,7 @@ from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.film import best_first, film_lane
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.summary import headline
+from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import Flown, Row, Suite, Summary, choose_row
 
 Opened = Callable[[int], Flown]
@@ -69,6 +70,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
+
+    def pace(self, run: RunDirectory) -> str:
+        return pace(run)
 
     def headline(self, summary: Summary) -> str:
         return headline(summary)
