@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from tests.dp1_games import quantile
 from tests.drawing import headline, labelled, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
+from tests.opengl import needs_opengl
 from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
@@ -19,7 +20,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations
 from uavaccel.suites.evaluation.summary import summarise
+from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.suites.training.report import draw_trainings, phase_times
+from uavaccel.wire.latency import shipped_latency
 
 Row = dict[str, Any]
 
@@ -123,6 +126,8 @@ def test_every_number_of_a_training(tmp_path: Path) -> None:
     assert summary == run.read_json("summary.json")
     assert len(summary.pop("weights_sha256")) == 64
     commands = [row["commands"] for row in run.rows()]
+    assert 1.0 < summary.pop("modelled_real_time_s") / sum(commands) < 1.1  # of 1 s each
+    assert summary.pop("modelled_real_time_how").startswith("ADSC under the profile airsim at ClockSpeed 1 ")
     assert summary == {
         "suite": "train",
         "profile": "native",
@@ -139,6 +144,29 @@ def test_every_number_of_a_training(tmp_path: Path) -> None:
         },
     }
     assert summary["phase_s"]["simulation"] > summary["phase_s"]["learning"] > 0
+
+
+def test_real_time_has_flight_pictures_decisions_and_learning() -> None:
+    """While a TCSC's client decides and learns nothing flies, so that these add up exactly."""
+    state = {"observation": "state", "clock_speed": 50.0}  # as it was trained is not how it is modelled
+    keys = {"mirror": False, "inference_s": 0.0, "learning_s": 0.0}
+    blind = model_real_time(tiny_config(state, **keys))["command_s"]
+    assert 1.0 < blind < 1.05
+    working = {**keys, "inference_s": 0.25, "learning_s": 2.0, "commands_per_gradient_step": 4}
+    assert model_real_time(tiny_config(state, **working))["command_s"] == pytest.approx(blind + 0.25 + 0.5)
+    on_policy = {**working, "algorithm": "ppo", "options": {}}
+    assert model_real_time(tiny_config(state, **on_policy))["command_s"] == pytest.approx(blind + 0.25)
+
+
+@needs_opengl
+def test_real_time_has_the_pictures_latencies() -> None:
+    keys = {"mirror": False, "inference_s": 0.0, "learning_s": 0.0}
+    seen, blind = (
+        model_real_time(tiny_config({"observation": kind}, **keys))["command_s"] for kind in ("dvs", "state")
+    )
+    frame_s = shipped_latency("airsim").platform.frame_ns() / 1e9
+    # Three pictures and DVS per command; a picture waits for up to two frames, one on average.
+    assert 3 * 0.5 * frame_s < seen - blind < 3 * 2 * frame_s
 
 
 def phases(*seconds: float) -> dict[str, float]:

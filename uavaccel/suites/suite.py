@@ -102,6 +102,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         Raises UserError if the run has no finished game or damaged files.
         """
 
+    def why_serial(self, config: ConfigType) -> str:
+        """`serial`, where that depends on the configuration."""
+        return self.serial
+
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
 
@@ -133,6 +137,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def headline(self, summary: Summary) -> str:
         """The result in a sentence."""
+        return ""
+
+    def pace(self, run: RunDirectory) -> str:
+        """What its games took on this machine, in a sentence; it is in no summary, since it is never the same twice."""
         return ""
 
     def overview(self, summary: Summary) -> SummaryTable | None:
