@@ -16,10 +16,12 @@ from tests.opengl import needs_opengl
 from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations
 from uavaccel.suites.evaluation.summary import summarise
+from uavaccel.suites.training.curve import draw_runs
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.suites.training.report import draw_trainings, phase_times
 from uavaccel.wire.latency import shipped_latency
@@ -208,6 +210,31 @@ def test_any_other_training_has_the_times_of_the_machine(tmp_path: Path) -> None
         assert times.phase_s == pytest.approx(phases(2.5, 4.0, 6.0, 1.25, 5.0))
         assert times.simulated_s_per_wall_s == pytest.approx(100.0 / 27.0)
         assert times.label == f"ADSC 100x\n{timing}, seed 6"
+
+
+def curve_of(path: Path, won: list[bool], walls_s: list[float]) -> RunDirectory:
+    config = Flown(seed=6, task={})
+    timings: list[Row] = [{"wall_s": wall_s} for wall_s in walls_s]
+    return run_of(path, config, [{"is_success": each} for each in won], timings)
+
+
+def test_learning_curves_are_over_the_wall_clock_of_all_starts(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    short = curve_of(tmp_path / "short", [False, True, True, True], [10.0, 20.0, 5.0, 6.0])  # begun twice
+    won = [game % 3 == 0 for game in range(250)]
+    long = curve_of(tmp_path / "long", won, [2.0 * game for game in range(250)])
+    draw_runs([short, long, short], ["mine", "long", "mine"], tmp_path / "curves.png")
+    axes = drawn["curves"].axes[0]
+    lines = labelled(axes)
+    assert list(lines) == ["mine", "long"]  # of one name, one entry
+    assert points(lines["mine"]) == [(10.0, 0.0), (20.0, 0.5), (25.0, round(2 / 3, 12)), (26.0, 0.75)]
+    recent = [(2.0 * game, sum(won[game - 99 : game + 1]) / 100) for game in range(99, 250)]
+    assert points(lines["long"]) == recent  # from the 100th game on
+    assert axes.get_xscale() == "log"
+    assert [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2] == [182 * 3600.0]
+    with pytest.raises(UserError, match="is no training with a wall time"):
+        draw_runs([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
 
 
 def test_figure_9_tells_trainings_apart_and_says_what_was_measured(

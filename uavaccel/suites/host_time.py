@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 from uavaccel.records import RunDirectory
 
 
 def wall_s(run: RunDirectory) -> float:
     """Seconds of wall clock from the first command to the last, of all starts together; 0 where nobody measured."""
-    readings = [{"wall_s": entry["wall_s"]} for entry in run.timings() if "wall_s" in entry]
-    return over_all_starts(readings)["wall_s"]
+    return (running_s(run) or [0.0])[-1]
+
+
+def running_s(run: RunDirectory) -> list[float]:
+    """Seconds of wall clock up to each entry that has them, the starts one after another."""
+    readings = [entry["wall_s"] for entry in run.timings() if "wall_s" in entry]
+    steps = [after - before if after >= before else after for before, after in pairwise([0.0, *readings])]
+    return list(accumulate(steps))
 
 
 def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:

@@ -147,9 +147,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """The result in a small table."""
         return None
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path | None:
-        """Draw several runs side by side, into the first one's folder, beside its own figures; the picture's path."""
-        return None
+    def compare(self, runs: Sequence[RunDirectory]) -> Sequence[Path]:
+        """Draw several runs side by side, into the first one's folder, beside its own figures; the pictures' paths."""
+        return ()
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """A game's name and film; without `case` the most interesting. Raises UserError where nothing can be shown."""

@@ -80,8 +80,8 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def report(self, run: RunDirectory) -> Summary:
         return report.write_report(run)
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path:
-        return report.draw_evaluations(runs, runs[0].file(report.COMPARISON))
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON))]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""

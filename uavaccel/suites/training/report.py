@@ -18,11 +18,13 @@ from uavaccel.suites.host_time import over_all_starts, wall_s
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.curve import draw_runs
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
 from uavaccel.suites.training.summary import headline, summarise
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
+CURVES = "figures/learning_curves_compared.png"
 
 
 def write_report(run: RunDirectory) -> Summary:
@@ -48,6 +50,15 @@ def write_report(run: RunDirectory) -> Summary:
 def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
     """Figure 9 with a bar for each training; returns `path`."""
     return draw_phases(_told_apart(runs), path, _source(runs))
+
+
+def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
+    """Figure 9 and the learning curves of several trainings, in the first one's folder."""
+    labels = [training.label.replace("\n", ", ") for training in _told_apart(runs)]
+    return [
+        draw_trainings(runs, runs[0].file(COMPARISON)),
+        draw_runs(runs, labels, runs[0].file(CURVES)),
+    ]
 
 
 def _source(runs: Sequence[RunDirectory]) -> str:

@@ -77,5 +77,5 @@ class Training(Suite[TrainConfig, Case]):
     def report(self, run: RunDirectory) -> Summary:
         return report.write_report(run)
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path:
-        return report.draw_trainings(runs, runs[0].file(report.COMPARISON))
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        return report.compare_trainings(runs)
