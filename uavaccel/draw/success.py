@@ -24,6 +24,8 @@ class SuccessLine:
     high: Sequence[float]
     by_seed: Sequence[Sequence[float]] = ()
     dashed: bool = False
+    colour: str | None = None
+    """The command's own unless one is given."""
 
 
 def draw_success(lines: Sequence[SuccessLine], title: str, path: Path, source: str) -> Path:
@@ -42,10 +44,10 @@ def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figur
             places = np.array([clocks.index(clock) for clock in line.clock_speed]) + aside
             ratio = np.asarray(line.ratio)
             below = [ratio - np.asarray(line.low), np.asarray(line.high) - ratio]
-            colour = style.COMMAND_COLOUR.get(line.command, style.GREEN)
+            colour = line.colour or style.COMMAND_COLOUR.get(line.command, style.GREEN)
             axes.errorbar(
                 places, ratio, np.maximum(below, 0.0), label=line.label, color=colour, marker="o", markersize=4,
-                capsize=3, linestyle=":" if line.dashed else "-", alpha=0.55 if line.dashed else 1.0,
+                capsize=3, linestyle=":" if line.dashed else "-", alpha=0.5 if line.dashed else 1.0,
             )  # fmt: skip
             for place, seeds in zip(places, line.by_seed, strict=False):
                 axes.plot([place + 0.03] * len(seeds), seeds, ".", color=colour, markersize=4, alpha=0.6)

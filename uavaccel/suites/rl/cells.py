@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from uavaccel.suites.experiment import CommandName, ProfileName
 from uavaccel.suites.parts import Part
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
+
+
+class Size(NamedTuple):
+    """About how much a cell is."""
+
+    games: int = 0
+    simulated_s: float = 0.0
+    wall_s: float = 0.0
+    disk_bytes: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -24,9 +33,9 @@ class Cell:
     command: CommandName
     clock_speed: float
     seed: int
-    cell_s: float = 0.0
     timing: str = "virtual"  # all cells run side by side, whichever simulated clock they have
     task: dict[str, Any] = field(default_factory=dict, compare=False)
+    size: Size = field(default=Size(), compare=False)
 
     @property
     def id(self) -> str:
@@ -34,7 +43,7 @@ class Cell:
         return "-".join([name for name in names if name] + [f"seed{self.seed}"])
 
     def simulated_s(self) -> float:
-        return self.cell_s
+        return self.size.simulated_s
 
 
 def cells(config: RlConfig) -> Iterator[Cell]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.draw import style
 from uavaccel.draw.distances import draw_distances
 from uavaccel.draw.document import Picture
 from uavaccel.draw.style import command_name
@@ -33,6 +35,11 @@ def panel_name(cell: Mapping[str, Any]) -> str:
     clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
     variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
+
+
+def is_papers(cell: Mapping[str, Any]) -> bool:
+    """Whether the paper has trained so: under AirSim, and nothing else changed."""
+    return cell["profile"] == "airsim" and cell["timing"] == "virtual" and not cell["variant"]
 
 
 def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
@@ -65,7 +72,8 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
 
 def success_lines(pooled: Cells) -> list[SuccessLine]:
     """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
-    lines = []
+    lines: list[SuccessLine] = []
+    others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
     for name, panel in _by_panel(pooled, lambda cell: cell).items():
         members = list(panel.values())
         lines.append(
@@ -80,6 +88,7 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
                     [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
                     for cell in members
                 ],
+                colour=None if is_papers(members[0]) else next(others),
             )
         )
         known = [cell for cell in members if cell["paper_successes"] is not None]

@@ -138,13 +138,13 @@ def _time_line(cell: Cell, minutes: Mapping[tuple[Any, ...], float]) -> tuple[st
         panel_name(cell),
         clock_label(cell["clock_speed"]),
         str(len(cell["seeds"])),
-        f"{cell['training_wall_s'] / 3600:.2f}",
-        "-" if cell["real_time_s"] is None else f"{cell['real_time_s'] / 3600:.2f}",
+        f"{cell['training_wall_s'] / 3600:.3g}",
+        "-" if cell["real_time_s"] is None else f"{cell['real_time_s'] / 3600:.3g}",
         _text(cell["training_speedup"], "{:.3g}x"),
         _text(cell["paper_training_speedup"], "{:g}x"),
         _text(cell["whole_training_speedup"], "{:.3g}x"),
         _text(cell["paper_whole_training_speedup"], "{:g}x"),
-        _text(minutes.get(_key(cell)), "{:.1f}"),
+        _text(minutes.get(_key(cell)), "{:.3g}"),
     )
 
 
@@ -178,9 +178,9 @@ def _saved(pooled: Sequence[Cell], minutes: Mapping[tuple[Any, ...], float]) -> 
     took_h = sum(minutes[_key(cell)] for cell in both) / 60
     games = sum(cell["trained_games"] for cell in both)
     return (
-        f"These trainings' {games} games would have taken {hours:.1f} hours in real time (modelled, "
+        f"These trainings' {games} games would have taken {hours:.3g} hours in real time (modelled, "
         f"{3600 * hours / games:.0f} s per game; the paper's 5 000 games took 182 hours, 131 s per game). This machine "
-        f"took {took_h:.2f} hours of training, measured, one after another: {hours / took_h:.0f} times less."
+        f"took {took_h:.2g} hours of training, measured, one after another: {hours / took_h:.0f} times less."
     )
 
 
