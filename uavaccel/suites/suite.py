@@ -80,6 +80,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     config: type[ConfigType]
     serial: ClassVar[str] = ""
     """Why its games must be flown one after another in one process; empty where they need not."""
+    batch: ClassVar[int] = 4
+    """Games that a worker process is handed at once; 1 where each takes minutes."""
     quick: ClassVar[Mapping[str, Any] | None] = None
     """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
 
@@ -115,6 +117,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def cost(self, config: ConfigType, case: CaseType) -> Cost:
         """What a game takes, about; by default its simulated time over a usual speed, and a row."""
         return Cost(flying_s(case), ROW_BYTES)
+
+    def games(self, config: ConfigType, case: CaseType) -> int:
+        """How many games a case is, where it is a whole run of another suite."""
+        return 1
 
     def renders(self, config: ConfigType) -> bool:
         """Whether games need OpenGL."""

@@ -104,7 +104,13 @@ class Policies:
     @classmethod
     def of(cls, run: RunDirectory, profile: str) -> Policies:
         cells = run.read_json("summary.json")["cells"]
-        return cls([cell for cell in cells if cell["profile"] == profile])
+        return cls(
+            [
+                cell
+                for cell in cells
+                if (cell["profile"], cell["timing"], cell["variant"]) == (profile, "virtual", "")
+            ]
+        )
 
     def counts(self, command: str, clock_speed: float) -> tuple[int, int]:
         """Successes and games; (0, 0) where nothing was trained."""

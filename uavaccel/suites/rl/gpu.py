@@ -1,0 +1,58 @@
+"""Several GPUs: each process that trains takes one for its learner and its renderer, whoever started it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+import torch as th
+
+VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
+MOST_PROCESSES = 256
+
+_place: TextIO | None = None  # held as long as this process lives
+
+
+def take_gpu(device: str) -> None:
+    """Let `cuda` be one of several GPUs in this process and those that it starts: that of the first free place.
+
+    Places are files locked in the temporary folder, so processes of different runs share them, and a place is free
+    again however its process ended. Nothing happens where there is one GPU, or the device names one. It has to be
+    before CUDA's first use, which fixes what this process sees.
+    """
+    if device != "cuda" or _place is not None or th.cuda.is_initialized():
+        return
+    visible = visible_gpus()
+    if len(visible) < 2:
+        return
+    gpu = visible[_take_place() % len(visible)]
+    os.environ[VISIBLE] = gpu
+    if gpu.isdigit():
+        os.environ.setdefault(EGL_DEVICE, gpu)
+
+
+def visible_gpus() -> list[str]:
+    """The GPUs of this process, as CUDA_VISIBLE_DEVICES names them."""
+    if named := os.environ.get(VISIBLE):
+        return [name.strip() for name in named.split(",") if name.strip()]
+    return [str(number) for number in range(th.cuda.device_count())]
+
+
+def _take_place() -> int:
+    """The first place that no other process holds."""
+    import fcntl  # not on Windows
+
+    global _place
+    folder = Path(tempfile.gettempdir()) / f"uavaccel-gpus-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for number in range(MOST_PROCESSES):
+        _place = (folder / str(number)).open("a")
+        with suppress(BlockingIOError):
+            fcntl.flock(_place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return number
+        _place.close()
+    _place = None
+    return 0
