@@ -303,7 +303,7 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
 @pytest.mark.slow
 def test_two_runs_put_together_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
-    assert Rl().compare(runs) == tmp_path / "adsc/together/report.html"
+    assert Rl().compare(runs) == [tmp_path / "adsc/together/report.html"]
     together, one = (
         run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/together"), whole)
     )
@@ -345,7 +345,9 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
-    held, taken = [], []
+    held, taken, cores = [], [], []
+    monkeypatch.setattr(gpu.os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
+    monkeypatch.setattr(gpu.os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
     for _ in range(4):
         monkeypatch.delenv(gpu.VISIBLE, raising=False)
         monkeypatch.delenv(gpu.EGL_DEVICE, raising=False)
@@ -354,12 +356,16 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
         held.append(gpu._place)
         taken.append((gpu.os.environ[gpu.VISIBLE], gpu.os.environ[gpu.EGL_DEVICE]))
     assert taken == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
+    assert cores == [{0, 1}, {2, 3}, {0, 1}, {2, 3}]
     assert held[1] is not None
     held[1].close()  # as at its process's end
     monkeypatch.delenv(gpu.VISIBLE)
     monkeypatch.setattr(gpu, "_place", None)
     gpu.take_gpu("cuda")
     assert gpu.os.environ[gpu.VISIBLE] == "1"
+    for place in (*held, gpu._place):
+        assert place is not None
+        place.close()
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 2), ("cuda:1", 2), ("cuda", 1)])
