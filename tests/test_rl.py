@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pytest
@@ -345,21 +346,22 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
-    held, taken = [], []
-    for _ in range(4):
-        monkeypatch.delenv(gpu.VISIBLE, raising=False)
-        monkeypatch.delenv(gpu.EGL_DEVICE, raising=False)
+    held: list[TextIO] = []
+
+    def taken() -> tuple[str, str]:
+        for name in (gpu.VISIBLE, gpu.EGL_DEVICE):
+            monkeypatch.delenv(name, raising=False)
         monkeypatch.setattr(gpu, "_place", None)
         gpu.take_gpu("cuda")
+        assert gpu._place is not None
         held.append(gpu._place)
-        taken.append((gpu.os.environ[gpu.VISIBLE], gpu.os.environ[gpu.EGL_DEVICE]))
-    assert taken == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
-    assert held[1] is not None
+        return os.environ[gpu.VISIBLE], os.environ[gpu.EGL_DEVICE]
+
+    assert [taken() for _ in range(4)] == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
     held[1].close()  # as at its process's end
-    monkeypatch.delenv(gpu.VISIBLE)
-    monkeypatch.setattr(gpu, "_place", None)
-    gpu.take_gpu("cuda")
-    assert gpu.os.environ[gpu.VISIBLE] == "1"
+    assert taken() == ("1", "1")
+    for file in held:
+        file.close()
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 2), ("cuda:1", 2), ("cuda", 1)])
@@ -370,4 +372,4 @@ def test_without_a_choice_of_gpus_nothing_is_touched(
     monkeypatch.setattr(gpu, "_place", None)
     monkeypatch.delenv(gpu.VISIBLE, raising=False)
     gpu.take_gpu(device)
-    assert gpu.VISIBLE not in gpu.os.environ
+    assert gpu.VISIBLE not in os.environ

@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.parts import fly_part
 from uavaccel.suites.rl.cells import EVALUATION_SEED, Cell, evaluated_with, evaluation_part, training_part
 from uavaccel.suites.rl.config import RlConfig
@@ -48,16 +48,6 @@ def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
         "evaluations": evaluations,
     }
     return Flown(row, arrays, {"training_s": wall_s(RunDirectory(training).timings())})
-
-
-def outcomes(run: RunDirectory) -> dict[str, NDArray[Any]]:
-    """Of an evaluation's games (n,): lane, success, and metres north."""
-    rows = run.rows()
-    return {
-        "lane": np.array([row["lane"] for row in rows], np.int64),
-        "is_success": np.array([row["is_success"] for row in rows], bool),
-        "distance_m": np.array([row["distance_m"] for row in rows], np.float64),
-    }
 
 
 def wall_s(timings: Sequence[Mapping[str, Any]]) -> float:
