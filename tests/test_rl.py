@@ -108,7 +108,7 @@ def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
         interrupt_at_row(patch, "lane-000001")
         with pytest.raises(KeyboardInterrupt):
             run_into(tmp_path / "killed", Rl(), config, resume=True)
-    assert len(RunDirectory(second / "evaluation-adsc-1x").rows()) == 1
+    assert len(RunDirectory(second / "evaluation-adsc").rows()) == 1
     # The evaluation names its policy by where it was.
     moved = (tmp_path / "killed").rename(tmp_path / "moved")
     run_into(moved, Rl(), config, resume=True)
@@ -124,10 +124,10 @@ PARTS = {
     "tcsc": (
         "training/rows.jsonl",
         "training/policy.pt",
-        "evaluation-tcsc-1x/rows.jsonl",
-        "evaluation-adsc-1x/rows.jsonl",
+        "evaluation-tcsc/rows.jsonl",
+        "evaluation-adsc/rows.jsonl",
     ),
-    "adsc": ("training/rows.jsonl", "training/policy.pt", "evaluation-adsc-1x/rows.jsonl"),
+    "adsc": ("training/rows.jsonl", "training/policy.pt", "evaluation-adsc/rows.jsonl"),
 }
 
 
@@ -253,7 +253,7 @@ def load(row: Any) -> dict[str, np.ndarray]:
     lane = np.arange(LANES)
     won = np.isin(lane, row["lanes"])
     outcomes = {"lane": lane, "is_success": won, "distance_m": np.where(won, 150.0, 10.0 + lane)}
-    return {f"{row['command']}-1x_{name}": each for name, each in outcomes.items()}
+    return {f"{row['command']}_{name}": each for name, each in outcomes.items()}
 
 
 def test_every_number_of_table_i_and_figure_9() -> None:
@@ -304,7 +304,7 @@ def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> Non
 
     def both(row: Any) -> dict[str, np.ndarray]:
         fast = load({"command": "adsc", "lanes": range(row["evaluations"][1]["successes"])})
-        return load(row) | {name.replace("1x", "5x"): each for name, each in fast.items()}
+        return load(row) | {name.replace("adsc", "adsc-5x"): each for name, each in fast.items()}
 
     config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
     without, within = summarise(config, [plain, told], both)["as_trained"]

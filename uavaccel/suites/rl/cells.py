@@ -84,21 +84,18 @@ class Flight(NamedTuple):
 
     command: CommandName
     clock_speed: float
-
-    @property
-    def name(self) -> str:
-        """Of its folder, and before the names of its arrays."""
-        return f"{self.command}-{self.clock_speed:g}x"
+    name: str
+    """Of its folder, and before the names of its arrays."""
 
 
 def flights(config: RlConfig, cell: Cell) -> list[Flight]:
     """In real time with the cell's own command first; of the interchange test with the other; as it was trained."""
     real_time = config.evaluation_clock_speed
-    flown = [Flight(cell.command, real_time)]
+    flown = [Flight(cell.command, real_time, cell.command)]
     if config.interchange and (cell.variant, cell.clock, cell.command, cell.clock_speed) == INTERCHANGED:
-        flown.append(Flight("adsc", real_time))
+        flown.append(Flight("adsc", real_time, "adsc"))
     if config.as_trained and cell.clock_speed != real_time:
-        flown.append(Flight(cell.command, cell.clock_speed))
+        flown.append(Flight(cell.command, cell.clock_speed, f"{cell.command}-{cell.clock_speed:g}x"))
     return flown
 
 

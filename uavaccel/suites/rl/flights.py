@@ -37,7 +37,7 @@ def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
         part, place = evaluation_part(config, cell, flight, training), folder / f"evaluation-{flight.name}"
         _drop_other_agents(place, part.keys["agent"])
         summary = fly_part(place, part, EVALUATION_SEED, manifest)
-        evaluations.append({"name": flight.name, **{key: summary[key] for key in FLOWN}})
+        evaluations.append({key: summary[key] for key in FLOWN})
         arrays |= {f"{flight.name}_{name}": each for name, each in outcomes(RunDirectory(place)).items()}
     row = {
         "suite": "rl",

@@ -52,7 +52,7 @@ def _cell(row: Row, arrays: Mapping[str, NDArray[Any]], real_time: Sequence[Row]
     return {
         **{name: row[name] for name in (*KEY, "seed")},
         **_success(flown["successes"], flown["games"]),
-        "distance_m_median": float(np.median(arrays[f"{flown['name']}_distance_m"])),
+        "distance_m_median": float(np.median(arrays[f"{row['command']}_distance_m"])),
         "trained_games": row["training"]["games"],
         "trained_successes": row["training"]["successes"],
         "weights_sha256": row["training"]["weights_sha256"],
@@ -126,7 +126,9 @@ def paired(
 
 
 def _won(row: Row, flight: int, load: Arrays) -> dict[int, bool]:
-    name, arrays = row["evaluations"][flight]["name"], load(row)
+    flown, arrays = row["evaluations"][flight], load(row)
+    in_real_time = flown["clock_speed"] == row["evaluations"][0]["clock_speed"]
+    name = flown["command"] if in_real_time else f"{flown['command']}-{flown['clock_speed']:g}x"
     return dict(zip(arrays[f"{name}_lane"].tolist(), arrays[f"{name}_is_success"].tolist(), strict=True))
 
 
