@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pytest
@@ -230,11 +231,22 @@ def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) 
                     }.items()
                 },
             },
-            "evaluations": [{"command": command, "successes": len(lanes), "games": LANES}],
+            "evaluations": [flight(command, 1.0, len(lanes))],
             "lanes": lanes,
         }
         for seed, lanes in enumerate(won)
     ]
+
+
+def flight(command: str, clock_speed: float, successes: int) -> dict[str, Any]:
+    name = f"{command}-{clock_speed:g}x"
+    return {
+        "name": name,
+        "command": command,
+        "clock_speed": clock_speed,
+        "successes": successes,
+        "games": LANES,
+    }
 
 
 def load(row: Any) -> dict[str, np.ndarray]:
@@ -256,7 +268,7 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     assert (fast["successes"], fast["games"], fast["successes_by_seed"]) == (22, 80, [10, 12])
     wilson = binomtest(22, 80).proportion_ci(method="wilson")
     assert (fast["wilson_low"], fast["wilson_high"]) == (wilson.low, wilson.high)
-    assert fast["fisher_p"] == pytest.approx(fisher_exact([[22, 58], [50, 30]]).pvalue)
+    assert fast["fisher_p"] == pytest.approx(fisher_exact(np.array([[22, 58], [50, 30]])).pvalue)
     # Lanes 0 to 24 of seed 0 and 12 to 19 of seed 1 were won at 1x alone, 30 to 34 of seed 0 at 5x alone.
     assert fast["mcnemar_p"] == pytest.approx(binomtest(5, 5 + 25 + 8).pvalue)
     assert (fast["paper_successes"], real_time["paper_successes"]) == (30, 21)
@@ -271,7 +283,7 @@ def test_every_number_of_table_i_and_figure_9() -> None:
 
 def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
     (row,) = made("tcsc", 1.0, [list(range(30))], 1.0)
-    row["evaluations"].append({"command": "adsc", "successes": 24, "games": LANES})
+    row["evaluations"].append(flight("adsc", 1.0, 24))
 
     def both(row: Any) -> dict[str, np.ndarray]:
         adsc = load({"command": "adsc", "lanes": range(10, 34)})
@@ -282,6 +294,27 @@ def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
     assert [flown["successes"] for flown in test["flown_with"]] == [30, 24]
     assert (test["only_first"], test["only_second"]) == (10, 4)
     assert test["mcnemar_p"] == pytest.approx(binomtest(4, 14).pvalue)
+
+
+def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> None:
+    plain, told = (made("adsc", 5.0, [list(range(count))], 0.25)[0] for count in (20, 32))
+    told |= {"variant": "told"}
+    for row, count in ((plain, 4), (told, 15)):
+        row["evaluations"].append(flight("adsc", 5.0, count))
+
+    def both(row: Any) -> dict[str, np.ndarray]:
+        fast = load({"command": "adsc", "lanes": range(row["evaluations"][1]["successes"])})
+        return load(row) | {name.replace("adsc", "adsc-5x"): each for name, each in fast.items()}
+
+    config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
+    without, within = summarise(config, [plain, told], both)["as_trained"]
+    assert without["as_trained"]["mcnemar_p"] is None
+    assert (within["real_time"]["successes"], within["as_trained"]["successes"]) == (32, 15)
+    assert within["real_time"]["mcnemar_p"] == pytest.approx(binomtest(0, 12).pvalue)
+    assert within["as_trained"]["mcnemar_p"] == pytest.approx(binomtest(0, 11).pvalue)
+    assert within["as_trained"]["fisher_p"] == pytest.approx(
+        fisher_exact(np.array([[15, 25], [4, 36]])).pvalue
+    )
 
 
 # --- reports ----------------------------------------------------------------------------------------------------
@@ -325,6 +358,7 @@ def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
         "commands_interchange_at_1x",
     ):
         finding = getattr(claims, claim)(airsim)
+        assert finding is not None
         assert " of 2 (" in finding.value
     assert claims.tcsc_preserved_at_10x(airsim) is None  # not trained
     cells = whole.read_json("summary.json")["pooled"]
@@ -333,7 +367,9 @@ def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
         for cell in cells
         if (cell["profile"], cell["command"], cell["clock_speed"]) == ("airsim", "tcsc", 5.0)
     )
-    assert claims.training_speedup_5x(airsim).value == f"{speedup:.3g}x"
+    found = claims.training_speedup_5x(airsim)
+    assert found is not None
+    assert found.value == f"{speedup:.3g}x"
     assert native.counts("tcsc", 100.0)[1] == 2
     assert native.counts("tcsc", 1.0)[1] == 0  # the lockstep training is none of them
 
@@ -345,27 +381,26 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
-    held, taken, cores = [], [], []
-    monkeypatch.setattr(gpu.os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
-    monkeypatch.setattr(gpu.os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
-    for _ in range(4):
-        monkeypatch.delenv(gpu.VISIBLE, raising=False)
-        monkeypatch.delenv(gpu.EGL_DEVICE, raising=False)
+    held: list[TextIO] = []
+    cores: list[set[int]] = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
+
+    def taken() -> tuple[str, str]:
+        for name in (gpu.VISIBLE, gpu.EGL_DEVICE):
+            monkeypatch.delenv(name, raising=False)
         monkeypatch.setattr(gpu, "_place", None)
         gpu.take_gpu("cuda")
+        assert gpu._place is not None
         held.append(gpu._place)
-        taken.append((gpu.os.environ[gpu.VISIBLE], gpu.os.environ[gpu.EGL_DEVICE]))
-    assert taken == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
+        return os.environ[gpu.VISIBLE], os.environ[gpu.EGL_DEVICE]
+
+    assert [taken() for _ in range(4)] == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
     assert cores == [{0, 1}, {2, 3}, {0, 1}, {2, 3}]
-    assert held[1] is not None
     held[1].close()  # as at its process's end
-    monkeypatch.delenv(gpu.VISIBLE)
-    monkeypatch.setattr(gpu, "_place", None)
-    gpu.take_gpu("cuda")
-    assert gpu.os.environ[gpu.VISIBLE] == "1"
-    for place in (*held, gpu._place):
-        assert place is not None
-        place.close()
+    assert taken() == ("1", "1")
+    for file in held:
+        file.close()
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 2), ("cuda:1", 2), ("cuda", 1)])
@@ -376,4 +411,4 @@ def test_without_a_choice_of_gpus_nothing_is_touched(
     monkeypatch.setattr(gpu, "_place", None)
     monkeypatch.delenv(gpu.VISIBLE, raising=False)
     gpu.take_gpu(device)
-    assert gpu.VISIBLE not in gpu.os.environ
+    assert gpu.VISIBLE not in os.environ

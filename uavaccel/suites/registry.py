@@ -19,6 +19,7 @@ SUITES = {
     "train": "uavaccel.suites.training.suite:Training",
     "ablation": "uavaccel.suites.ablation.suite:Ablation",
     "rl": "uavaccel.suites.rl.suite:Rl",
+    "robustness": "uavaccel.suites.robustness.suite:Robustness",
     "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
 }

@@ -96,9 +96,8 @@ def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        parallel = Parallel(
-            n_jobs=jobs, return_as="generator", pre_dispatch="4*n_jobs", batch_size=suite.batch
-        )
+        ahead = f"{suite.batch}*n_jobs"  # of long games none, or an interruption would find them waiting
+        parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch=ahead, batch_size=suite.batch)
         games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
         try:
             yield from _told_of_dead_workers(games)

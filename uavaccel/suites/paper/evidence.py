@@ -100,16 +100,16 @@ class Policies:
     """A run of the suite `rl`: evaluation games won by command and ClockSpeed of the training, seeds pooled."""
 
     cells: Sequence[Cell]
+    interchange: Sequence[Cell] = ()
+    """Policies flown with both commands, seeds pooled."""
 
     @classmethod
     def of(cls, run: RunDirectory, profile: str) -> Policies:
-        cells = run.read_json("summary.json")["cells"]
+        """Of the profile's trainings on the virtual clock, those without a variant."""
+        summary = run.read_json("summary.json")
+        wanted = (profile, "virtual", "")
         return cls(
-            [
-                cell
-                for cell in cells
-                if (cell["profile"], cell["timing"], cell["variant"]) == (profile, "virtual", "")
-            ]
+            *([cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange"))
         )
 
     def counts(self, command: str, clock_speed: float) -> tuple[int, int]:
@@ -119,10 +119,27 @@ class Policies:
 
     def speedup(self, clock_speed: float) -> float | None:
         """Mean simulation-only speed-up of TCSC's trainings, on their modelled clock; None without one."""
-        values = [cell["training_speedup"] for cell in self._cells("tcsc", clock_speed)]
+        return self._mean("training_speedup", clock_speed)
+
+    def whole_speedup(self, clock_speed: float) -> float | None:
+        """The same with image processing, inference and learning."""
+        return self._mean("whole_training_speedup", clock_speed)
+
+    def accelerated(self, command: str) -> list[float]:
+        """ClockSpeeds above 1 at which the command was trained."""
+        return sorted(
+            {c["clock_speed"] for c in self.cells if c["command"] == command and c["clock_speed"] > 1}
+        )
+
+    def _mean(self, key: str, clock_speed: float) -> float | None:
+        values = [cell[key] for cell in self._cells("tcsc", clock_speed)]
         return float(np.mean(values)) if values and None not in values else None
 
     def _cells(self, command: str, clock_speed: float) -> list[Cell]:
         return [
             cell for cell in self.cells if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
         ]
+
+
+def _kind(cell: Cell) -> tuple[str, str, str]:
+    return cell["profile"], cell["timing"], cell["variant"]

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from uavaccel.rl.agents import FLIGHT, SENSES
 from uavaccel.suites.experiment import CommandName, ProfileName
 from uavaccel.suites.parts import Part
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
+INTERCHANGED = ("", "virtual", "tcsc", 1.0)  # variant, clock, command and ClockSpeed of the interchange test
 
 
 class Size(NamedTuple):
@@ -77,21 +79,36 @@ def training_part(config: RlConfig, cell: Cell) -> Part:
     return Part(experiment=config.training.experiment, keys=keys)
 
 
-def evaluation_part(config: RlConfig, cell: Cell, command: CommandName, agent: str | Path) -> Part:
-    """A flight of the cell's policy with that command, on the clock that it was trained by, in real time."""
+class Flight(NamedTuple):
+    """How a policy is evaluated."""
+
+    command: CommandName
+    clock_speed: float
+    name: str
+    """Of its folder, and before the names of its arrays."""
+
+
+def flights(config: RlConfig, cell: Cell) -> list[Flight]:
+    """In real time with the cell's own command first; of the interchange test with the other; as it was trained."""
+    real_time = config.evaluation_clock_speed
+    flown = [Flight(cell.command, real_time, cell.command)]
+    if config.interchange and (cell.variant, cell.clock, cell.command, cell.clock_speed) == INTERCHANGED:
+        flown.append(Flight("adsc", real_time, "adsc"))
+    if config.as_trained and cell.clock_speed != real_time:
+        flown.append(Flight(cell.command, cell.clock_speed, f"{cell.command}-{cell.clock_speed:g}x"))
+    return flown
+
+
+def evaluation_part(config: RlConfig, cell: Cell, flight: Flight, agent: str | Path) -> Part:
+    """A flight of the cell's policy, on the clock that it was trained by; what it sees is the policy's own affair."""
+    own = {key: value for key, value in cell.task.items() if key.split(".")[1] not in SENSES + FLIGHT}
     keys = {
         **config.evaluation.keys,
         "agent": str(agent),
-        "task.command": command,
-        "task.clock_speed": config.evaluation_clock_speed,
+        "task.command": flight.command,
+        "task.clock_speed": flight.clock_speed,
         "task.timing": cell.clock,
         "task.profile": cell.profile,
-        **cell.task,
+        **own,
     }
     return Part(experiment=config.evaluation.experiment, keys=keys)
-
-
-def evaluated_with(config: RlConfig, cell: Cell) -> list[CommandName]:
-    """The cell's own command first; of the interchange test the other one too."""
-    tested = (cell.variant, cell.clock, cell.command, cell.clock_speed) == ("", "virtual", "tcsc", 1.0)
-    return [cell.command, "adsc"] if config.interchange and tested else [cell.command]

@@ -52,6 +52,9 @@ class RlConfig(Experiment):
     interchange: bool = True
     """Whether policies that TCSC trained at 1x on the virtual clock are flown with ADSC too (section III-C3)."""
 
+    as_trained: bool = False
+    """Whether policies are flown at the ClockSpeed of their training too."""
+
     command: tuple[CommandName, ...] = ()
     """Of the cells only those; all where nothing is said, as with the next three."""
     clock_speed: tuple[float, ...] = ()

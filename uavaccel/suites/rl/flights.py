@@ -8,12 +8,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.parts import fly_part
-from uavaccel.suites.rl.cells import EVALUATION_SEED, Cell, evaluated_with, evaluation_part, training_part
+from uavaccel.suites.rl.cells import EVALUATION_SEED, Cell, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.suite import Flown
 from uavaccel.suites.training.flights import CHECKPOINTS
@@ -33,12 +33,12 @@ def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
     )  # gigabytes that a finished training has no use for
     evaluations: list[dict[str, Any]] = []
     arrays: dict[str, NDArray[Any]] = {}
-    for command in evaluated_with(config, cell):
-        part, place = evaluation_part(config, cell, command, training), folder / f"evaluation-{command}"
+    for flight in flights(config, cell):
+        part, place = evaluation_part(config, cell, flight, training), folder / f"evaluation-{flight.name}"
         _drop_other_agents(place, part.keys["agent"])
         summary = fly_part(place, part, EVALUATION_SEED, manifest)
         evaluations.append({key: summary[key] for key in FLOWN})
-        arrays |= {f"{command}_{name}": each for name, each in outcomes(RunDirectory(place)).items()}
+        arrays |= {f"{flight.name}_{name}": each for name, each in outcomes(RunDirectory(place)).items()}
     row = {
         "suite": "rl",
         "case": cell.id,
@@ -48,16 +48,6 @@ def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
         "evaluations": evaluations,
     }
     return Flown(row, arrays, {"training_s": wall_s(RunDirectory(training).timings())})
-
-
-def outcomes(run: RunDirectory) -> dict[str, NDArray[Any]]:
-    """Of an evaluation's games (n,): lane, success, and metres north."""
-    rows = run.rows()
-    return {
-        "lane": np.array([row["lane"] for row in rows], np.int64),
-        "is_success": np.array([row["is_success"] for row in rows], bool),
-        "distance_m": np.array([row["distance_m"] for row in rows], np.float64),
-    }
 
 
 def wall_s(timings: Sequence[Mapping[str, Any]]) -> float:

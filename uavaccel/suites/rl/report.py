@@ -36,6 +36,10 @@ INTERCHANGE_HEADER = (
     "won with it alone",
     "McNemar p",
 )
+AS_TRAINED_HEADER = (
+    *("trained with", "ClockSpeed", "seeds", "success in real time", "McNemar p against the plain one"),
+    *("success at the ClockSpeed of the training", "McNemar p against the plain one"),
+)
 WEIGHTS_HEADER = ("trained with", "ClockSpeed", "seed", "training games won", "success", "weights (SHA-256)")
 
 Cell = Mapping[str, Any]
@@ -57,6 +61,9 @@ def write_report(run: RunDirectory) -> dict[str, Any]:
     ]
     if summary["interchange"]:
         blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
+    if summary["as_trained"]:
+        lines = [_as_trained(flown) for flown in summary["as_trained"]]
+        blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
     minutes = _machine_minutes(run, rows)
     blocks += [
         Heading("Time of the training"),
@@ -115,6 +122,17 @@ def _success_line(cell: Cell) -> tuple[str, ...]:
         _text(cell["paper_successes"], "{}"),
         _text(cell["fisher_p"], "{:.2g}"),
         _text(cell["mcnemar_p"], "{:.2g}"),
+    )
+
+
+def _as_trained(flown: Mapping[str, Any]) -> tuple[str, ...]:
+    real_time, own = flown["real_time"], flown["as_trained"]
+    return (
+        panel_name(flown),
+        clock_label(flown["clock_speed"]),
+        listed(flown["seeds"]),
+        *(success(real_time), _text(real_time["mcnemar_p"], "{:.2g}")),
+        *(success(own), _text(own["mcnemar_p"], "{:.2g}")),
     )
 
 

@@ -10,8 +10,8 @@ from uavaccel.suites.rl.cells import (
     EVALUATION_SEED,
     Cell,
     Size,
-    evaluated_with,
     evaluation_part,
+    flights,
     training_part,
 )
 from uavaccel.suites.rl.config import RlConfig
@@ -22,7 +22,7 @@ CELL_BYTES = 2e6  # of policy, figures and curves; checkpoints are gone once a t
 
 def _parts(config: RlConfig, cell: Cell) -> list[tuple[Part, int]]:
     """Training and evaluations with their seeds; the policy that ships stands for the cell's own."""
-    flown = [evaluation_part(config, cell, command, DEFAULT) for command in evaluated_with(config, cell)]
+    flown = [evaluation_part(config, cell, flight, DEFAULT) for flight in flights(config, cell)]
     return [(training_part(config, cell), cell.seed), *((part, EVALUATION_SEED) for part in flown)]
 
 

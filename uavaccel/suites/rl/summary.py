@@ -34,6 +34,9 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: Arrays) -> d
         "interchange": [
             test for members in groups.values() if (test := _interchange(members, load)) is not None
         ],
+        "as_trained": [
+            flown for members in groups.values() if (flown := _as_trained(members, groups, load)) is not None
+        ],
     }
 
 
@@ -59,23 +62,28 @@ def _cell(row: Row, arrays: Mapping[str, NDArray[Any]], real_time: Sequence[Row]
 
 def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> dict[str, Any]:
     """All seeds of one training together, against the same at 1x and against the paper."""
-    first, name = members[0], members[0]["command"]
-    won = sum(row["evaluations"][0]["successes"] for row in members)
-    games = sum(row["evaluations"][0]["games"] for row in members)
+    first = members[0]
     key = [first[each] for each in ("profile", "variant", "command", "clock_speed")]
     simulation, whole = paper.speedups(*key)
+    other = [] if first["clock_speed"] == 1.0 else real_time
     return {
         **{each: first[each] for each in KEY},
         "seeds": [row["seed"] for row in members],
         "successes_by_seed": [row["evaluations"][0]["successes"] for row in members],
-        **_success(won, games),
+        **pooled_success(members, 0),
         "trained_games": sum(row["training"]["games"] for row in members),
         "paper_successes": paper.successes(*key),
-        **_against(members, real_time, name, load),
+        **against(members, other, 0, load),
         **_times(members, real_time),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
     }
+
+
+def pooled_success(members: Sequence[Row], flight: int) -> dict[str, Any]:
+    """Success of all seeds together in one of their flights."""
+    flown = [row["evaluations"][flight] for row in members]
+    return _success(sum(each["successes"] for each in flown), sum(each["games"] for each in flown))
 
 
 def _success(won: int, games: int) -> dict[str, Any]:
@@ -89,48 +97,39 @@ def _success(won: int, games: int) -> dict[str, Any]:
     }
 
 
-def _against(members: Sequence[Row], real_time: Sequence[Row], command: str, load: Arrays) -> dict[str, Any]:
-    """p-values against the trainings at 1x: Fisher's of the pooled games, and McNemar's of the same seeds and lanes."""
-    if not real_time or members[0]["clock_speed"] == 1.0:
+def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: Arrays) -> dict[str, Any]:
+    """p-values of two groups in a flight: Fisher's of pooled games, McNemar's of the same seeds and lanes."""
+    if not others:
         return {"fisher_p": None, "mcnemar_p": None}
-    counts = [
-        (
-            sum(row["evaluations"][0]["successes"] for row in group),
-            sum(row["evaluations"][0]["games"] for row in group),
-        )
-        for group in (members, real_time)
-    ]
-    first, second = paired(members, real_time, f"{command}_", f"{command}_", load)
+    mine, theirs = (pooled_success(group, flight) for group in (members, others))
+    first, second = paired(members, others, (flight, flight), load)
     return {
-        "fisher_p": fisher_exact_p(*counts),
+        "fisher_p": fisher_exact_p(
+            (mine["successes"], mine["games"]), (theirs["successes"], theirs["games"])
+        ),
         "mcnemar_p": mcnemar_exact(first, second).p_value if len(first) else None,
     }
 
 
 def paired(
-    some: Sequence[Row], others: Sequence[Row], prefix: str, other_prefix: str, load: Arrays
+    some: Sequence[Row], others: Sequence[Row], flight: tuple[int, int], load: Arrays
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Outcomes (n,) of two groups of trainings on the same lanes with the same seeds."""
+    """Outcomes (n,) of two groups of trainings, each in one of its flights, on the same lanes with the same seeds."""
     of_seed = {row["seed"]: row for row in others}
     pairs: list[tuple[bool, bool]] = []
     for row in some:
-        if row["seed"] not in of_seed:
-            continue
-        mine, theirs = load(row), load(of_seed[row["seed"]])
-        known = dict(
-            zip(
-                theirs[f"{other_prefix}lane"].tolist(),
-                theirs[f"{other_prefix}is_success"].tolist(),
-                strict=True,
-            )
-        )
-        for lane, won in zip(
-            mine[f"{prefix}lane"].tolist(), mine[f"{prefix}is_success"].tolist(), strict=True
-        ):
-            if lane in known:
-                pairs.append((won, known[lane]))
+        if row["seed"] in of_seed:
+            mine, theirs = _won(row, flight[0], load), _won(of_seed[row["seed"]], flight[1], load)
+            pairs += [(won, theirs[lane]) for lane, won in mine.items() if lane in theirs]
     first, second = np.array(pairs, bool).reshape(-1, 2).T
     return first, second
+
+
+def _won(row: Row, flight: int, load: Arrays) -> dict[int, bool]:
+    flown, arrays = row["evaluations"][flight], load(row)
+    in_real_time = flown["clock_speed"] == row["evaluations"][0]["clock_speed"]
+    name = flown["command"] if in_real_time else f"{flown['command']}-{flown['clock_speed']:g}x"
+    return dict(zip(arrays[f"{name}_lane"].tolist(), arrays[f"{name}_is_success"].tolist(), strict=True))
 
 
 def _times(members: Sequence[Row], real_time: Sequence[Row]) -> dict[str, Any]:
@@ -164,27 +163,44 @@ def per_command(members: Sequence[Row], phases: Sequence[str]) -> float:
 
 
 def _interchange(members: Sequence[Row], load: Arrays) -> dict[str, Any] | None:
-    """Policies flown with the command that they were not trained with; None where none was."""
-    tested = [row for row in members if len(row["evaluations"]) > 1]
-    if not tested:
+    """Policies flown with the command that they were not trained with too; None where none was."""
+    flown = members[0]["evaluations"]
+    other = next((n for n, each in enumerate(flown) if each["command"] != flown[0]["command"]), None)
+    if other is None:
         return None
-    trained, other = (tested[0]["evaluations"][place]["command"] for place in (0, 1))
-    outcomes = [
-        {
-            "command": command,
-            **_success(
-                sum(row["evaluations"][place]["successes"] for row in tested),
-                sum(row["evaluations"][place]["games"] for row in tested),
-            ),
-        }
-        for place, command in enumerate((trained, other))
-    ]
-    test = mcnemar_exact(*paired(tested, tested, f"{trained}_", f"{other}_", load))
+    test = mcnemar_exact(*paired(members, members, (0, other), load))
     return {
-        **{name: tested[0][name] for name in KEY},
-        "seeds": [row["seed"] for row in tested],
-        "flown_with": outcomes,
+        **{name: members[0][name] for name in KEY},
+        "seeds": [row["seed"] for row in members],
+        "flown_with": [
+            {"command": flown[flight]["command"], **pooled_success(members, flight)} for flight in (0, other)
+        ],
         "only_first": test.only_first,
         "only_second": test.only_second,
         "mcnemar_p": test.p_value,
+    }
+
+
+def _as_trained(
+    members: Sequence[Row], groups: Mapping[tuple[Any, ...], list[Row]], load: Arrays
+) -> dict[str, Any] | None:
+    """Policies flown at the ClockSpeed of their training, against those without the variant; None where none was."""
+    first = members[0]
+    flight = next(
+        (
+            n
+            for n, each in enumerate(first["evaluations"])
+            if n and (each["command"], each["clock_speed"]) == (first["command"], first["clock_speed"])
+        ),
+        None,
+    )
+    if flight is None:
+        return None
+    plain = groups.get(("", *(first[name] for name in KEY[1:])), []) if first["variant"] else []
+    plain = [row for row in plain if len(row["evaluations"]) == len(first["evaluations"])]
+    return {
+        **{name: first[name] for name in KEY},
+        "seeds": [row["seed"] for row in members],
+        "real_time": pooled_success(members, 0) | against(members, plain, 0, load),
+        "as_trained": pooled_success(members, flight) | against(members, plain, flight, load),
     }

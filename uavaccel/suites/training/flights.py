@@ -108,14 +108,16 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
-    """A trainer that Ctrl-C asks for a checkpoint."""
+    """A trainer that Ctrl-C asks for a checkpoint, unless this process is to leave Ctrl-C to another."""
     trainer = Trainer(config, run)
-    in_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, trainer.interrupt) if in_main else None
+    before = signal.getsignal(signal.SIGINT)
+    heeds = threading.current_thread() is threading.main_thread() and before is not signal.SIG_IGN
+    if heeds:
+        signal.signal(signal.SIGINT, trainer.interrupt)
     try:
         yield trainer
     finally:
-        if in_main:
+        if heeds:
             signal.signal(signal.SIGINT, before)
         trainer.close()
 
