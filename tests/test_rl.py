@@ -336,7 +336,7 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
 @pytest.mark.slow
 def test_two_runs_put_together_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
-    assert Rl().compare(runs) == tmp_path / "adsc/together/report.html"
+    assert Rl().compare(runs) == [tmp_path / "adsc/together/report.html"]
     together, one = (
         run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/together"), whole)
     )
@@ -381,6 +381,9 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    cores: list[set[int]] = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
     held: list[TextIO] = []
 
     def taken() -> tuple[str, str]:
@@ -393,6 +396,7 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
         return os.environ[gpu.VISIBLE], os.environ[gpu.EGL_DEVICE]
 
     assert [taken() for _ in range(4)] == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
+    assert cores == [{0, 1}, {2, 3}, {0, 1}, {2, 3}]
     held[1].close()  # as at its process's end
     assert taken() == ("1", "1")
     for file in held:

@@ -173,6 +173,8 @@ def report_run(run: RunDirectory) -> Summary:
     summary = suite.report(run)
     if headline := suite.headline(summary):
         console.print(headline)
+    if pace := suite.pace(run):
+        console.print(pace)
     if table := suite.overview(summary):
         show_table(table)
     cells = summary.get("cells", ())

@@ -1,4 +1,4 @@
-"""Several GPUs: each process that trains takes one for its learner and its renderer, whoever started it."""
+"""Several GPUs: each process that trains takes one, and its share of the cores, whoever started it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,22 @@ def take_gpu(device: str) -> None:
     visible = visible_gpus()
     if len(visible) < 2:
         return
-    gpu = visible[_take_place() % len(visible)]
+    place = _take_place() % len(visible)
+    gpu = visible[place]
     os.environ[VISIBLE] = gpu
+    _stay_on_cores(place, len(visible))
     if gpu.isdigit():
         os.environ.setdefault(EGL_DEVICE, gpu)
+
+
+def _stay_on_cores(share: int, shares: int) -> None:
+    """As many as every GPU's process has: its lanes fly on them, and do not crowd out its neighbours'."""
+    if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) >= 2 * shares:
+        size = len(cores) // shares
+        os.sched_setaffinity(0, cores[share * size : (share + 1) * size])
 
 
 def visible_gpus() -> list[str]:

@@ -77,8 +77,8 @@ class Rl(Suite[RlConfig, Cell]):
     def report(self, run: RunDirectory) -> Summary:
         return report.write_report(run)
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path:
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """One report of several runs' cells, in the first one's folder `together`."""
         together = put_together(runs)
         report.write_report(together)
-        return together.path / "report.html"
+        return [together.path / "report.html"]
