@@ -43,7 +43,7 @@ class Trajectories:
         return sorted({cell["clock_speed"] for cell in self.cells if cell["clock_speed"] > 1})
 
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """STLC of the games, T_moves pooled, and rounds too unless one number is asked for; KeyError if none was flown."""
+        """STLC of the games, T_moves pooled, and rounds too unless one is asked for; KeyError if none was flown."""
         values = [
             cell["stlc"]
             for cell in self.games

@@ -131,9 +131,9 @@ def agent_name(agent: str) -> str:
 
 def headline(summary: Mapping[str, Any]) -> str:
     """How much was flown, by whom."""
-    games = sum(cell["games"] for cell in summary["cells"])
+    games, points = sum(cell["games"] for cell in summary["cells"]), len(summary["cells"])
     return (
-        f"{agent_name(summary['agent'])} in {games} games over {len(summary['cells'])} points of latency and ClockSpeed, all of it "
+        f"{agent_name(summary['agent'])} in {games} games over {points} points of latency and ClockSpeed, all of it "
         f"modelled under {summary['profile']}"
     )
 
