@@ -381,10 +381,10 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    held: list[TextIO] = []
     cores: list[set[int]] = []
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
     monkeypatch.setattr(os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
-    held: list[TextIO] = []
 
     def taken() -> tuple[str, str]:
         for name in (gpu.VISIBLE, gpu.EGL_DEVICE):

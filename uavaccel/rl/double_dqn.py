@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.algorithms import greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.graph import GraphedStep
@@ -132,8 +132,7 @@ class DoubleDQN:
             warming_up = self.commands < self.options.learning_starts
             if warming_up or self.random.rand() < self.exploration_rate:
                 return np.array([self.lanes.action_space.sample() for _ in observations])
-            self.policy.set_training_mode(False)
-            return np.asarray(self.policy.predict(observations, deterministic=True)[0])
+            return greedy(self.policy, observations)
 
     # --- learn ------------------------------------------------------------------------------------
 
@@ -196,7 +195,6 @@ class DoubleDQN:
 
     def _descend(self, batch: Batch, targets: th.Tensor) -> None:
         """One step of the online network towards the targets, by Huber's loss."""
-        self.policy.set_training_mode(True)
         chosen = self.policy.q_net(batch.observations).gather(1, batch.actions)
         loss = functional.smooth_l1_loss(chosen, targets)
         self.policy.optimizer.zero_grad()

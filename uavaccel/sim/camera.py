@@ -102,6 +102,8 @@ class Camera:
         set_quality(self.model, self.width, self.height)
         self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
+        if self.renderer.software:
+            gl.drop_stencil(self._context, self.width, self.height)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._read_pixels = gl.pixel_reader()
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR

@@ -93,6 +93,22 @@ def sample_textures_fast(context: Any) -> None:
         GL.glTexParameteri(target, GL.GL_TEXTURE_MAG_FILTER, GL.GL_NEAREST)
 
 
+def drop_stencil(context: Any, width: int, height: int) -> None:
+    """Give the off-screen buffer depths without MuJoCo's stencil beside them: a fifth of the frame, in software.
+
+    The stencil is for reflections, of which there are none; depths have the same 32 bits, so pixels are the same. The
+    buffer goes with the GL context.
+    """
+    from OpenGL import GL
+
+    depth = GL.glGenRenderbuffers(1)
+    GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, depth)
+    GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH_COMPONENT32F, width, height)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, int(context.offFBO))
+    for attachment, buffer in ((GL.GL_DEPTH_STENCIL_ATTACHMENT, 0), (GL.GL_DEPTH_ATTACHMENT, depth)):
+        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
+
+
 def pixel_reader() -> Any:
     """glReadPixels of the present context's library, without PyOpenGL's checks, which take longer than the call."""
     from OpenGL.platform import PLATFORM  # that of the first context, so not before there is one
