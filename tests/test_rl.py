@@ -168,6 +168,23 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     assert len(names()) == 6
 
 
+def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
+    def disk_bytes(config: Any) -> float:
+        return sum(Rl().cost(config, case).disk_bytes for case in Rl().cases(config))
+
+    config = configured("rl_session", seeds=1, clock_speed=[1.0], profile="airsim")
+    assert [Rl().games(config, case) for case in Rl().cases(config)] == [
+        1600,
+        1300,
+    ]  # TCSC's policy flies twice
+    often = configured(
+        "rl_session", "training.keys.checkpoint_games=500", seeds=1, clock_speed=[1.0], profile="airsim"
+    )
+    assert (
+        disk_bytes(often) - disk_bytes(config) == 2 * 150_000 * 3 * 36 * 64
+    )  # both observations of a transition
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -43,14 +43,16 @@ class Trajectories:
         return sorted({cell["clock_speed"] for cell in self.cells if cell["clock_speed"] > 1})
 
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """STLC of the games, T_moves pooled, and rounds too unless one number of them is asked for."""
+        """STLC of the games, T_moves pooled, and rounds too unless one is asked for; KeyError if none was flown."""
         values = [
             cell["stlc"]
             for cell in self.games
             if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
             and rounds in (None, cell["rounds"])
         ]
-        return np.concatenate([np.asarray(each, float) for each in values]) if values else np.empty(0)
+        if not values:
+            raise KeyError(f"{command} at {clock_speed:g}x was not flown")
+        return np.concatenate([np.asarray(each, float) for each in values])
 
     def median(self, command: str, clock_speed: float) -> float:
         """Pooled median STLC, as in the paper's Figure 5."""

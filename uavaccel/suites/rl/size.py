@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from uavaccel.rl.agents import DEFAULT
+from uavaccel.rl.algorithms import OWN
+from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.rl.cells import (
     EVALUATION_SEED,
@@ -17,7 +21,7 @@ from uavaccel.suites.rl.cells import (
 from uavaccel.suites.rl.config import RlConfig
 
 GPU_RATE = 1_500.0  # simulated seconds per wall second of many lanes on one GPU, about
-CELL_BYTES = 2e6  # of policy, figures and curves; checkpoints are gone once a training is over
+CELL_BYTES = 2e6  # of policy, figures and curves
 
 
 def _parts(config: RlConfig, cell: Cell) -> list[tuple[Part, int]]:
@@ -43,3 +47,14 @@ def size_of(config: RlConfig, cell: Cell) -> Size:
         simulated_s / GPU_RATE if on_gpu else sum(cost.wall_s for _, cost in costs),
         sum(cost.disk_bytes for _, cost in costs) + CELL_BYTES,
     )
+
+
+def checkpoint_bytes(config: RlConfig, cell: Cell) -> float:
+    """What a training's checkpoint holds at most: the replay buffer, which each process writes for its own training."""
+    training = part_configs(config, cell)[0]
+    if getattr(training, "algorithm", "") != OWN or training.games <= training.checkpoint_games:
+        return 0.0
+    space = training.task.observation_space()
+    flown = training.games * training.task.typical_s / training.task.t_move_s
+    kept = min(DqnOptions.of(training).buffer_size, flown)
+    return float(2 * kept * np.prod(space.shape) * space.dtype.itemsize)

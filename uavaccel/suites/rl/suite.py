@@ -19,7 +19,7 @@ from uavaccel.suites.rl.cells import (
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.flights import fly_cell
 from uavaccel.suites.rl.gpu import take_gpu
-from uavaccel.suites.rl.size import part_configs, size_of
+from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
 from uavaccel.suites.rl.together import put_together
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
 
@@ -38,11 +38,13 @@ class Rl(Suite[RlConfig, Cell]):
 
     def cases(self, config: RlConfig) -> Iterator[Cell]:
         known: dict[str, Size] = {}  # trainings that differ in their seed alone are of one size
-        for cell in cells(config):
+        for number, cell in enumerate(cells(config)):
             kind = replace(cell, seed=0).id
             if kind not in known:
                 known[kind] = size_of(config, cell)
-            yield replace(cell, size=known[kind])
+            # A checkpoint goes when its training is over: the first cell's stands for all.
+            kept = 0.0 if number else checkpoint_bytes(config, cell)
+            yield replace(cell, size=known[kind]._replace(disk_bytes=known[kind].disk_bytes + kept))
 
     def games(self, config: RlConfig, case: Cell) -> int:
         return case.size.games

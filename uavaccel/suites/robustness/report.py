@@ -10,6 +10,7 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.draw.success_map import Success, draw_success_maps
 from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites.pages import finished_rows, write_pages
 from uavaccel.suites.suite import Row
 
@@ -34,7 +35,7 @@ def write_report(run: RunDirectory) -> dict[str, Any]:
     run.write_json("summary.json", summary)
     lanes = max(row["games"] for row in rows)
     source = f"modelled, profile {config['profile']} · {lanes} lanes each · seed {config['seed']}"
-    title = f"Success of {config['agent']} over latency and ClockSpeed"
+    title = f"Success of {agent_name(config['agent'])} over latency and ClockSpeed"
     picture = Picture(
         draw_success_maps(maps(summary["cells"]), FITTED, title, run.file(FIGURE), source),
         f"{title}, with 95 % Wilson intervals; the frame is the latency as fitted. Source: {source}.",
@@ -123,11 +124,16 @@ def maps(cells: Sequence[Cell]) -> dict[str, dict[tuple[float, float], Success]]
     return found
 
 
+def agent_name(agent: str) -> str:
+    """An agent in a sentence."""
+    return "the policy that ships" if agent == DEFAULT else agent
+
+
 def headline(summary: Mapping[str, Any]) -> str:
     """How much was flown, by whom."""
-    games = sum(cell["games"] for cell in summary["cells"])
+    games, points = sum(cell["games"] for cell in summary["cells"]), len(summary["cells"])
     return (
-        f"{summary['agent']} in {games} games over {len(summary['cells'])} points of latency and ClockSpeed, all of it "
+        f"{agent_name(summary['agent'])} in {games} games over {points} points of latency and ClockSpeed, all of it "
         f"modelled under {summary['profile']}"
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ from uavaccel.rl.agents import policy_sha256
 from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.experiment import CommandName
 from uavaccel.suites.parts import Part, fly_part, part_cost, part_suite
+from uavaccel.suites.rl.gpu import take_gpu
 from uavaccel.suites.robustness import report
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
@@ -68,10 +69,11 @@ class Robustness(Suite[RobustnessConfig, Cell]):
     def provenance(self, config: RobustnessConfig) -> Mapping[str, Any]:
         return {"policy_sha256": policy_sha256(config.agent)}
 
-    def open(
-        self, config: RobustnessConfig, timing: str, run: RunDirectory
-    ) -> AbstractContextManager[RunDirectory]:
-        return nullcontext(run)
+    @contextmanager
+    def open(self, config: RobustnessConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
+        """The run; this process draws on a GPU of its own from now on, where there are several."""
+        take_gpu("cuda")
+        yield run
 
     def fly(self, config: RobustnessConfig, case: Cell, opened: RunDirectory) -> Flown:
         folder = opened.path / "parts" / case.id
