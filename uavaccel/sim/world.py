@@ -27,6 +27,7 @@ from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
+    from uavaccel.sim.mounted_camera import MountedCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
@@ -58,6 +59,7 @@ class World:
         self._scene = scene
         self._lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._mounted_camera: MountedCamera | None = None
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
         self._parameters = parameters(
@@ -124,6 +126,17 @@ class World:
             self._cameras[width, height] = make_camera(self.model, width, height)
         return self._cameras[width, height]
 
+    def mounted_camera(self, width: int, height: int) -> MountedCamera:
+        """A camera to be pointed anywhere, for pictures up to a size; kept. Raises UserError without OpenGL."""
+        from uavaccel.sim.mounted_camera import MountedCamera
+
+        camera = self._mounted_camera
+        if camera is None or camera.width_most < width or camera.height_most < height:
+            if camera is not None:
+                camera.close()
+            self._mounted_camera = camera = MountedCamera(self.model, width, height)
+        return camera
+
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
@@ -137,6 +150,9 @@ class World:
         """Give back what OpenGL holds."""
         while self._cameras:
             self._cameras.popitem()[1].close()
+        if self._mounted_camera is not None:
+            self._mounted_camera.close()
+            self._mounted_camera = None
 
     def reset(self, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
         """Tick 0, at rest in a settled position hold at `position_m`; the recorder stops."""
