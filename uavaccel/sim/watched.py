@@ -11,8 +11,8 @@ from uavaccel.sim.world import World
 class WatchedWorld(World):
     """A `World` that calls back at every so many ticks, once `watch` was called. Looking changes no flight."""
 
-    def __init__(self, scene: str, profile: Profile) -> None:
-        super().__init__(scene, profile)
+    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
+        super().__init__(scene, profile, furnished)
         self._watchers: list[tuple[int, Callable[[int], None]]] = []
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:

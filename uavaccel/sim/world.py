@@ -16,6 +16,7 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
+from uavaccel.sim.furnished import furnished_model
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import Profile
@@ -44,13 +45,14 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotor, flown by SimpleFlight's cascade.
 
+    `furnished` for AirSim's clients (uavaccel.sim.furnished).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act.
     """
 
-    def __init__(self, scene: str, profile: Profile) -> None:
+    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
         path = asset(f"mjcf/{scene}.xml")
-        self.model = mujoco.MjModel.from_xml_path(str(path))
+        self.model = furnished_model(path) if furnished else mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.timestep = profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
@@ -141,10 +143,15 @@ class World:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
         self._lane = layout
+        self.surroundings_changed()
+        self._field["wind"][0] = layout.wind_m_s
+
+    def surroundings_changed(self) -> None:
+        """Objects of the model were moved, have come or gone, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
-        self._clearance.look_anew()
-        self._field["wind"][0] = layout.wind_m_s
+        mujoco.mj_kinematics(self.model, self.data)
+        self._clearance.surroundings_changed()
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
