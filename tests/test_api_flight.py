@@ -15,6 +15,7 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.wire import rpc, types
 from uavaccel.wire.api import Api, facing
 from uavaccel.wire.game_api import decode_state, encode_state
+from uavaccel.wire.types import EPOCH_NS
 
 MS = 1_000_000
 MAX_DOF, FORWARD_ONLY = 0, 1
@@ -70,7 +71,7 @@ def test_states_are_those_of_the_physics() -> None:
         ("angular_acceleration", now.angular_acceleration_rad_s2),
     ):
         assert tuple(state[name][axis] for axis in ("x_val", "y_val", "z_val")) == vector, name
-    assert told["timestamp"] == now.time_ns == before.time_ns + NATIVE.tick_ns
+    assert told["timestamp"] - EPOCH_NS == now.time_ns == before.time_ns + NATIVE.tick_ns
     moved = np.subtract(now.position_m, before.position_m) / NATIVE.tick_s
     np.testing.assert_allclose(moved, now.linear_velocity_m_s, atol=0.01)
     assert told["kinematics_estimated"] == result_of(api, "simGetGroundTruthKinematics", [], 702 * MS)

@@ -22,11 +22,14 @@ def furnished_model(path: Path) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(path))
     _widen_ground(spec)
     _add_spares(spec)
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 24, 12  # spawned spheres are round
     spec.stat.extent, spec.stat.center = plain.stat.extent, plain.stat.center
     spec.visual.map.znear, spec.visual.map.zfar = NEAR_M / plain.stat.extent, FAR_M / plain.stat.extent
     model = spec.compile()
     spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
-    model.geom_contype[spares] = model.geom_conaffinity[spares] = 0  # compiled as solid: so they are in MuJoCo's trees
+    model.geom_contype[spares] = model.geom_conaffinity[spares] = (
+        0  # compiled as solid: so they are in MuJoCo's trees
+    )
     return model
 
 

@@ -40,7 +40,9 @@ class MountedCamera(Camera):
 
     def point(self, mount: Pose, lens: Lens) -> None:
         """Let the next pictures be taken from `mount`, in the vehicle's frame, through `lens`."""
-        self._view.look_through(None if mount == FRONT_CENTER else mount, lens.width, lens.height, lens.fov_deg)
+        self._view.look_through(
+            None if mount == FRONT_CENTER else mount, lens.width, lens.height, lens.fov_deg
+        )
         if lens != self._lens:
             self._lens = lens
             self.width, self.height = lens.width, lens.height

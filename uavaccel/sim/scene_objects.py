@@ -21,7 +21,8 @@ from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ne
 Scale = tuple[float, float, float]
 
 BOX, SPHERE, CYLINDER = (
-    int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+    int(kind)
+    for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 )
 ELLIPSOID, PLANE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_PLANE)
 # Unreal's basic shapes: one metre across; kind, half sizes along x, y, z.
@@ -72,7 +73,9 @@ class SceneObjects:
         """What clients call the object whose geom the model calls so: its own name, unless it was spawned."""
         if not geom_name.startswith(SPARE):
             return geom_name
-        return next((name for name, geom in self._geoms.items() if self._model.geom(geom).name == geom_name), "")
+        return next(
+            (name for name, geom in self._geoms.items() if self._model.geom(geom).name == geom_name), ""
+        )
 
     def _is_there(self, geom: int) -> bool:
         return bool(self._model.geom_rgba[geom, 3] > 0.0)
@@ -110,7 +113,9 @@ class SceneObjects:
     def spawn(self, name: str, asset: str, pose: Pose, scale: Scale) -> str:
         """A new object of an asset's form; returns its name, numbered if it is taken (WorldSimApi::spawnObject)."""
         if asset not in ASSETS:
-            raise ValueError(f"There were no objects with name {asset} found in the Registry; there are {', '.join(ASSETS)}")
+            raise ValueError(
+                f"There were no objects with name {asset} found in the Registry; there are {', '.join(ASSETS)}"
+            )
         if not self._spares:
             raise ValueError("there is no room for another object; destroy one with simDestroyObject first")
         name = self._free_name(name)
@@ -159,7 +164,7 @@ class SceneObjects:
     def _resize(self, geom: int, scale: Scale) -> None:
         half = np.array(self._full_size[geom]) * scale
         kind = self._kinds[geom]
-        if not (np.isfinite(half).all() and 0.0 < half.min() and half.max() <= LARGEST_HALF_M):
+        if not (np.isfinite(half).all() and half.min() > 0.0 and half.max() <= LARGEST_HALF_M):
             raise ValueError(f"scale must be positive and at most {2 * LARGEST_HALF_M:g} m, not {scale}")
         if kind == CYLINDER and half[0] != half[1]:
             raise ValueError(f"the scale of a cylinder must be the same along x and y, not {scale}")

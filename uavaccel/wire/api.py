@@ -15,9 +15,12 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
+from uavaccel.wire.camera_api import CameraApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.notices import Notices
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.settings import Settings
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
@@ -47,14 +50,19 @@ class Api:
         settings: Settings | None = None,
         render: bool = True,
         recordings: Path | None = None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
         self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
-        self._images = ImageApi(simulation, render)
+        self.scenery = Scenery(simulation, self.settings, render)
+        self.notices = Notices(say)
+        self._images = ImageApi(self.scenery, self._check_vehicle)
+        self._cameras = CameraApi(self.scenery, self._check_vehicle, self.notices)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
+        self.methods |= self._camera_methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
@@ -107,13 +115,22 @@ class Api:
         return {
             "simGetImages": Method(images.get_images, 1, 2),
             "simGetImage": Method(images.get_image, 2, 2),
-            "simGetCameraInfo": Method(images.camera_info, 1, 2),
             "simGetCollisionInfo": Method(images.collision_info, 0, 1),
             "simGetVehiclePose": Method(images.vehicle_pose, 0, 1),
             "simSetVehiclePose": Method(images.set_vehicle_pose, 2, 1),
             "uavaccelImage": Method(images.raw_image, 1),
             "uavaccelSetLane": Method(images.set_lane, 1),
             "uavaccelCollision": Method(images.collision, 0),
+        }
+
+    def _camera_methods(self) -> dict[str, Method]:
+        cameras = self._cameras
+        return {
+            "simGetCameraInfo": Method(cameras.info, 1, 2),
+            "simSetCameraPose": Method(cameras.set_pose, 2, 2),
+            "simSetCameraFov": Method(cameras.set_fov, 2, 2),
+            "simGetDistortionParams": Method(cameras.distortion, 1, 2),
+            "simSetDistortionParam": Method(cameras.set_distortion, 3, 2),
         }
 
     def _own_methods(self) -> dict[str, Method]:
@@ -182,7 +199,7 @@ class Api:
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
             "gps_location": types.geo_point_map(kinematics.position_m),
-            "timestamp": kinematics.time_ns,
+            "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if self.simulation.world.landed else 1,
             "rc_data": types.rc_data_map(),
         }

@@ -12,43 +12,41 @@ from math import floor
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
 
-from uavaccel.config import Config, validate
+from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import Profile
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
+from uavaccel.wire.airsim_keys import AirSimKeys
+from uavaccel.wire.cameras import CameraSettings
 
 LOOPBACK = "127.0.0.1"
 PORT = 41451
 VEHICLE = "SimpleFlight"
+LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
 
 
-class _AirSim(Config):
-    """A mapping with AirSim's keys; others are kept beside."""
-
-    model_config = ConfigDict(extra="allow", alias_generator=to_pascal)
-
-
-class Wind(_AirSim):
+class Wind(AirSimKeys):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
 
 
-class Recording(_AirSim):
+class Recording(AirSimKeys):
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
     folder: str = ""
     enabled: bool = False
 
 
-class Vehicle(_AirSim):
+class Vehicle(AirSimKeys):
     vehicle_type: Literal["SimpleFlight", "simpleflight"] = "SimpleFlight"
+    cameras: dict[str, CameraSettings] = Field(default_factory=dict)
 
 
-class Settings(_AirSim):
+class Settings(AirSimKeys):
     """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
 
     sim_mode: Literal["Multirotor", ""] = "Multirotor"
@@ -62,6 +60,7 @@ class Settings(_AirSim):
     vehicles: Annotated[dict[str, Vehicle], Field(max_length=1)] = Field(default_factory=dict)
     wind: Wind = Wind()
     recording: Recording = Recording()
+    camera_defaults: CameraSettings = CameraSettings()
 
     @property
     def vehicle(self) -> str:
@@ -98,9 +97,15 @@ class Settings(_AirSim):
 def read_settings(path: Path) -> Settings:
     """The settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
     try:
-        mapping = json.loads(path.read_text(encoding="utf-8-sig"))
+        with path.open("rb") as file:
+            text = file.read(LARGEST_BYTES + 1)
+        if len(text) > LARGEST_BYTES:
+            raise UserError(f"{path}: longer than {LARGEST_BYTES >> 20} MiB, so no settings")
+        mapping = json.loads(text.decode("utf-8-sig"))
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise UserError(f"{path}: not settings: nested too deeply") from None
     except ValueError as error:
         raise UserError(f"{path}: not JSON: {error}") from None
     if not isinstance(mapping, dict):
@@ -114,6 +119,6 @@ def _unknown(value: Any, prefix: str) -> Iterator[str]:
         yield from (f"{prefix}{name}" for name in value.model_extra or {})
         for name in sorted(value.model_fields_set & set(type(value).model_fields)):
             yield from _unknown(getattr(value, name), f"{prefix}{to_pascal(name)}.")
-    elif isinstance(value, dict):
-        for name, inner in value.items():
+    elif isinstance(value, dict | list):
+        for name, inner in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _unknown(inner, f"{prefix}{name}.")

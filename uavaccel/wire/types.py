@@ -10,8 +10,14 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 
 HOME_LATITUDE, HOME_LONGITUDE, HOME_ALTITUDE_M = 47.641468, -122.140165, 122.0
 EARTH_RADIUS_M = 6378137.0
+EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated time begins on AirSim's calls
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # a place that physics still resolves
+
+
+def stamp(time_ns: int) -> int:
+    """Simulated time as AirSim tells it, in nanoseconds since 1970; the same in every run."""
+    return EPOCH_NS + time_ns
 
 
 def vector_map(vector: Vector) -> dict[str, float]:

@@ -1,0 +1,45 @@
+"""What the calls about cameras, images and objects share, made when first asked for: games do not pay for it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from uavaccel.sim.scene_objects import SceneObjects
+from uavaccel.sim.simulation import Simulation
+from uavaccel.wire.cameras import Cameras
+from uavaccel.wire.pictures import Pictures
+from uavaccel.wire.segmentation import Segmentation
+from uavaccel.wire.settings import Settings
+
+
+class Scenery:
+    """The surroundings of one simulation, and its vehicle's cameras. `render` False refuses images."""
+
+    def __init__(self, simulation: Simulation, settings: Settings, render: bool) -> None:
+        self.simulation = simulation
+        self.settings = settings
+        self.render = render
+
+    def cameras(self, vehicle: Any = "", external: Any = False) -> Cameras:
+        """A vehicle's cameras. Raises ValueError for those of ExternalCameras."""
+        if external:
+            raise ValueError("there are no external cameras; leave external away for a vehicle's own")
+        return self._cameras
+
+    @cached_property
+    def _cameras(self) -> Cameras:
+        vehicle = self.settings.vehicles.get(self.settings.vehicle)
+        return Cameras(self.settings.camera_defaults, vehicle.cameras if vehicle else {})
+
+    @cached_property
+    def objects(self) -> SceneObjects:
+        return SceneObjects(self.simulation.world)
+
+    @cached_property
+    def segmentation(self) -> Segmentation:
+        return Segmentation(self.simulation.world, self.objects)
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        return Pictures(self.simulation, self._cameras, self.segmentation, self.render)
