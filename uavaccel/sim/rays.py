@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco
 
+NEAR_END_M = 1e-3
 _GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # what is drawn: not the vehicles' hulls
 
 
@@ -54,9 +55,10 @@ def cast(
 
 
 def sees(model: mujoco.MjModel, data: mujoco.MjData, start_m: ArrayLike, end_m: ArrayLike) -> bool:
-    """Whether nothing but the vehicle is between two places."""
+    """Whether nothing but the vehicle is between two places, short of what touches the second."""
     way = np.asarray(end_m, float) - np.asarray(start_m, float)
     length_m = float(np.linalg.norm(way))
-    if length_m == 0.0:
+    if length_m <= NEAR_END_M:
         return True
-    return bool(np.isinf(cast(model, data, start_m, (way / length_m)[None], length_m).distance_m[0]))
+    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M)
+    return bool(np.isinf(hits.distance_m[0]))

@@ -145,7 +145,11 @@ class SceneObjects:
     def corners(self, name: str) -> NDArray[np.float64]:
         """Corners (8, 3) of an object's box, in its own axes turned into NED; raises KeyError."""
         geom = self._geoms[name]
-        half = _half_sizes(self._model, geom)
+        half = (
+            _half_sizes(self._model, geom)
+            if self._kinds[geom] != PLANE
+            else (*self._model.geom_size[geom, :2], 0.0)
+        )
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         pose = self.pose(name) or Pose()
         return np.asarray(signs * np.array(half) @ pose.matrix().T + np.array(pose.position_m))

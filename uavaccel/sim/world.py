@@ -58,7 +58,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self._scene = scene
+        self.scene = scene
         self._lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
         self._mounted_camera: MountedCamera | None = None
@@ -269,7 +269,7 @@ class World:
         `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
         lane's layout and the samples recorded so far are in it.
         """
-        state: State = {"scene": self._scene, "profile": self.profile.name, "failed": self._failed}
+        state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self._failed}
         state |= {"physics": self._physics(), "warnings": self._warnings.copy()}
         state |= under("flight", of_record(self._flight)) | under("samples", self._samples.get_state())
         state |= under("touches", self.touches.get_state()) | under("contacts", self._clearance.get_state())
@@ -277,7 +277,7 @@ class World:
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
-        for name, own in (("scene", self._scene), ("profile", self.profile.name)):
+        for name, own in (("scene", self.scene), ("profile", self.profile.name)):
             if str(state[name]) != own:
                 raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
         self._failed = bool(state["failed"])

@@ -13,32 +13,27 @@ from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
 from uavaccel.wire.camera_api import CameraApi
+from uavaccel.wire.detection_api import DetectionApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices
+from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.world_api import WorldApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
 FORWARD_ONLY = 1
 MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
 LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
-
-Handler = Callable[..., Any]
-
-
-class Method:
-    """A call of the table: how many arguments it needs, and how many it takes at most."""
-
-    def __init__(self, handler: Handler, required: int, optional: int = 0) -> None:
-        self.handler = handler
-        self.required = required
-        self.most = required + optional
 
 
 class Api:
@@ -58,11 +53,10 @@ class Api:
         self.scenery = Scenery(simulation, self.settings, render)
         self.notices = Notices(say)
         self._images = ImageApi(self.scenery, self._check_vehicle)
-        self._cameras = CameraApi(self.scenery, self._check_vehicle, self.notices)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
-        self.methods |= self._camera_methods()
+        self.methods |= self._senses()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
@@ -123,15 +117,14 @@ class Api:
             "uavaccelCollision": Method(images.collision, 0),
         }
 
-    def _camera_methods(self) -> dict[str, Method]:
-        cameras = self._cameras
-        return {
-            "simGetCameraInfo": Method(cameras.info, 1, 2),
-            "simSetCameraPose": Method(cameras.set_pose, 2, 2),
-            "simSetCameraFov": Method(cameras.set_fov, 2, 2),
-            "simGetDistortionParams": Method(cameras.distortion, 1, 2),
-            "simSetDistortionParam": Method(cameras.set_distortion, 3, 2),
-        }
+    def _senses(self) -> dict[str, Method]:
+        """Cameras, objects, sensors and the world at large."""
+        scenery, check, notices = self.scenery, self._check_vehicle, self.notices
+        methods = CameraApi(scenery, check, notices).methods()
+        methods |= ObjectApi(scenery, self._images.set_vehicle_pose, notices).methods()
+        methods |= DetectionApi(scenery, check).methods()
+        methods |= SensorApi(scenery, check).methods()
+        return methods | WorldApi(scenery, check, notices).methods()
 
     def _own_methods(self) -> dict[str, Method]:
         game = self._game
@@ -198,7 +191,7 @@ class Api:
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_point_map(kinematics.position_m),
+            "gps_location": types.geo_map(geographic(kinematics.position_m, self.settings.home)),
             "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if self.simulation.world.landed else 1,
             "rc_data": types.rc_data_map(),

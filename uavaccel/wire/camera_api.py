@@ -16,6 +16,7 @@ from uavaccel.sim.mounted_camera import Lens
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, MountedAs
+from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.scenery import Scenery
 
@@ -30,6 +31,16 @@ class CameraApi:
         self._scenery = scenery
         self._check_vehicle = check_vehicle
         self._notices = notices
+
+    def methods(self) -> dict[str, Method]:
+        """By wire name."""
+        return {
+            "simGetCameraInfo": Method(self.info, 1, 2),
+            "simSetCameraPose": Method(self.set_pose, 2, 2),
+            "simSetCameraFov": Method(self.set_fov, 2, 2),
+            "simGetDistortionParams": Method(self.distortion, 1, 2),
+            "simSetDistortionParam": Method(self.set_distortion, 3, 2),
+        }
 
     def _named(self, camera: Any, vehicle: Any, external: Any) -> MountedAs:
         self._check_vehicle(vehicle)

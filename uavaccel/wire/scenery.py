@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cached_property
 from typing import Any
 
@@ -31,6 +32,10 @@ class Scenery:
     def _cameras(self) -> Cameras:
         vehicle = self.settings.vehicles.get(self.settings.vehicle)
         return Cameras(self.settings.camera_defaults, vehicle.cameras if vehicle else {})
+
+    def vehicles_matching(self, pattern: str) -> list[str]:
+        """Names of the vehicles that a regular expression matches, whatever its case."""
+        return [name for name in (self.settings.vehicle,) if re.fullmatch(pattern, name, re.IGNORECASE)]
 
     @cached_property
     def objects(self) -> SceneObjects:

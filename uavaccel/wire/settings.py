@@ -17,10 +17,12 @@ from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
+from uavaccel.sim.airsim_keys import AirSimKeys
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
-from uavaccel.wire.airsim_keys import AirSimKeys
 from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.sensors import SensorSettings
 
 LOOPBACK = "127.0.0.1"
 PORT = 41451
@@ -41,9 +43,16 @@ class Recording(AirSimKeys):
     enabled: bool = False
 
 
+class OriginGeopoint(AirSimKeys):
+    latitude: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.641468
+    longitude: Annotated[float, Field(ge=-180.0, le=180.0)] = -122.140165
+    altitude: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = 122.0
+
+
 class Vehicle(AirSimKeys):
     vehicle_type: Literal["SimpleFlight", "simpleflight"] = "SimpleFlight"
     cameras: dict[str, CameraSettings] = Field(default_factory=dict)
+    sensors: dict[str, SensorSettings] | None = None
 
 
 class Settings(AirSimKeys):
@@ -61,11 +70,21 @@ class Settings(AirSimKeys):
     wind: Wind = Wind()
     recording: Recording = Recording()
     camera_defaults: CameraSettings = CameraSettings()
+    default_sensors: dict[str, SensorSettings] | None = None
+    origin_geopoint: OriginGeopoint = OriginGeopoint()
+    sensor_seed: Annotated[int, Field(ge=0)] = 0
+    """Our own: of the sensors' noise."""
 
     @property
     def vehicle(self) -> str:
         """The vehicle's name."""
         return next(iter(self.vehicles), VEHICLE)
+
+    @property
+    def home(self) -> GeoPoint:
+        """Where NED's origin is."""
+        origin = self.origin_geopoint
+        return GeoPoint(origin.latitude, origin.longitude, origin.altitude)
 
     @property
     def address(self) -> str:
@@ -119,6 +138,9 @@ def _unknown(value: Any, prefix: str) -> Iterator[str]:
         yield from (f"{prefix}{name}" for name in value.model_extra or {})
         for name in sorted(value.model_fields_set & set(type(value).model_fields)):
             yield from _unknown(getattr(value, name), f"{prefix}{to_pascal(name)}.")
-    elif isinstance(value, dict | list):
-        for name, inner in value.items() if isinstance(value, dict) else enumerate(value):
+    elif isinstance(value, dict):
+        for name, inner in value.items():
             yield from _unknown(inner, f"{prefix}{name}.")
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _unknown(inner, f"{prefix}{number}.")
