@@ -41,7 +41,6 @@ def test_what_is_honoured(tmp_path: Path) -> None:
 
 def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
     assert sorted(read(tmp_path, USUAL).passed_over()) == [
-        "Recording.Cameras",
         "Vehicles.Drone1.X",
         "ViewMode",
     ]

@@ -49,9 +49,9 @@ class Api:
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
-        self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
         self.scenery = Scenery(simulation, self.settings, render)
         self.notices = Notices(say)
+        self.recorder = Recorder(self.scenery, recordings, say)
         self._images = ImageApi(self.scenery, self._check_vehicle)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
@@ -149,9 +149,7 @@ class Api:
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
-        world = self.simulation.world
-        self.recorder.keep()
-        self.simulation.reset(self._wall_ns, recording=world.recording)
+        self.recorder.go_through(lambda recording: self.simulation.reset(self._wall_ns, recording=recording))
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
@@ -226,7 +224,6 @@ class Api:
         return self._fly(goal, seconds)
 
     def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
-        self.recorder.keep()  # the first command starts the simulation's recorder anew
         return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
 
     def _hover(self, vehicle: Any = "") -> bool:

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +21,7 @@ from uavaccel.sim.poses import Pose
 from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
+from uavaccel.wire.image_files import png
 from uavaccel.wire.pictures import known_type
 from uavaccel.wire.scenery import Scenery
 
@@ -162,13 +162,6 @@ def lane_layout(lane: Any) -> LaneLayout:
         raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
     difficulty = lane.get("difficulty") if isinstance(lane, Mapping) else None
     return draw_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
-
-
-def png(image: NDArray[np.uint8]) -> bytes:
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise ValueError("the image could not be compressed")
-    return data.tobytes()
 
 
 def decode_image(reply: Mapping[str, Any]) -> NDArray[Any]:

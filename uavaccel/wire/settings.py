@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from math import floor
+from math import floor, hypot
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,9 +20,11 @@ from uavaccel.errors import UserError
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
 from uavaccel.wire.sensors import SensorSettings
+from uavaccel.wire.types import STRONGEST_WIND_M_S
 
 LOOPBACK = "127.0.0.1"
 PORT = 41451
@@ -37,8 +39,17 @@ class Wind(AirSimKeys):
     z: float = 0.0
 
 
+class RecordedImage(AirSimKeys):
+    camera_name: str = ""
+    image_type: int = 0
+    pixels_as_float: bool = False
+    compress: bool = True
+
+
 class Recording(AirSimKeys):
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
+    record_on_move: bool = False
+    cameras: list[RecordedImage] = Field(default_factory=list)
     folder: str = ""
     enabled: bool = False
 
@@ -102,6 +113,14 @@ class Settings(AirSimKeys):
         else:
             ticks = floor(exact(interval_s) * NS_PER_S / profile.tick_ns) + 1
         return replace(profile, recorder_ticks=ticks)
+
+    def prepare(self, world: World) -> None:
+        """Let wind and height over the sea act on a world. Raises UserError for a wind that physics cannot follow."""
+        wind = (self.wind.x, self.wind.y, self.wind.z)
+        if not hypot(*wind) <= STRONGEST_WIND_M_S:
+            raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
+        world.state["wind"] = wind
+        world.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
     def passed_over(self) -> list[str]:
         """Dotted names of what was given and has no meaning here."""
