@@ -30,6 +30,7 @@ MAX_UNSENT_BYTES = 1 << 26
 MAX_UNPACKED = 8  # answers that wait to be packed: one may be a recording of megabytes
 MAX_CONNECTIONS = 512  # fewer than the files that a process may open
 IDLE_LIMIT_NS = 10_000_000_000  # once there are so many, one that has been silent for so long makes room
+ACCEPTED_AT_ONCE = 16  # newcomers per wake-up
 TURN_NS = 3_000_000  # of wall time for the requests of one client, before the others have their turn
 
 
@@ -110,7 +111,8 @@ class Server:
 
     def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:
         if key.fileobj is self._listener:
-            self._accept()
+            for _ in range(ACCEPTED_AT_ONCE):
+                self._accept()
         elif key.data is None:
             self.stop()  # the watched stream ended
         else:
