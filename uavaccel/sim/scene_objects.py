@@ -164,6 +164,9 @@ class SceneObjects:
     def _place(self, geom: int, pose: Pose) -> None:
         self._model.geom_pos[geom] = ned_to_mujoco(pose.position_m)
         self._model.geom_quat[geom] = quaternion_ned_to_mujoco(pose.orientation_wxyz)
+        self._model.geom_sameframe[geom] = (
+            mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        )  # else its turn goes unnoticed
 
     def _resize(self, geom: int, scale: Scale) -> None:
         half = np.array(self._full_size[geom]) * scale

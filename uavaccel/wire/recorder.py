@@ -57,7 +57,11 @@ class Recorder:
             self._say(f"recording to {here / FILE_NAME}")
         self._simulation.records_game = False
         self._simulation.record()
-        self._watch()
+        try:
+            self._watch()
+        except Exception:
+            self.stop()
+            raise
 
     def stop(self) -> None:
         """End it; the file has all samples."""
