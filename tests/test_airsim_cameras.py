@@ -21,6 +21,7 @@ WIDE = BLOCKS | {"ground": ((0.0, 0.0, 1.0), (1e4, 1e4, 1.0))}
 VEHICLE = Pose((3.0, -4.0, -8.0), (8.0, -6.0, 25.0))
 SETTINGS = {
     "CameraDefaults": {"CaptureSettings": [{"ImageType": 1, "Width": 96, "Height": 54}]},
+    "ExternalCameras": {"mast": {"X": -5, "Y": 10, "Z": -20, "Pitch": -30, "Yaw": -45}},
     "Vehicles": {
         "Eye": {
             "Cameras": {
@@ -86,6 +87,22 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9
     )
     assert wire.api.settings.passed_over() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
+
+
+def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
+    wire = AirSimWire(SETTINGS)
+    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    request = {"camera_name": "mast", "image_type": PLANAR, "pixels_as_float": True}
+    [response] = wire.call("simGetImages", [request], "", True)
+    axes, eye = turned((0.0, -30.0, -45.0)), np.array([-5.0, 10.0, -20.0])
+    seen = cast_from(eye, axes, WIDE, 96, 54, 90.0)
+    near = np.abs(floats(response) / seen.planar_m - 1) < 4e-3
+    assert near[seen.inside() & (seen.planar_m < 500)].mean() > 0.98
+    forward, right, down = (np.array(VEHICLE.position_m) - eye) @ axes
+    row, column = int(27 + 48 * down / forward), int(48 + 48 * right / forward)
+    assert floats(response)[row, column] == pytest.approx(forward, abs=0.5), "the vehicle is in the way"
+    with pytest.raises(rpc.RpcError, match="no camera 'mast'"):
+        wire.images(("mast", PLANAR, True))
 
 
 def test_a_camera_is_moved_and_zoomed_for_all_types_and_nan_leaves_its_part() -> None:

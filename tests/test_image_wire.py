@@ -250,7 +250,7 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
         ("simGetImage", ["5", 0], "no camera '5'; there are front_center \\(0\\), front_right"),
         ("simGetImage", ["0", 8], "image type 8 is not available; there are 0 scene, 1 depth_planar"),
         ("simGetImages", [[{}], "Drone9"], "Vehicle API for 'Drone9' is not available.*'SimpleFlight'"),
-        ("simGetImages", [[{}], "", True], "no external cameras"),
+        ("simGetImages", [[{}], "", True], "no camera ''; there are none"),
         ("simGetCameraInfo", ["7"], "no camera '7'"),
         ("simSetCameraPose", ["tail", POSES[0].message()], "no camera 'tail'"),
         ("simSetCameraFov", ["0", 180.0], "at most 179"),

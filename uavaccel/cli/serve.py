@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation, Speed
@@ -102,6 +103,7 @@ def draw_once(api: Api) -> None:
     except UserError as error:
         say(f"warning: there are no images: {error}")
     gc.freeze()  # OpenGL's modules too stay: collecting them again and again would hold the clock up
+    api.simulation.reset(MonotonicClock().now_ns())  # the clock starts now
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:

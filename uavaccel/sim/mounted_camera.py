@@ -38,11 +38,9 @@ class MountedCamera(Camera):
         self._view.show_everything()
         self._rays: dict[Lens, DepthImage] = {}
 
-    def point(self, mount: Pose, lens: Lens) -> None:
-        """Let the next pictures be taken from `mount`, in the vehicle's frame, through `lens`."""
-        self._view.look_through(
-            None if mount == FRONT_CENTER else mount, lens.width, lens.height, lens.fov_deg
-        )
+    def point(self, eye: Pose | None, lens: Lens) -> None:
+        """Let the next pictures be taken from `eye`, NED, None for the model's own camera, through `lens`."""
+        self._view.look_from(eye, lens.width, lens.height, lens.fov_deg)
         if lens != self._lens:
             self._lens = lens
             self.width, self.height = lens.width, lens.height

@@ -51,13 +51,13 @@ class View:
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
-        self._mount: Pose | None = None
+        self._eye: Pose | None = None
         self._resized = not self._models_own_view(width)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
 
-    def look_through(self, mount: Pose | None, width: int, height: int, fov_deg: float) -> None:
-        """Look from another place on the vehicle, None for the camera's own, in another form."""
-        self._mount = mount
+    def look_from(self, eye: Pose | None, width: int, height: int, fov_deg: float) -> None:
+        """Look from a place in the world, NED, None for the camera's own, and in another form."""
+        self._eye = eye
         self.half_width = float(np.tan(np.radians(fov_deg) / 2))
         self._half_height = self.half_width * height / width
         self._resized = not self._models_own_view(width)
@@ -70,8 +70,8 @@ class View:
         """The scene for the pose in `data.qpos`; `as_ids` draws each geom in a colour that stands for it, unlit."""
         mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
         mujoco.mj_camlight(self.model, data)
-        if self._mount is not None:
-            self._place_eye(data, self._mount)
+        if self._eye is not None:
+            self._place_eye(data, self._eye)
         if as_ids != self._as_ids:
             self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
@@ -87,9 +87,9 @@ class View:
             ids[geom.segid + 1] = geom.objid
         return np.take(ids, segments, out=out)
 
-    def _place_eye(self, data: mujoco.MjData, mount: Pose) -> None:
+    def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:
         """Let the model's camera be elsewhere: physics takes no notice of cameras, and each step places them anew."""
-        eye, camera = vehicle_pose(data).of(mount), self._camera.fixedcamid
+        camera = self._camera.fixedcamid
         forward, right, down = eye.matrix().T
         axes = np.stack([ned_to_mujoco(right), -ned_to_mujoco(down), -ned_to_mujoco(forward)], axis=1)
         data.cam_xpos[camera], data.cam_xmat[camera] = ned_to_mujoco(eye.position_m), axes.ravel()

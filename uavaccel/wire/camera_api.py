@@ -50,7 +50,7 @@ class CameraApi:
         """simGetCameraInfo: pose NED, degrees, and the projection of NED centimetres from the camera."""
         mounted = self._named(camera, vehicle, external)
         kinematics = self._scenery.simulation.kinematics()
-        eye = Pose(kinematics.position_m, kinematics.orientation_wxyz).of(mounted.mount)
+        eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         pose = {
             "position": types.vector_map(eye.position_m),
             "orientation": types.quaternion_map(eye.orientation_wxyz),

@@ -77,12 +77,17 @@ class CameraSettings(AirSimKeys):
 
 @dataclass
 class MountedAs:
-    """One camera: where on the vehicle, through which lens each type of image is taken."""
+    """One camera: where on the vehicle, or in the world if it is `external`, and each type of image's lens."""
 
     name: str
     mount: Pose
     lenses: dict[int, Lens]
+    external: bool = False
     distortion: dict[str, float] = field(default_factory=lambda: dict.fromkeys(DISTORTION, 0.0))
+
+    def eye(self, vehicle: Pose) -> Pose:
+        """Where it is in the world, NED, for a pose of the vehicle."""
+        return self.mount if self.external else vehicle.of(self.mount)
 
     def lens(self, image_type: int) -> Lens:
         return self.lenses.get(image_type, Lens())
@@ -94,33 +99,34 @@ class MountedAs:
 
 
 class Cameras:
-    """A vehicle's cameras by name. `given`: those of its settings; `defaults` hold for each of them."""
+    """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` hold for each that is `given`."""
 
-    def __init__(self, defaults: CameraSettings, given: Mapping[str, CameraSettings]) -> None:
+    def __init__(
+        self, defaults: CameraSettings, given: Mapping[str, CameraSettings], external: bool = False
+    ) -> None:
         lenses = defaults.lenses({})
-        self._cameras = {name: MountedAs(name, mount, dict(lenses)) for name, mount in MOUNTS.items()}
+        mounts = {} if external else MOUNTS
+        self._cameras = {name: MountedAs(name, mount, dict(lenses)) for name, mount in mounts.items()}
         for alias, settings in given.items():
-            name = self.full_name(alias)
+            name = full_name(alias)
             before = self._cameras.get(name) or MountedAs(name, Pose(), dict(lenses))
-            self._cameras[name] = MountedAs(
-                name, settings.mount(before.mount), settings.lenses(before.lenses)
-            )
-
-    @staticmethod
-    def full_name(name: str) -> str:
-        """AirSim's numbers and short names stand for names."""
-        return ALIASES.get(name, name)
+            mount, own = settings.mount(before.mount), settings.lenses(before.lenses)
+            self._cameras[name] = MountedAs(name, mount, own, external)
 
     def named(self, name: object) -> MountedAs:
         """The camera that a client calls so. Raises ValueError."""
-        found = self._cameras.get(self.full_name(str(name)))
+        found = self._cameras.get(full_name(str(name)))
         if found is None:
             numbers = {full: number for number, full in ALIASES.items() if number.isdecimal()}
             known = [f"{full} ({numbers[full]})" if full in numbers else full for full in self._cameras]
-            raise ValueError(f"no camera '{name}'; there are {', '.join(known)}")
+            raise ValueError(f"no camera '{name}'; there are {', '.join(known) or 'none'}")
         return found
 
-    def largest(self) -> tuple[int, int]:
-        """Width and height within which all pictures fit."""
-        lenses = [Lens(), *(lens for camera in self._cameras.values() for lens in camera.lenses.values())]
-        return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
+    def lenses(self) -> list[Lens]:
+        """All that pictures are taken through."""
+        return [Lens(), *(lens for camera in self._cameras.values() for lens in camera.lenses.values())]
+
+
+def full_name(name: str) -> str:
+    """AirSim's numbers and short names stand for names."""
+    return ALIASES.get(name, name)

@@ -46,7 +46,7 @@ class DetectionApi:
     def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
         self._scenery = scenery
         self._check_vehicle = check_vehicle
-        self._filters: dict[tuple[str, int], Filter] = defaultdict(Filter)
+        self._filters: dict[tuple[str, bool, int], Filter] = defaultdict(Filter)
 
     def methods(self) -> dict[str, Method]:
         """By wire name."""
@@ -78,7 +78,7 @@ class DetectionApi:
         """simGetDetections."""
         mounted, found = self._filter(camera, kind, vehicle, external)
         kinematics = self._scenery.simulation.kinematics()
-        eye = Pose(kinematics.position_m, kinematics.orientation_wxyz).of(mounted.mount)
+        eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         names = [name for name in self._scenery.objects.names() if found.matches(name)]
         seen = (self._detection(name, eye, mounted.lens(int(kind)), found.radius_m) for name in names)
         return [one for one in seen if one is not None]
@@ -87,7 +87,7 @@ class DetectionApi:
         self._check_vehicle(vehicle)
         mounted = self._scenery.cameras(vehicle, external).named(camera)
         image_type = known_type(int(types.number(kind, "image_type")))
-        return mounted, self._filters[mounted.name, image_type]
+        return mounted, self._filters[mounted.name, mounted.external, image_type]
 
     def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, Any] | None:
         objects = self._scenery.objects

@@ -78,7 +78,7 @@ class ImageApi:
         as_float, compress = bool(request.get("pixels_as_float")), bool(request.get("compress", True))
         image, message = self._drawn(camera, image_type, as_float)
         kinematics = self.simulation.kinematics()
-        eye = Pose(kinematics.position_m, kinematics.orientation_wxyz).of(camera.mount)
+        eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         return {
             "image_data_uint8": b""
             if as_float

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.mounted_camera import Lens, MountedCamera
+from uavaccel.sim.mounted_camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.rays import cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.view import vehicle_pose
-from uavaccel.wire.cameras import Cameras, MountedAs
+from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.segmentation import Segmentation, colours
 
 
@@ -48,10 +48,10 @@ class Pictures:
     """Images of one simulation. `render` False refuses them all, and costs nothing."""
 
     def __init__(
-        self, simulation: Simulation, cameras: Cameras, segmentation: Segmentation, render: bool
+        self, simulation: Simulation, largest: tuple[int, int], segmentation: Segmentation, render: bool
     ) -> None:
         self._simulation = simulation
-        self._cameras = cameras
+        self._largest = largest
         self._segmentation = segmentation
         self.render = render
 
@@ -80,8 +80,9 @@ class Pictures:
 
     def warm_up(self) -> None:
         """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
+        front = MountedAs("front_center", FRONT_CENTER, {})
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
-            self.bgr(self._cameras.named(""), image_type)
+            self.bgr(front, image_type)
 
     def _depth(self, camera: MountedAs, kind: ImageType) -> NDArray[np.float32]:
         """Metres, or for the two that are shares from 0 to 1."""
@@ -103,7 +104,7 @@ class Pictures:
         """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
         self._check_rendering()
         lens, scene = camera.lens(ImageType.SURFACE_NORMALS), self._shown()
-        eye = vehicle_pose(scene).of(camera.mount)
+        eye = camera.eye(vehicle_pose(scene))
         directions = pixel_rays(lens) @ eye.matrix().T
         hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
         rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
@@ -113,8 +114,9 @@ class Pictures:
     def _pointed(self, camera: MountedAs, image_type: int) -> MountedCamera:
         """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
         self._check_rendering()
-        pointed = self._simulation.world.mounted_camera(*self._cameras.largest())
-        pointed.point(camera.mount, camera.lens(image_type))
+        pointed = self._simulation.world.mounted_camera(*self._largest)
+        own = camera.mount == FRONT_CENTER and not camera.external
+        pointed.point(None if own else camera.eye(vehicle_pose(self._shown())), camera.lens(image_type))
         return pointed
 
     def _check_rendering(self) -> None:

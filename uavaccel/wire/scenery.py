@@ -23,10 +23,13 @@ class Scenery:
         self.render = render
 
     def cameras(self, vehicle: Any = "", external: Any = False) -> Cameras:
-        """A vehicle's cameras. Raises ValueError for those of ExternalCameras."""
-        if external:
-            raise ValueError("there are no external cameras; leave external away for a vehicle's own")
-        return self._cameras
+        """A vehicle's cameras, or those of ExternalCameras."""
+        return self._external_cameras if external else self._cameras
+
+    def largest_picture(self) -> tuple[int, int]:
+        """Width and height within which all pictures fit."""
+        lenses = [*self._cameras.lenses(), *self._external_cameras.lenses()]
+        return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
 
     @cached_property
     def _cameras(self) -> Cameras:
@@ -38,6 +41,10 @@ class Scenery:
         return [name for name in (self.settings.vehicle,) if re.fullmatch(pattern, name, re.IGNORECASE)]
 
     @cached_property
+    def _external_cameras(self) -> Cameras:
+        return Cameras(self.settings.camera_defaults, self.settings.external_cameras, external=True)
+
+    @cached_property
     def objects(self) -> SceneObjects:
         return SceneObjects(self.simulation.world)
 
@@ -47,4 +54,4 @@ class Scenery:
 
     @cached_property
     def pictures(self) -> Pictures:
-        return Pictures(self.simulation, self._cameras, self.segmentation, self.render)
+        return Pictures(self.simulation, self.largest_picture(), self.segmentation, self.render)

@@ -81,6 +81,7 @@ class Settings(AirSimKeys):
     wind: Wind = Wind()
     recording: Recording = Recording()
     camera_defaults: CameraSettings = CameraSettings()
+    external_cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     default_sensors: dict[str, SensorSettings] | None = None
     origin_geopoint: OriginGeopoint = OriginGeopoint()
     sensor_seed: Annotated[int, Field(ge=0)] = 0
