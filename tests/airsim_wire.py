@@ -8,7 +8,10 @@ from typing import Any
 
 import msgpack
 
+from tests.scenes import BLOCKS
+from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.scene_objects import SceneObjects
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.watched import WatchedWorld
 from uavaccel.wire import rpc
@@ -20,8 +23,16 @@ MS = 1_000_000
 
 @cache
 def furnished_world() -> WatchedWorld:
-    """One for all tests: each begins with a reset, and what it spawned it destroys."""
-    return WatchedWorld("blocks", NATIVE, furnished=True)
+    """One for all tests: each begins with a reset, and what it spawned it destroys.
+
+    Its blocks are where tests.scenes.BLOCKS has them; what is no block is out of the way.
+    """
+    world = WatchedWorld("blocks", NATIVE, furnished=True)
+    objects = SceneObjects(world)
+    for name in objects.names():
+        middle, _ = BLOCKS.get(name, ((-5000.0, 0.0, -3.0), None))
+        objects.set_pose(name, ScenePose(middle))
+    return world
 
 
 def vector(x: float, y: float, z: float) -> dict[str, float]:

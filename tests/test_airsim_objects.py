@@ -56,9 +56,10 @@ def test_objects_are_found_by_whole_names_whatever_their_case(wire: AirSimWire) 
     assert {"ground", "SimpleFlight"} < set(wire.call("simListSceneObjects"))
     assert xyz(wire.call("simGetObjectPose", BLOCK)["position"]) == [45.0, 0.0, -6.0]
     assert wire.call("simGetObjectPose", "SimpleFlight") == wire.call("simGetVehiclePose", "")
-    nowhere = wire.call("simGetObjectPose", "OrangeBall")
+    nowhere = wire.call("simGetObjectPose", "Nowhere")
     assert np.isnan(xyz(nowhere["position"])).all()
     assert np.isnan(nowhere["orientation"]["w_val"])
+    assert not wire.call("simSetObjectPose", "Nowhere", nowhere, True)
     with pytest.raises(rpc.RpcError, match="is no regular expression"):
         wire.call("simListSceneObjects", "(")
 
@@ -171,6 +172,26 @@ def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire
     assert wire.call("simGetDetections", "0", 1, "", False) == [], "each type has filters of its own"
     wire.call("simClearDetectionMeshNames", "0", 0, "", False)
     assert wire.call("simGetDetections", "0", 0, "", False) == []
+
+
+def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
+    """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
+    from uavaccel.sim.profile import NATIVE
+    from uavaccel.sim.scene_objects import SceneObjects
+    from uavaccel.sim.world import World
+
+    world = World("blocks", NATIVE, furnished=True)
+    corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        way = end - start
+        length_m = float(np.linalg.norm(way))
+        beside = np.array([-way[1], way[0], 0.0]) / length_m
+        for aside_m in (-5.0, 0.0, 5.0):
+            place = start + aside_m * beside
+            assert cast(world.model, world.data, place, way[None] / length_m, length_m).geoms[0] == -1
+    assert {"OrangeBall", "PulsingCone", "Cylinder5_2"} < set(SceneObjects(world).names())
+    low = SceneObjects(world).corners("PulsingCone")[:, 2].max()
+    assert low == pytest.approx(0.0, abs=1e-6), "it stands on the ground"
 
 
 def test_a_plain_scene_can_be_moved_but_has_no_room() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 
 def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
@@ -19,11 +20,12 @@ def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
             high = (boxes[children[node], :3] + boxes[children[node], 3:]).max(axis=0)
             boxes[node] = np.concatenate([(low + high) / 2, (high - low) / 2])
         elif geom in moved:
-            boxes[node] = np.concatenate([model.geom_pos[geom], _half_extents(model, geom)])
+            boxes[node] = _box(model, geom)
 
 
-def _half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Half sizes (3,) of a geom along the axes of its body."""
-    turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-    return np.asarray(np.abs(turn.reshape(3, 3)) @ model.geom_aabb[geom, 3:])
+def _box(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
+    """Middle and half sizes (6,) of a geom along the axes of its body."""
+    flat, own = np.empty(9), model.geom_aabb[geom]
+    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
+    turn = flat.reshape(3, 3)
+    return np.concatenate([model.geom_pos[geom] + turn @ own[:3], np.abs(turn) @ own[3:]])

@@ -1,6 +1,7 @@
 """A scene for AirSim's clients: its ground goes on to the horizon, and it has room for objects that they spawn.
 
-The experiments fly the plain scene, whose pictures stay as they are. The physics is the same.
+NAME_airsim.xml stands for NAME.xml where there is one. The experiments fly the plain scene, whose pictures stay as they
+are.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ GROUND_HALF_M = 10_000.0
 NEAR_M, FAR_M = 0.05, 20_000.0  # drawn from and to
 
 
-def furnished_model(path: Path) -> mujoco.MjModel:
+def furnished_model(scene: Path) -> mujoco.MjModel:
     """The scene in a file, with a wide ground and SPARES spare geoms, neither seen nor touched."""
+    own = scene.with_name(f"{scene.stem}_airsim.xml")
+    path = own if own.exists() else scene
     plain = mujoco.MjModel.from_xml_path(str(path))
     spec = mujoco.MjSpec.from_file(str(path))
     _widen_ground(spec)

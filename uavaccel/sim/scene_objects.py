@@ -25,9 +25,11 @@ BOX, SPHERE, CYLINDER = (
     for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 )
 ELLIPSOID, PLANE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_PLANE)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 # Unreal's basic shapes: one metre across; kind, half sizes along x, y, z.
 ASSETS: dict[str, tuple[int, Scale]] = {
     "Cube": (BOX, (0.5, 0.5, 0.5)),
+    "1M_Cube_Chamfer": (BOX, (0.5, 0.5, 0.5)),
     "1M_Cube": (BOX, (0.5, 0.5, 0.5)),
     "Sphere": (ELLIPSOID, (0.5, 0.5, 0.5)),
     "Cylinder": (CYLINDER, (0.5, 0.5, 0.5)),
@@ -102,9 +104,9 @@ class SceneObjects:
         return None if (geom := self.geom(name)) is None else self._scales.get(geom, (1.0, 1.0, 1.0))
 
     def set_scale(self, name: str, scale: Scale) -> bool:
-        """Whether there is one of that name that can be scaled."""
+        """Whether there is one of that name that can be scaled: neither the ground nor a mesh can."""
         geom = self.geom(name)
-        if geom is None or self._kinds[geom] == PLANE:
+        if geom is None or self._kinds[geom] in (PLANE, MESH):
             return False
         self._resize(geom, scale)
         self._moved(geom)
@@ -145,14 +147,12 @@ class SceneObjects:
     def corners(self, name: str) -> NDArray[np.float64]:
         """Corners (8, 3) of an object's box, in its own axes turned into NED; raises KeyError."""
         geom = self._geoms[name]
-        half = (
-            _half_sizes(self._model, geom)
-            if self._kinds[geom] != PLANE
-            else (*self._model.geom_size[geom, :2], 0.0)
-        )
+        half, middle = _half_sizes(self._model, geom), mujoco_to_ned(self._model.geom_aabb[geom, :3])
+        if self._kinds[geom] == PLANE:  # whose box has no end below
+            half, middle = (*self._model.geom_size[geom, :2], 0.0), np.zeros(3)
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         pose = self.pose(name) or Pose()
-        return np.asarray(signs * np.array(half) @ pose.matrix().T + np.array(pose.position_m))
+        return np.asarray((signs * np.array(half) + middle) @ pose.matrix().T + np.array(pose.position_m))
 
     def _free_name(self, name: str) -> str:
         taken = [other for other in self.names() if name in other]

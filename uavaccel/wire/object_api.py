@@ -60,7 +60,9 @@ class ObjectApi:
         if name == self._scenery.settings.vehicle:
             self._set_vehicle_pose(pose, True, name)
             return True
-        return self._scenery.objects.set_pose(_text(name, "object_name"), _finite(pose))
+        if self._scenery.objects.geom(_text(name, "object_name")) is None:
+            return False  # as AirSim: its pose, not a number, may be what is set
+        return self._scenery.objects.set_pose(name, _finite(pose))
 
     def scale(self, name: Any) -> dict[str, float]:
         """simGetObjectScale: 0 for what is not there."""

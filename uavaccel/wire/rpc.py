@@ -83,11 +83,15 @@ def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
 def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
     if error is not None:  # it may quote bytes that were no text
         error = error.encode("utf-8", "replace").decode()
+    return pack([RESPONSE, message_id, error, result])
+
+
+def pack(value: Any) -> bytes:
+    """MessagePack of what a call returns: of plain values, and of NumPy's arrays as lists of numbers."""
     try:
-        return bytes(msgpack.packb([RESPONSE, message_id, error, result]))
-    except TypeError:  # there are pixels in it
-        packer = msgpack.Packer()
-        return b"".join(_pieces(packer, [RESPONSE, message_id, error, result]))
+        return bytes(msgpack.packb(value))
+    except TypeError:  # there are arrays in it
+        return b"".join(_pieces(msgpack.Packer(), value))
 
 
 def _pieces(packer: msgpack.Packer, value: Any) -> Iterator[bytes]:
