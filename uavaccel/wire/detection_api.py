@@ -21,11 +21,13 @@ from uavaccel.sim.rays import cast
 from uavaccel.wire import types
 from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.method import Method
+from uavaccel.wire.object_api import LONGEST_NAME
 from uavaccel.wire.pictures import known_type
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import pose_map
 
 DEFAULT_RADIUS_M = 200.0
+MOST_NAMES = 256  # that a camera looks for
 INSIDE = 0.98  # of the way from a box's middle: rays to the very edge may pass it
 
 
@@ -60,6 +62,8 @@ class DetectionApi:
     def add_name(self, camera: Any, kind: Any, name: Any, vehicle: Any = "", external: Any = False) -> None:
         """simAddDetectionFilterMeshName."""
         found = self._filter(camera, kind, vehicle, external)[1]
+        if len(found.patterns) >= MOST_NAMES or len(str(name)) > LONGEST_NAME:
+            raise ValueError(f"there may be {MOST_NAMES} names of {LONGEST_NAME} characters, not more")
         if str(name) not in found.patterns:
             found.patterns.append(str(name))
 

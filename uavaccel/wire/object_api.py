@@ -18,6 +18,7 @@ from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import pose_map
 
 NAN = math.nan
+LONGEST_NAME = 256
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
 
 
@@ -108,6 +109,8 @@ class ObjectApi:
 def _text(value: Any, name: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{name} must be a text, not {type(value).__name__}")
+    if len(value) > LONGEST_NAME:
+        raise ValueError(f"{name} must have at most {LONGEST_NAME} characters, not {len(value)}")
     return value
 
 

@@ -50,7 +50,7 @@ class Scenery:
 
     @cached_property
     def segmentation(self) -> Segmentation:
-        return Segmentation(self.simulation.world, self.objects)
+        return Segmentation(self.simulation.world, self.objects, self.settings.vehicle)
 
     @cached_property
     def pictures(self) -> Pictures:

@@ -23,14 +23,15 @@ HIGHEST_ID = 255
 
 
 class Segmentation:
-    """The IDs of one world's objects."""
+    """The IDs of one world's objects, and of its `vehicle`."""
 
-    def __init__(self, world: World, objects: SceneObjects) -> None:
+    def __init__(self, world: World, objects: SceneObjects, vehicle: str) -> None:
         self._objects = objects
         model = world.model
         names = [object_name(model, geom) for geom in range(model.ngeom)]
         self._ids = np.array([id_of_name(name) for name in names] + [NO_OBJECT])  # the last is the sky's, -1
-        self._of_vehicle = {"quadrotor": [geom for geom, name in enumerate(names) if "quadrotor" in name]}
+        self._of_vehicle = {vehicle: [geom for geom, name in enumerate(names) if "quadrotor" in name]}
+        self._ids[self._of_vehicle[vehicle]] = id_of_name(vehicle)
 
     def ids(self, geoms: GeomImage) -> NDArray[np.int64]:
         """The ID of each geom of an image of geoms; 0 for the sky and for what is not to be drawn."""

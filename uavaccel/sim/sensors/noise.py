@@ -33,12 +33,15 @@ class Drift:
         self._white, self._sigma = white, sigma
         self._keep = math.exp(-1.0 / tau_s)
         self._step = 1.0 if math.isinf(tau_s) else math.sqrt(1.0 - self._keep**2)
-        first = white.at(0) * (0.0 if at_rest else sigma)
-        self._values = [first]
+        self._first = white.at(0) * (0.0 if at_rest else sigma)
+        self._second, self._value = 0, self._first
 
     def at(self, time_s: float) -> NDArray[np.float64]:
         """The process at a time, 0 or more; it stays what it is within a second."""
-        while len(self._values) <= time_s:
-            step = self._white.at(len(self._values)) * self._sigma * self._step
-            self._values.append(self._values[-1] * self._keep + step)
-        return self._values[int(time_s)]
+        if time_s < self._second:  # a saved state was gone back to
+            self._second, self._value = 0, self._first
+        while self._second + 1 <= time_s:
+            self._second += 1
+            step = self._white.at(self._second) * self._sigma * self._step
+            self._value = self._value * self._keep + step
+        return self._value
