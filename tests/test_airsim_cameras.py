@@ -182,6 +182,9 @@ def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
     ("simSetCameraPose", ["0", level_pose(0, 0, 0), "Nobody"], "there is 'Eye'"),
     ("simGetCameraInfo", ["nose"], r"no camera 'nose'; there are front_center \(0\), .*, tail"),
     ("simSetCameraFov", ["0", 0], "fov_degrees must be above 0"),
+    ("simGetImages", [[{"image_type": 2**70}]], "image_type must be a whole number of 32 bits"),
+    ("getImuData", [["imu"]], "a sensor's name must be a text, not list"),
+    ("simSetDistortionParam", ["0", {}, 0.1], "no distortion parameter"),
     ("simSetDistortionParam", ["0", "K9", 0.1], "no distortion parameter 'K9'; there are K1"),
     ("simGetFocalLength", ["0"], "simGetFocalLength is not available: cameras here are pinholes"),
 ])  # fmt: skip

@@ -17,6 +17,7 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
+from uavaccel.wire.connection import Answer
 from uavaccel.wire.server import IDLE_LIMIT_NS, TURN_NS, Connection, Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.transport import SocketTransport
@@ -336,3 +337,17 @@ def test_silent_clients_make_room_and_a_line_says_so(
     assert [line.partition("; ")[0] for line in said] == ["warning: 3 clients are connected"] * 2
     assert "turned away" in said[0]
     assert "make room" in said[1]
+
+
+def test_an_answer_that_cannot_be_packed_costs_the_caller_its_call(
+    stepped: tuple[Server, SteppedClock], clients: contextlib.ExitStack
+) -> None:
+    server, _ = stepped
+    connection, client = joined(server, clients)
+    assert connection is not None
+    for number, result in enumerate((1 << 80, object(), True)):
+        server._answers.append(Answer(connection, number, None, result))
+    server._flush()
+    told = {message[1]: (message[2], message[3]) for message in replies(client)}
+    assert told[2] == (None, True)
+    assert all("cannot be packed" in told[number][0] for number in (0, 1))

@@ -85,7 +85,7 @@ class CameraApi:
     ) -> None:
         """simSetDistortionParam: kept and told; pictures stay undistorted."""
         known = self._named(camera, vehicle, external).distortion
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             raise ValueError(f"no distortion parameter {name!r}; there are {', '.join(known)}")
         known[name] = types.number(value, "value")
         self._notices.once("simSetDistortionParam: accepted; pictures stay undistorted")

@@ -42,4 +42,7 @@ class Answer(NamedTuple):
         result = self.result
         if isinstance(result, DeferredReply):
             result = result.encode(result.value)
-        return rpc.pack_response(self.message_id, self.error, result)
+        try:
+            return rpc.pack_response(self.message_id, self.error, result)
+        except (TypeError, ValueError, OverflowError) as error:  # costs the caller its call and nobody else
+            return rpc.pack_response(self.message_id, f"the answer cannot be packed: {error}", None)

@@ -90,7 +90,7 @@ class DetectionApi:
     def _filter(self, camera: Any, kind: Any, vehicle: Any, external: Any) -> tuple[MountedAs, Filter]:
         self._check_vehicle(vehicle)
         mounted = self._scenery.cameras(vehicle, external).named(camera)
-        image_type = known_type(int(types.number(kind, "image_type")))
+        image_type = known_type(types.whole(kind, "image_type"))
         return mounted, self._filters[mounted.name, mounted.external, image_type]
 
     def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, Any] | None:

@@ -64,7 +64,7 @@ class ImageApi:
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
         """simGetImage: one PNG."""
         mounted = self._cameras(vehicle, external).named(camera)
-        return png(self._scenery.pictures.bgr(mounted, int(types.number(image_type, "image_type"))))
+        return png(self._scenery.pictures.bgr(mounted, types.whole(image_type, "image_type")))
 
     def _cameras(self, vehicle: Any, external: Any) -> Cameras:
         self._check_vehicle(vehicle)
@@ -74,7 +74,7 @@ class ImageApi:
         if not isinstance(request, Mapping):
             raise ValueError("an ImageRequest must be a map")
         camera = cameras.named(request.get("camera_name", ""))
-        image_type = int(types.number(request.get("image_type", SCENE), "image_type"))
+        image_type = types.whole(request.get("image_type", SCENE), "image_type")
         as_float, compress = bool(request.get("pixels_as_float")), bool(request.get("compress", True))
         image, message = self._drawn(camera, image_type, as_float)
         kinematics = self.simulation.kinematics()

@@ -50,8 +50,8 @@ class ObjectApi:
         names = self._scenery.objects.matching(_text(pattern, "name_regex"))
         return names + self._scenery.vehicles_matching(pattern)
 
-    def pose(self, name: Any) -> dict[str, Any]:
-        """simGetObjectPose: of an object or a vehicle, NED; not a number for what is not there."""
+    def pose(self, name: Any, ned: Any = True) -> dict[str, Any]:
+        """simGetObjectPose: of an object or a vehicle; not a number for what is not there. Always NED."""
         if name == self._scenery.settings.vehicle:
             return types.pose_map(self._scenery.simulation.kinematics())
         return pose_map(self._scenery.objects.pose(_text(name, "object_name")) or NO_POSE)
@@ -98,7 +98,7 @@ class ObjectApi:
 
     def set_segmentation_id(self, name: Any, number: Any, is_regex: Any = False) -> bool:
         """simSetSegmentationObjectID."""
-        number = int(types.number(number, "object_id"))
+        number = types.whole(number, "object_id")
         return self._scenery.segmentation.set_id(_text(name, "mesh_name"), number, bool(is_regex))
 
     def segmentation_id(self, name: Any) -> int:

@@ -47,6 +47,8 @@ class Sensors:
 
     def named(self, kind: type[Kind], word: str, name: Any) -> Kind:
         """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
+        if not isinstance(name, str):
+            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
         known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
         found = next(iter(known.values()), None) if name == "" else known.get(name)
         if found is None:

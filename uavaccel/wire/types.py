@@ -89,6 +89,14 @@ def number(value: Any, name: str) -> float:
     return float(value)
 
 
+def whole(value: Any, name: str) -> int:
+    """A whole number of 32 bits; raises ValueError."""
+    wide = number(value, name)
+    if wide != int(wide) or abs(wide) >= 1 << 31:
+        raise ValueError(f"{name} must be a whole number of 32 bits, not {wide:g}")
+    return int(wide)
+
+
 def coordinate(value: Any, name: str) -> float:
     """Metres from the origin; raises ValueError."""
     metres = number(value, name)
