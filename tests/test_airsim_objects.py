@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
-from uavaccel.sim.furnished import SPARES
+from uavaccel.resources import asset
+from uavaccel.sim.furnished import SPARES, furnished_spec, put_spares_by
 from uavaccel.sim.rays import cast
+from uavaccel.sim.scene_objects import take_over
 from uavaccel.wire import rpc
 from uavaccel.wire.segmentation import colours
 
@@ -136,6 +139,11 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
     assert wire.call("simGetSegmentationObjectID", "BLOCK_NORTH") == 42
     assert wire.call("simGetSegmentationObjectID", "block_east") == 21
     assert wire.call("simGetSegmentationObjectID", "tree") == -1
+    assert (
+        wire.call("simGetSegmentationObjectID", "SimpleFlight") == (5 + sum(map(ord, "simpleflight"))) % 256
+    )
+    assert wire.call("simSetSegmentationObjectID", "simpleflight", 7, False)
+    assert wire.call("simGetSegmentationObjectID", "SimpleFlight") == 7
 
     def middle() -> list[int]:
         [picture] = wire.images(("0", 5, False))
@@ -147,6 +155,22 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
     assert middle() == [0, 0, 0]
     with pytest.raises(rpc.RpcError, match="object_id must be -1 to 255, not 256"):
         wire.call("simSetSegmentationObjectID", BLOCK, 256, False)
+
+
+def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWire) -> None:
+    """As a world makes a new model that has others attached."""
+    spawn(wire, "post", "Cylinder", (10.0, 0.0, -10.0), vector(1.0, 1.0, 30.0))
+    spec = furnished_spec(asset("mjcf/blocks.xml"))
+    other = mujoco.MjSpec.from_file(str(asset("mjcf/quadrotor.xml")))
+    spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
+    new = spec.compile()
+    put_spares_by(new)
+    take_over(wire.world.model, new)
+    data = mujoco.MjData(new)
+    assert cast(new, data, (0.0, 0.0, -10.0), NORTH).distance_m[0] == pytest.approx(9.5)
+    data.qpos[:3] = 9.4, 0.0, 10.0
+    mujoco.mj_forward(new, data)
+    assert data.ncon > 0
 
 
 def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire) -> None:

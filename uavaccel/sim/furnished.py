@@ -19,6 +19,13 @@ NEAR_M, FAR_M = 0.05, 20_000.0  # drawn from and to
 
 def furnished_model(scene: Path) -> mujoco.MjModel:
     """The scene in a file, with a wide ground and SPARES spare geoms, neither seen nor touched."""
+    model = furnished_spec(scene).compile()
+    put_spares_by(model)
+    return model
+
+
+def furnished_spec(scene: Path) -> mujoco.MjSpec:
+    """The same before it is compiled, its spare geoms solid: else MuJoCo would leave them out of its trees."""
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene
     plain = mujoco.MjModel.from_xml_path(str(path))
@@ -28,12 +35,13 @@ def furnished_model(scene: Path) -> mujoco.MjModel:
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 24, 12  # spawned spheres are round
     spec.stat.extent, spec.stat.center = plain.stat.extent, plain.stat.center
     spec.visual.map.znear, spec.visual.map.zfar = NEAR_M / plain.stat.extent, FAR_M / plain.stat.extent
-    model = spec.compile()
+    return spec
+
+
+def put_spares_by(model: mujoco.MjModel) -> None:
+    """Let nothing touch the spare geoms of a compiled model."""
     spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
-    model.geom_contype[spares] = model.geom_conaffinity[spares] = (
-        0  # compiled as solid: so they are in MuJoCo's trees
-    )
-    return model
+    model.geom_contype[spares] = model.geom_conaffinity[spares] = 0
 
 
 def _widen_ground(spec: mujoco.MjSpec) -> None:

@@ -36,6 +36,19 @@ ASSETS: dict[str, tuple[int, Scale]] = {
     "Plane": (BOX, (0.5, 0.5, 0.005)),
 }
 LARGEST_HALF_M = 1e4
+_FIELDS = (
+    "pos",
+    "quat",
+    "size",
+    "type",
+    "aabb",
+    "rbound",
+    "rgba",
+    "matid",
+    "contype",
+    "conaffinity",
+    "sameframe",
+)
 
 
 class SceneObjects:
@@ -43,13 +56,16 @@ class SceneObjects:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._model = world.model
         named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
         self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
         self._kinds = {geom: int(self._model.geom_type[geom]) for geom in self._geoms.values()}
         self._full_size = {geom: _half_sizes(self._model, geom) for geom in self._geoms.values()}
         self._scales: dict[int, Scale] = {}
+
+    @property
+    def _model(self) -> mujoco.MjModel:
+        return self._world.model
 
     def _still_geoms(self) -> list[int]:
         return [int(geom) for geom in np.flatnonzero(self._model.geom_bodyid == 0)]
@@ -196,3 +212,11 @@ class SceneObjects:
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:
     x, y, z = (float(half) for half in model.geom_aabb[geom, 3:])
     return x, y, z
+
+
+def take_over(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
+    """Let the objects of a model that has got more vehicles be as they were: the world's geoms are its first ones."""
+    geoms = np.flatnonzero(old.geom_bodyid == 0)
+    for name in _FIELDS:
+        getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]
+    refit_bounding_boxes(new, set(geoms.tolist()))
