@@ -12,6 +12,7 @@ from tests.airsim_wire import AirSimWire, level_pose, xyz
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
 from uavaccel.wire.segmentation import id_of_name
+from uavaccel.wire.types import EPOCH_NS
 
 pytestmark = pytest.mark.opengl
 
@@ -165,6 +166,23 @@ def test_what_cannot_be_drawn_is_refused_alone_and_all_are_of_one_moment() -> No
     stamps = {response["time_stamp"] for response in (first, flow, last)}
     assert stamps == {wire.call("getMultirotorState", "")["timestamp"]}
     assert first["camera_orientation"] == last["camera_orientation"]
+
+
+def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() -> None:
+    wire = AirSimWire()
+    wire.call("moveByVelocity", 4.0, 1.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 20.0}, "")
+    wire.fly(1.0)
+    asked = [
+        {"camera_name": str(camera), "image_type": PLANAR, "pixels_as_float": True} for camera in range(5)
+    ]
+    at_once = wire.call("simGetImages", asked, "", False)
+    steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
+    while wire.api.go_on(steps, "simGetImages", []):
+        wire.fly(0.01)
+    for one, other in zip(steps.made, at_once, strict=True):
+        assert one["time_stamp"] == other["time_stamp"] < EPOCH_NS + wire.simulation.time_ns
+        assert one["camera_position"] == other["camera_position"]
+        np.testing.assert_array_equal(one["image_data_float"], np.float32(other["image_data_float"]))
 
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:

@@ -351,3 +351,32 @@ def test_an_answer_that_cannot_be_packed_costs_the_caller_its_call(
     told = {message[1]: (message[2], message[3]) for message in replies(client)}
     assert told[2] == (None, True)
     assert all("cannot be packed" in told[number][0] for number in (0, 1))
+
+
+@pytest.mark.opengl
+def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.ExitStack) -> None:
+    server, clock = Server(Api(simulate(10.0)), port=0), SteppedClock()
+    clients.callback(server.close)
+    server.clock = clock  # type: ignore[assignment]
+    clock.step_ns = TURN_NS
+    (drawing, painter), (other, client) = joined(server, clients), joined(server, clients)
+    assert drawing is not None
+    assert other is not None
+    painter.sendall(rpc.pack_request(1, "simGetImages", [[{}] * 6]) + rpc.pack_request(2, "ping", []))
+    wait_for_sockets(server)
+    server._read(drawing)
+    client.sendall(rpc.pack_request(7, "ping", []))
+    wait_for_sockets(server)
+    server._read(other)
+    server._flush()
+    assert [reply[1] for reply in replies(client)] == [7]
+    turns = 0
+    while server._backlog:
+        assert replies(painter) == []
+        server._serve_backlog()
+        turns += 1
+    assert turns >= 6
+    server._flush()
+    told = {reply[1]: reply[3] for reply in replies(painter)}
+    assert len(told[1]) == 6
+    assert told[2] is True

@@ -27,6 +27,7 @@ from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.steps import Steps
 from uavaccel.wire.world_api import WorldApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
@@ -63,6 +64,22 @@ class Api:
 
         The simulation has to be advanced to `wall_ns` before.
         """
+        result = self.begin(method, params, wall_ns)
+        if not isinstance(result, Steps):
+            return result
+        while self.go_on(result, method, params):
+            pass
+        return result.made
+
+    def go_on(self, steps: Steps, method: str, params: Sequence[Any]) -> bool:
+        """Make one more piece of what `begin` gave; False when it is whole. Raises rpc.RpcError."""
+        try:
+            return steps.advance()
+        except Exception as error:  # costs the caller its call and nobody else
+            raise rpc.threw(method, len(params), str(error)) from error
+
+    def begin(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
+        """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
         entry = self.methods.get(method)
         if entry is None:
             raise rpc.unknown_method(method, len(params))

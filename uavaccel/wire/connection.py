@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from uavaccel.sim.simulation import DeferredReply
 from uavaccel.wire import rpc
+from uavaccel.wire.steps import Steps
 
 
 class Connection:
@@ -17,6 +18,7 @@ class Connection:
         self.socket = connection
         self.decoder = rpc.Decoder()
         self.requests: deque[rpc.RpcRequest] = deque()  # that have come, and have not had their turn yet
+        self.begun: tuple[rpc.RpcRequest, Steps] | None = None  # whose result is not whole yet
         self.unsent = bytearray()
         self.waiting = 0  # answers that are not due yet
         self.heard_ns = 0
@@ -27,7 +29,12 @@ class Connection:
     @property
     def idle(self) -> bool:
         """Whether nothing is to be done for it."""
-        return not (self.requests or self.unsent or self.waiting)
+        return not (self.asks or self.unsent or self.waiting)
+
+    @property
+    def asks(self) -> bool:
+        """Whether there is something to be answered at once."""
+        return bool(self.requests or self.begun)
 
 
 class Answer(NamedTuple):

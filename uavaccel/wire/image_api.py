@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
@@ -22,11 +23,23 @@ from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import png
-from uavaccel.wire.pictures import known_type
+from uavaccel.wire.pictures import Scene, known_type
 from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.steps import Steps
 
-MOST_IMAGES = 64  # of one call, while which the clock is not served
+MOST_IMAGES = 64  # of one call
+AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
 PICTURES = ("gray", "colour", "depth", "segmentation")
+
+
+class ImageRequest(NamedTuple):
+    """What is asked for, by the name that the client gave the camera."""
+
+    camera: MountedAs
+    camera_name: str
+    image_type: int
+    pixels_as_float: bool
+    compress: bool
 
 
 class ImageApi:
@@ -54,12 +67,16 @@ class ImageApi:
         image = self.picture(str(kind))
         return {"shape": list(image.shape), "dtype": image.dtype.str, "data": image.tobytes()}
 
-    def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[dict[str, Any]]:
+    def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[Any] | Steps:
         """simGetImages: all of one moment; what cannot be drawn is said in its response alone."""
         if not isinstance(requests, list) or len(requests) > MOST_IMAGES:
             raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
         cameras = self._cameras(vehicle, external)
-        return [self._response(cameras, request) for request in requests]
+        asked = [image_request(request, cameras) for request in requests]
+        if len(asked) <= AT_ONCE:
+            return [self._response(request, self.simulation.kinematics()) for request in asked]
+        scene, kinematics = self._scenery.pictures.kept(), self.simulation.kinematics()
+        return Steps(self._response(request, kinematics, scene) for request in asked)
 
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
         """simGetImage: one PNG."""
@@ -70,24 +87,16 @@ class ImageApi:
         self._check_vehicle(vehicle)
         return self._scenery.cameras(vehicle, external)
 
-    def _response(self, cameras: Cameras, request: Any) -> dict[str, Any]:
-        if not isinstance(request, Mapping):
-            raise ValueError("an ImageRequest must be a map")
-        camera = cameras.named(request.get("camera_name", ""))
-        image_type = types.whole(request.get("image_type", SCENE), "image_type")
-        as_float, compress = bool(request.get("pixels_as_float")), bool(request.get("compress", True))
-        image, message = self._drawn(camera, image_type, as_float)
-        kinematics = self.simulation.kinematics()
-        eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
+    def _response(self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None) -> dict[str, Any]:
+        image, message = self._drawn(request, scene)
+        as_float, compress = request.pixels_as_float, request.compress
+        data = b"" if as_float or message else png(image) if compress else image.tobytes()
+        eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         return {
-            "image_data_uint8": b""
-            if as_float
-            else png(image)
-            if compress and not message
-            else image.tobytes(),
+            "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
             "camera_position": types.vector_map(eye.position_m),
-            "camera_name": str(request.get("camera_name", "")),
+            "camera_name": request.camera_name,
             "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
             "time_stamp": types.stamp(kinematics.time_ns),
             "message": message,
@@ -95,17 +104,18 @@ class ImageApi:
             "compress": compress,
             "width": image.shape[1],
             "height": image.shape[0],
-            "image_type": image_type,
+            "image_type": request.image_type,
         }
 
-    def _drawn(self, camera: MountedAs, image_type: int, as_float: bool) -> tuple[NDArray[Any], str]:
+    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
         """The picture; or an empty one, and why."""
         try:
-            known_type(image_type)
+            known_type(request.image_type)
         except ValueError as error:
             return np.empty((0, 0), np.float32), str(error)
         pictures = self._scenery.pictures
-        return (pictures.floats if as_float else pictures.bgr)(camera, image_type), ""
+        draw = pictures.floats if request.pixels_as_float else pictures.bgr
+        return draw(request.camera, request.image_type, scene), ""
 
     # --- poses, collisions, lanes -------------------------------------------------------------------------------
 
@@ -151,6 +161,16 @@ class ImageApi:
             "object": world.collision_object,
             "position_m": list(self.simulation.kinematics().position_m),
         }
+
+
+def image_request(value: Any, cameras: Cameras) -> ImageRequest:
+    """An ImageRequest of the wire, whose type need not be known. Raises ValueError."""
+    if not isinstance(value, Mapping):
+        raise ValueError("an ImageRequest must be a map")
+    name = str(value.get("camera_name", ""))
+    image_type = types.whole(value.get("image_type", SCENE), "image_type")
+    as_float, compress = bool(value.get("pixels_as_float")), bool(value.get("compress", True))
+    return ImageRequest(cameras.named(name), name, image_type, as_float, compress)
 
 
 def lane_layout(lane: Any) -> LaneLayout:

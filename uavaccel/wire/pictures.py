@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any
+from typing import TypeAlias, Union
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +35,7 @@ class ImageType(IntEnum):
     INFRARED = 7
 
 
+Scene: TypeAlias = Union["mujoco.MjData", None]
 DEPTH_VIS_FAR_M = 100.0
 BASELINE_M = 0.25  # between AirSim's front_left and front_right
 _DEPTHS = (
@@ -55,28 +57,38 @@ class Pictures:
         self._segmentation = segmentation
         self.render = render
 
-    def floats(self, camera: MountedAs, image_type: int) -> NDArray[np.float32]:
-        """One number per pixel (height, width): metres, shares, or the first channel of another image from 0 to 1."""
-        kind = known_type(image_type)
-        if kind in _DEPTHS:
-            return self._depth(camera, kind)
-        return (self.bgr(camera, kind)[..., 2] / np.float32(255)).astype(np.float32)
+    def floats(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
+        """One number per pixel (height, width): metres, shares, or the first channel of another image from 0 to 1.
 
-    def bgr(self, camera: MountedAs, image_type: int) -> NDArray[np.uint8]:
-        """Blue, green, red (height, width, 3)."""
-        kind = known_type(image_type)
+        Of the present, or of a `scene` that was kept.
+        """
+        kind, shown = known_type(image_type), self._shown(scene)
+        if kind in _DEPTHS:
+            return self._depth(camera, kind, shown)
+        return (self.bgr(camera, kind, shown)[..., 2] / np.float32(255)).astype(np.float32)
+
+    def bgr(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
+        """Blue, green, red (height, width, 3); of the present, or of a `scene` that was kept."""
+        kind, shown = known_type(image_type), self._shown(scene)
         if kind == ImageType.SCENE:
-            return np.ascontiguousarray(self._pointed(camera, kind).colour(self._shown())[..., ::-1])
+            return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
         if kind == ImageType.SEGMENTATION:
-            return np.ascontiguousarray(colours()[self._object_ids(camera, kind)][..., ::-1])
+            return np.ascontiguousarray(colours()[self._object_ids(camera, kind, shown)][..., ::-1])
         if kind == ImageType.INFRARED:
-            return _gray(self._object_ids(camera, kind).astype(np.uint8))
+            return _gray(self._object_ids(camera, kind, shown).astype(np.uint8))
         if kind == ImageType.SURFACE_NORMALS:
-            return self._normals(camera)
-        share = self._depth(camera, kind)
+            return self._normals(camera, shown)
+        share = self._depth(camera, kind, shown)
         if kind in (ImageType.DEPTH_PLANAR, ImageType.DEPTH_PERSPECTIVE):
             share = np.minimum(share / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
         return _gray(np.rint(share * 255).astype(np.uint8))
+
+    def kept(self) -> mujoco.MjData:
+        """What there is to see now, to be drawn later."""
+        shown = self._shown(None)
+        kept = mujoco.MjData(self._simulation.world.model)
+        kept.qpos[:] = shown.qpos
+        return kept
 
     def warm_up(self) -> None:
         """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
@@ -84,9 +96,9 @@ class Pictures:
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
             self.bgr(front, image_type)
 
-    def _depth(self, camera: MountedAs, kind: ImageType) -> NDArray[np.float32]:
+    def _depth(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
         """Metres, or for the two that are shares from 0 to 1."""
-        pointed, scene = self._pointed(camera, kind), self._shown()
+        pointed = self._pointed(camera, kind, scene)
         if kind == ImageType.DEPTH_PERSPECTIVE:
             return pointed.depth_perspective(scene)
         depth_m = pointed.depth(scene)
@@ -97,13 +109,13 @@ class Pictures:
             return np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
         return depth_m
 
-    def _object_ids(self, camera: MountedAs, kind: ImageType) -> NDArray[np.int64]:
-        return self._segmentation.ids(self._pointed(camera, kind).segmentation(self._shown()))
+    def _object_ids(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
+        return self._segmentation.ids(self._pointed(camera, kind, scene).segmentation(scene))
 
-    def _normals(self, camera: MountedAs) -> NDArray[np.uint8]:
+    def _normals(self, camera: MountedAs, scene: mujoco.MjData) -> NDArray[np.uint8]:
         """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
         self._check_rendering()
-        lens, scene = camera.lens(ImageType.SURFACE_NORMALS), self._shown()
+        lens = camera.lens(ImageType.SURFACE_NORMALS)
         eye = camera.eye(vehicle_pose(scene))
         directions = pixel_rays(lens) @ eye.matrix().T
         hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
@@ -111,21 +123,21 @@ class Pictures:
         rgb[hits.geoms < 0] = 0
         return np.ascontiguousarray(rgb.reshape(lens.height, lens.width, 3)[..., ::-1])
 
-    def _pointed(self, camera: MountedAs, image_type: int) -> MountedCamera:
+    def _pointed(self, camera: MountedAs, image_type: int, scene: mujoco.MjData) -> MountedCamera:
         """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
         self._check_rendering()
         pointed = self._simulation.world.mounted_camera(*self._largest)
         own = camera.mount == FRONT_CENTER and not camera.external
-        pointed.point(None if own else camera.eye(vehicle_pose(self._shown())), camera.lens(image_type))
+        pointed.point(None if own else camera.eye(vehicle_pose(scene)), camera.lens(image_type))
         return pointed
 
     def _check_rendering(self) -> None:
         if not self.render:
             raise ValueError("rendering is switched off")
 
-    def _shown(self) -> Any:
-        """What there is to see: the present, or what a modelled renderer shows."""
-        return self._simulation.frames.scene(self._simulation.world.data)
+    def _shown(self, scene: Scene) -> mujoco.MjData:
+        """What there is to see: what was kept, the present, or what a modelled renderer shows."""
+        return scene or self._simulation.frames.scene(self._simulation.world.data)
 
 
 def known_type(image_type: int) -> ImageType:

@@ -18,6 +18,7 @@ from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.connection import Answer, Connection
+from uavaccel.wire.steps import Steps
 from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good
@@ -184,13 +185,16 @@ class Server:
         Nothing more is read from it before.
         """
         until_ns = self.clock.now_ns() + TURN_NS
-        while connection.requests and connection.open:
-            self._handle(connection, connection.requests.popleft())
+        while connection.asks and connection.open:
+            if connection.begun:
+                self._go_on(connection, *connection.begun)
+            else:
+                self._handle(connection, connection.requests.popleft())
             if len(self._answers) >= MAX_UNPACKED:
                 self._flush()  # it may ask and never read, and then is open no more
             if self.clock.now_ns() >= until_ns:
                 break
-        if connection.open and connection.requests:
+        if connection.open and connection.asks:
             if not connection.in_backlog:
                 connection.in_backlog = True
                 self._backlog.append(connection)
@@ -226,9 +230,12 @@ class Server:
         wall_ns = self.clock.now_ns()
         self.api.simulation.advance_to(wall_ns)
         try:
-            result, error = self.api.call(request.method, request.params, wall_ns), None
+            result, error = self.api.begin(request.method, request.params, wall_ns), None
         except rpc.RpcError as failure:
             result, error = None, str(failure)
+        if isinstance(result, Steps):
+            connection.begun = request, result
+            return
         if request.message_id is None:
             return
         answer = Answer(connection, request.message_id, error, result)
@@ -237,6 +244,19 @@ class Server:
             result.on_due = lambda _: self._answer_late(answer)
         else:
             self._answers.append(answer)
+
+    def _go_on(self, connection: Connection, request: rpc.RpcRequest, steps: Steps) -> None:
+        """One more piece of a result; the answer, when it is whole."""
+        error = None
+        try:
+            if self.api.go_on(steps, request.method, request.params):
+                return
+        except rpc.RpcError as failure:
+            error = str(failure)
+        connection.begun = None
+        if request.message_id is not None:
+            result = None if error else steps.made
+            self._answers.append(Answer(connection, request.message_id, error, result))
 
     def _answer_late(self, answer: Answer) -> None:
         answer.connection.waiting -= 1
@@ -278,6 +298,7 @@ class Server:
             connection.open = False
             connection.unsent.clear()
             connection.requests.clear()
+            connection.begun = None
             if connection.socket in self._selector.get_map():
                 self._selector.unregister(connection.socket)
             connection.socket.close()
