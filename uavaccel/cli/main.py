@@ -247,7 +247,10 @@ def serve(
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
     recordings: Annotated[
-        Path | None, typer.Option(help="Folder for what startRecording records; otherwise the settings'.")
+        Path | None,
+        typer.Option(
+            help="Folder for what startRecording records; otherwise the settings', or ~/Documents/AirSim."
+        ),
     ] = None,
 ) -> None:
     """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""

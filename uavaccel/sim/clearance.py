@@ -32,8 +32,7 @@ class Clearance:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         body = model.body("quadrotor").id
-        touching = (model.geom_contype | model.geom_conaffinity) > 0
-        self._still = np.flatnonzero(touching & (model.geom_bodyid == 0))
+        touching = self._find_surroundings(model)
         own = touching & (model.geom_bodyid == body)
         self._radius_m = float((np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound)[own].max())
         self._model = model
@@ -44,6 +43,16 @@ class Clearance:
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._next_look_tick = 0
+
+    def _find_surroundings(self, model: mujoco.MjModel) -> NDArray[np.bool_]:
+        touching: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) > 0
+        self._still = np.flatnonzero(touching & (model.geom_bodyid == 0))
+        return touching
+
+    def surroundings_changed(self) -> None:
+        """Something was moved, has come or has gone."""
+        self._find_surroundings(self._model)
+        self.look_anew()
 
     def look_anew(self) -> None:
         """The vehicle or its surroundings were moved."""

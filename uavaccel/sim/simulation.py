@@ -53,6 +53,7 @@ class Simulation:
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
         self.api_control = False
+        self.records_game = True  # a recording begins anew with the first command
         self.trace = Trace()
         self.failure: str | None = None
         self.time0_ns = 0
@@ -209,7 +210,7 @@ class Simulation:
         if self.api_control:
             self.world.fly_velocity(goal)
             self.world.hold_from(None)
-        if not self.commands and self.world.recording:
+        if self.records_game and not self.commands and self.world.recording:
             self.record()  # t = 0 is the tick at which the first command is accepted
         end_tick = self.world.tick + ticks
         self.running.command = Command(end_tick, DeferredReply())

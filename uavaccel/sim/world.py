@@ -16,6 +16,7 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
+from uavaccel.sim.furnished import furnished_model
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import Profile
@@ -27,6 +28,7 @@ from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
+    from uavaccel.sim.mounted_camera import MountedCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
@@ -43,21 +45,23 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotor, flown by SimpleFlight's cascade.
 
+    `furnished` for AirSim's clients (uavaccel.sim.furnished).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act.
     """
 
-    def __init__(self, scene: str, profile: Profile) -> None:
+    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
         path = asset(f"mjcf/{scene}.xml")
-        self.model = mujoco.MjModel.from_xml_path(str(path))
+        self.model = furnished_model(path) if furnished else mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.timestep = profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self._scene = scene
+        self.scene = scene
         self._lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._mounted_camera: MountedCamera | None = None
         body = self.model.body("quadrotor").id
         mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
         self._parameters = parameters(
@@ -124,19 +128,38 @@ class World:
             self._cameras[width, height] = make_camera(self.model, width, height)
         return self._cameras[width, height]
 
+    def mounted_camera(self, width: int, height: int) -> MountedCamera:
+        """A camera to be pointed anywhere, for pictures up to a size; kept. Raises UserError without OpenGL."""
+        from uavaccel.sim.mounted_camera import MountedCamera
+
+        camera = self._mounted_camera
+        if camera is None or camera.width_most < width or camera.height_most < height:
+            if camera is not None:
+                camera.close()
+            self._mounted_camera = camera = MountedCamera(self.model, width, height)
+        return camera
+
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
         self._lane = layout
+        self.surroundings_changed()
+        self._field["wind"][0] = layout.wind_m_s
+
+    def surroundings_changed(self) -> None:
+        """Objects of the model were moved, have come or gone, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
-        self._clearance.look_anew()
-        self._field["wind"][0] = layout.wind_m_s
+        mujoco.mj_kinematics(self.model, self.data)
+        self._clearance.surroundings_changed()
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
         while self._cameras:
             self._cameras.popitem()[1].close()
+        if self._mounted_camera is not None:
+            self._mounted_camera.close()
+            self._mounted_camera = None
 
     def reset(self, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
         """Tick 0, at rest in a settled position hold at `position_m`; the recorder stops."""
@@ -246,7 +269,7 @@ class World:
         `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
         lane's layout and the samples recorded so far are in it.
         """
-        state: State = {"scene": self._scene, "profile": self.profile.name, "failed": self._failed}
+        state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self._failed}
         state |= {"physics": self._physics(), "warnings": self._warnings.copy()}
         state |= under("flight", of_record(self._flight)) | under("samples", self._samples.get_state())
         state |= under("touches", self.touches.get_state()) | under("contacts", self._clearance.get_state())
@@ -254,7 +277,7 @@ class World:
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
-        for name, own in (("scene", self._scene), ("profile", self.profile.name)):
+        for name, own in (("scene", self.scene), ("profile", self.profile.name)):
             if str(state[name]) != own:
                 raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
         self._failed = bool(state["failed"])

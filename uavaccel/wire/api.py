@@ -13,29 +13,28 @@ from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
+from uavaccel.wire.camera_api import CameraApi
+from uavaccel.wire.detection_api import DetectionApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.method import Method
+from uavaccel.wire.notices import Notices
+from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.steps import Steps
+from uavaccel.wire.world_api import WorldApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
 FORWARD_ONLY = 1
 MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
 LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
-
-Handler = Callable[..., Any]
-
-
-class Method:
-    """A call of the table: how many arguments it needs, and how many it takes at most."""
-
-    def __init__(self, handler: Handler, required: int, optional: int = 0) -> None:
-        self.handler = handler
-        self.required = required
-        self.most = required + optional
 
 
 class Api:
@@ -47,20 +46,40 @@ class Api:
         settings: Settings | None = None,
         render: bool = True,
         recordings: Path | None = None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
-        self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
-        self._images = ImageApi(simulation, render)
+        self.scenery = Scenery(simulation, self.settings, render)
+        self.notices = Notices(say)
+        self.recorder = Recorder(self.scenery, recordings, say)
+        self._images = ImageApi(self.scenery, self._check_vehicle)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
+        self.methods |= self._senses()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation has to be advanced to `wall_ns` before.
         """
+        result = self.begin(method, params, wall_ns)
+        if not isinstance(result, Steps):
+            return result
+        while self.go_on(result, method, params):
+            pass
+        return result.made
+
+    def go_on(self, steps: Steps, method: str, params: Sequence[Any]) -> bool:
+        """Make one more piece of what `begin` gave; False when it is whole. Raises rpc.RpcError."""
+        try:
+            return steps.advance()
+        except Exception as error:  # costs the caller its call and nobody else
+            raise rpc.threw(method, len(params), str(error)) from error
+
+    def begin(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
+        """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
         entry = self.methods.get(method)
         if entry is None:
             raise rpc.unknown_method(method, len(params))
@@ -107,7 +126,6 @@ class Api:
         return {
             "simGetImages": Method(images.get_images, 1, 2),
             "simGetImage": Method(images.get_image, 2, 2),
-            "simGetCameraInfo": Method(images.camera_info, 1, 2),
             "simGetCollisionInfo": Method(images.collision_info, 0, 1),
             "simGetVehiclePose": Method(images.vehicle_pose, 0, 1),
             "simSetVehiclePose": Method(images.set_vehicle_pose, 2, 1),
@@ -115,6 +133,15 @@ class Api:
             "uavaccelSetLane": Method(images.set_lane, 1),
             "uavaccelCollision": Method(images.collision, 0),
         }
+
+    def _senses(self) -> dict[str, Method]:
+        """Cameras, objects, sensors and the world at large."""
+        scenery, check, notices = self.scenery, self._check_vehicle, self.notices
+        methods = CameraApi(scenery, check, notices).methods()
+        methods |= ObjectApi(scenery, self._images.set_vehicle_pose, notices).methods()
+        methods |= DetectionApi(scenery, check).methods()
+        methods |= SensorApi(scenery, check).methods()
+        return methods | WorldApi(scenery, check, notices).methods()
 
     def _own_methods(self) -> dict[str, Method]:
         game = self._game
@@ -139,9 +166,7 @@ class Api:
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
-        world = self.simulation.world
-        self.recorder.keep()
-        self.simulation.reset(self._wall_ns, recording=world.recording)
+        self.recorder.go_through(lambda recording: self.simulation.reset(self._wall_ns, recording=recording))
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         self._check_vehicle(vehicle)
@@ -181,8 +206,8 @@ class Api:
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_point_map(kinematics.position_m),
-            "timestamp": kinematics.time_ns,
+            "gps_location": types.geo_map(geographic(kinematics.position_m, self.settings.home)),
+            "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if self.simulation.world.landed else 1,
             "rc_data": types.rc_data_map(),
         }
@@ -216,7 +241,6 @@ class Api:
         return self._fly(goal, seconds)
 
     def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
-        self.recorder.keep()  # the first command starts the simulation's recorder anew
         return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
 
     def _hover(self, vehicle: Any = "") -> bool:
