@@ -19,6 +19,7 @@ from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.furnished import furnished_model
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
 from uavaccel.sim.samples import Samples
@@ -75,19 +76,21 @@ class World:
         self._warnings = self.data.warning.number
         self._clearance = Clearance(self.model, self.data)
         self.touches = Touches(self.model, self.data)
-        self._handles = self._addresses()
-        self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
+        self._handles_pointer = self._handles(self.model, self.data)
+        if self._clearance.alone:
+            self._open_air = OpenAir(path, self.model, self.data)
+            self._open_air_pointer = self._handles(self._open_air.model, self._open_air.data)
         self.reset()
 
-    def _addresses(self) -> NDArray[np.int64]:
-        """What the hot loop works on, in the order of hotloop.views."""
-        data = self.data
+    def _handles(self, model: mujoco.MjModel, data: mujoco.MjData) -> Any:
+        """A pointer to what the hot loop works on, in the order of hotloop.views."""
         arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
         samples = self._samples
         records = (self._parameters, self._flight, samples.record, samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]
-        fixed = [hotloop.mj_step_address(), self.model._address, data._address]
-        return np.array([*fixed, *own, len(samples.buffer)], np.int64)
+        fixed = [hotloop.mj_step_address(), model._address, data._address]
+        addresses = np.array([*fixed, *own, len(samples.buffer)], np.int64)
+        return addresses.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))  # which keeps them
 
     @property
     def parameters(self) -> Record:
@@ -236,6 +239,11 @@ class World:
         while flown < ticks:
             tick = int(field["tick"][0])
             due = self._clearance.ticks_to_fly(tick, ticks - flown, self.parameters, self.state)
+            if self._clearance.left_out and not field["contacts"][0]:
+                self._open_air.take_over()
+                flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._open_air_pointer, due))
+                self._open_air.hand_back()
+                continue
             flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, due))
             if field["contacts_changed"][0]:
                 field["contacts_changed"][0] = 0
