@@ -4,6 +4,9 @@ Sources: AirSim v1.8.1, simple_flight/firmware: CascadeController, PositionContr
 AngleLevelController, AngleRateController, PidController, OffboardApi (goal timeout), Mixer. All gains are
 proportional but for the vertical velocity's leaky integrator, which starts anew whenever the mode of z changes.
 
+`goal` holds x, y, z and yaw. In the modes TILT and TILT_RATE its first two are roll and pitch, in MOTORS all four are
+motors; in THROTTLE the third is a throttle. What they mean otherwise is a velocity or a place.
+
 Two peculiarities are AirSim's own and kept: velocities are regulated along the *body's* axes, so a tilted drone
 climbs; and in `moveByVelocityZ` the height goal takes part in the rotation of the horizontal velocity goal.
 """
@@ -19,8 +22,15 @@ from numpy.typing import NDArray
 from uavaccel.sim.quadrotor import Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z
+TILT, TILT_RATE, MOTORS = (
+    2,
+    3,
+    4,
+)  # modes of x, y alone: roll and pitch, their rates, the motors' own commands
+THROTTLE = 2  # mode of z alone
 RATE, ANGLE = 0, 1  # modes of yaw
 UNSET = -1
+IDLE_THROTTLE = 0.1 / 1.5  # what an armed vehicle's motors turn with while nobody flies it (Params.hpp)
 
 
 @njit
@@ -112,19 +122,36 @@ def control(parameters: Record, state: Record) -> None:
         state.rotor_input[:] = 0.0
         return
 
+    if state.xy_mode == MOTORS:
+        state.z_integral_mode = THROTTLE
+        for rotor in range(4):
+            state.rotor_input[rotor] = min(max(state.goal[rotor], 0.0), 1.0)
+        return
+
     velocity = (state.velocity[0], state.velocity[1], state.velocity[2])
     vx, vy, vz = world_to_body(state.quaternion, velocity)
     gx, gy, gz = body_velocity_goal(parameters, state)
     w, x, y, z = state.quaternion[0], state.quaternion[1], state.quaternion[2], state.quaternion[3]
 
-    throttle = vertical(parameters, state, gz - vz)
-    pitch_goal = -clip(parameters.velocity_gain[0] * (gx - vx), 1.0) * parameters.tilt_limit_rad
-    roll_goal = clip(parameters.velocity_gain[1] * (gy - vy), 1.0) * parameters.tilt_limit_rad
+    if state.z_mode == THROTTLE:
+        throttle = state.goal[2]
+        state.z_integral_mode = THROTTLE  # the next vertical controller is a new one
+    else:
+        throttle = vertical(parameters, state, gz - vz)
+
+    if state.xy_mode == TILT:
+        roll_goal, pitch_goal = state.goal[0], state.goal[1]
+    else:
+        pitch_goal = -clip(parameters.velocity_gain[0] * (gx - vx), 1.0) * parameters.tilt_limit_rad
+        roll_goal = clip(parameters.velocity_gain[1] * (gy - vy), 1.0) * parameters.tilt_limit_rad
     pitch = math.asin(clip(2 * (w * y - z * x), 1.0))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
 
-    p_goal = rate_goal(parameters, 0, shortest_turn(roll_goal, roll))
-    q_goal = rate_goal(parameters, 1, shortest_turn(pitch_goal, pitch))
+    if state.xy_mode == TILT_RATE:
+        p_goal, q_goal = state.goal[0], state.goal[1]
+    else:
+        p_goal = rate_goal(parameters, 0, shortest_turn(roll_goal, roll))
+        q_goal = rate_goal(parameters, 1, shortest_turn(pitch_goal, pitch))
     r_goal = state.goal[3]
     if state.yaw_mode == ANGLE:
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

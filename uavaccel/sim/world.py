@@ -16,6 +16,7 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.clearance import Clearance
+from uavaccel.sim.flight.goal import Goal, of_velocity
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import Profile
@@ -222,13 +223,30 @@ class World:
         return flown
 
     def fly_velocity(self, goal: VelocityGoal) -> None:
-        """Set the autopilot's goal."""
-        field, (vx, vy, vz) = self._field, goal.velocity_m_s
-        held = goal.height_m is not None
-        field["goal"][0] = (vx, vy, goal.height_m if held else vz, goal.yaw)
-        field["xy_mode"][0] = autopilot.VELOCITY
-        field["z_mode"][0] = autopilot.POSITION if held else autopilot.VELOCITY
-        field["yaw_mode"][0] = autopilot.RATE if goal.yaw_is_rate else autopilot.ANGLE
+        """Set the autopilot's goal to a velocity."""
+        self.set_goal(of_velocity(goal))
+
+    def set_goal(self, goal: Goal) -> None:
+        """Set what the autopilot is to reach from the next tick on."""
+        field = self._field
+        field["goal"][0] = goal.values
+        field["xy_mode"][0], field["z_mode"][0] = goal.xy_mode, goal.z_mode
+        field["yaw_mode"][0] = goal.yaw_mode
+
+    def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
+        """A level of the cascade, "position", "velocity", "angle" or "rate": gains of its three axes.
+
+        The vertical integrator starts anew (Params::gains_changed). Raises UserError for gains that the cascade lacks.
+        """
+        integral_z = ki[2] if level == "velocity" else 0.0
+        if level != "rate" and (any(kd) or any(ki[:2]) or ki[2] != integral_z):
+            raise UserError(
+                f"{level} gains: of the integral gains only that of vz may differ from 0, and no kd"
+            )
+        self._parameters[f"{level}_gain"][0] = kp
+        if level == "velocity":
+            self._parameters["z_integral_gain"][0] = integral_z
+        self._field["z_integral_mode"][0] = autopilot.UNSET
 
     def hold_from(self, tick: int | None) -> None:
         """Position hold sets in at `tick`; None: not at all."""

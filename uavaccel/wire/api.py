@@ -6,36 +6,25 @@ Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBa
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
+from uavaccel.wire.attitude_api import AttitudeApi
+from uavaccel.wire.flight_api import LONGEST_S, FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.method import Method
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.settings import Settings
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
-FORWARD_ONLY = 1
-MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
-LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
-
-Handler = Callable[..., Any]
-
-
-class Method:
-    """A call of the table: how many arguments it needs, and how many it takes at most."""
-
-    def __init__(self, handler: Handler, required: int, optional: int = 0) -> None:
-        self.handler = handler
-        self.required = required
-        self.most = required + optional
+FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 
 class Api:
@@ -54,7 +43,9 @@ class Api:
         self._images = ImageApi(simulation, render)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
+        flight = [kind(self._commanded, lambda: self._wall_ns) for kind in (FlightApi, AttitudeApi)]
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
+        self.methods |= flight[0].methods() | flight[1].methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
@@ -91,12 +82,9 @@ class Api:
             "simPause": Method(self._pause, 1),
             "simIsPaused": Method(lambda: simulation.paused, 0),
             "simContinueForTime": Method(self._continue_for_time, 1),
+            "simContinueForFrames": Method(self._continue_for_frames, 1),
             "getMultirotorState": Method(self._multirotor_state, 0, 1),
             "simGetGroundTruthKinematics": Method(self._kinematics, 0, 1),
-            "moveByVelocity": Method(self._move_by_velocity, 6, 1),
-            "moveByVelocityZ": Method(self._move_by_velocity_z, 6, 1),
-            "hover": Method(self._hover, 0, 1),
-            "cancelLastTask": Method(self._cancel, 0, 1),
             "startRecording": Method(self.recorder.start, 0),
             "stopRecording": Method(self.recorder.stop, 0),
             "isRecording": Method(lambda: simulation.world.recording, 0),
@@ -130,6 +118,15 @@ class Api:
 
     # --- AirSim -----------------------------------------------------------------------------------
 
+    def pilot_of(self, name: Any) -> Pilot:
+        """Who flies a vehicle; "" is the first. Raises ValueError, in AirSim's words, for an unknown name."""
+        self._check_vehicle(name)
+        return self.simulation.lead
+
+    def _commanded(self, name: Any) -> Pilot:
+        self.recorder.keep()  # the first command starts the simulation's recorder anew
+        return self.pilot_of(name)
+
     def _check_vehicle(self, name: Any) -> None:
         if name not in ("", self.settings.vehicle):
             raise ValueError(
@@ -144,19 +141,16 @@ class Api:
         self.simulation.reset(self._wall_ns, recording=world.recording)
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
-        self._check_vehicle(vehicle)
-        enabled = types.flag(enabled, "is_enabled")
+        pilot, enabled = self.pilot_of(vehicle), types.flag(enabled, "is_enabled")
         if not enabled:  # a command that runs on would have no end
-            self.simulation.cancel(self._wall_ns)
-        self.simulation.api_control = enabled
+            pilot.cancel(self._wall_ns)
+        pilot.api_control = enabled
 
     def _is_api_control_enabled(self, vehicle: Any = "") -> bool:
-        self._check_vehicle(vehicle)
-        return self.simulation.api_control
+        return self.pilot_of(vehicle).api_control
 
     def _arm(self, arm: Any, vehicle: Any = "") -> bool:
-        self._check_vehicle(vehicle)
-        return self.simulation.arm(types.flag(arm, "arm"))
+        return self.pilot_of(vehicle).arm(types.flag(arm, "arm"))
 
     def _pause(self, paused: Any) -> None:
         if types.flag(paused, "is_paused"):
@@ -165,7 +159,17 @@ class Api:
             self.simulation.run(self._wall_ns)
 
     def _continue_for_time(self, seconds: Any) -> DeferredReply:
-        reply = self.simulation.continue_for_wall(self._duration(seconds, "seconds"), self._wall_ns)
+        return self._continue(self._duration(seconds, "seconds"))
+
+    def _continue_for_frames(self, frames: Any) -> DeferredReply:
+        """Unreal draws 60 of them per second of wall time, if it keeps up."""
+        count = types.number(frames, "frames")
+        if count != int(count) or not 0 <= count <= MOST_FRAMES:
+            raise ValueError(f"frames must be a whole number from 0 to {MOST_FRAMES:g}, not {frames}")
+        return self._continue(count / FRAMES_PER_S)
+
+    def _continue(self, wall_s: float) -> DeferredReply:
+        reply = self.simulation.continue_for_wall(wall_s, self._wall_ns)
         reply.encode = lambda _: None
         return reply
 
@@ -176,65 +180,16 @@ class Api:
         return min(seconds, LONGEST_S)
 
     def _multirotor_state(self, vehicle: Any = "") -> dict[str, Any]:
-        self._check_vehicle(vehicle)
-        kinematics = self.simulation.kinematics()
+        pilot = self.pilot_of(vehicle)
+        kinematics = pilot.kinematics()
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
             "gps_location": types.geo_point_map(kinematics.position_m),
             "timestamp": kinematics.time_ns,
-            "landed_state": 0 if self.simulation.world.landed else 1,
+            "landed_state": 0 if pilot.vehicle.landed else 1,
             "rc_data": types.rc_data_map(),
         }
 
     def _kinematics(self, vehicle: Any = "") -> dict[str, Any]:
-        self._check_vehicle(vehicle)
-        return types.kinematics_map(self.simulation.kinematics())
-
-    def _move_by_velocity(
-        self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> DeferredReply | bool:
-        self._check_vehicle(vehicle)
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
-        seconds = types.number(duration, "duration")
-        goal = VelocityGoal(velocity, None, *facing(velocity, drivetrain, yaw))
-        if seconds <= 0:
-            self.simulation.cancel(self._wall_ns)
-            return True
-        return self._fly(goal, seconds)
-
-    def _move_by_velocity_z(
-        self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> DeferredReply | bool:
-        self._check_vehicle(vehicle)
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
-        seconds = types.number(duration, "duration")
-        goal = VelocityGoal(velocity, types.number(z, "z"), *facing(velocity, drivetrain, yaw))
-        if seconds <= 0:
-            self.simulation.cancel(self._wall_ns)
-            return False
-        return self._fly(goal, seconds)
-
-    def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
-        self.recorder.keep()  # the first command starts the simulation's recorder anew
-        return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
-
-    def _hover(self, vehicle: Any = "") -> bool:
-        """AirSim's hover ends the running command and lets the goal timeout bring position hold."""
-        self._check_vehicle(vehicle)
-        self.simulation.cancel(self._wall_ns)
-        return True
-
-    def _cancel(self, vehicle: Any = "") -> None:
-        self._check_vehicle(vehicle)
-        self.simulation.cancel(self._wall_ns)
-
-
-def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any) -> tuple[float, bool]:
-    """Yaw goal and whether it is a rate, for the direction of travel (MultirotorApiBase::adjustYaw)."""
-    is_rate, yaw = types.yaw_mode(yaw_mode)
-    if types.number(drivetrain, "drivetrain") != FORWARD_ONLY or is_rate:
-        return yaw, is_rate
-    if math.hypot(velocity[0], velocity[1]) <= MIN_HEADING_M_S:
-        return 0.0, True
-    return math.remainder(yaw + math.atan2(velocity[1], velocity[0]), 2 * math.pi), False
+        return types.kinematics_map(self.pilot_of(vehicle).kinematics())
