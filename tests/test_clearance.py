@@ -233,8 +233,8 @@ def lane_world() -> World:
     """One for all examples, as made: it takes long to make."""
     if not _worlds:
         _worlds.append(World("lane", NATIVE))
-        _as_made.append(_worlds[0]._parameters.copy())
-    _worlds[0]._parameters[:] = _as_made[0]
+        _as_made.append(_worlds[0].lead._parameters.copy())
+    _worlds[0].lead._parameters[:] = _as_made[0]
     _worlds[0].state["wind"] = 0.0
     return _worlds[0]
 

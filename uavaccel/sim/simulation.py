@@ -54,7 +54,7 @@ class Simulation:
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
-        self.pilots = [Pilot(self, world)]
+        self.pilots = [Pilot(self, vehicle) for vehicle in world.vehicles]
         self.period: Continue | None = None
         self.trace = Trace()
         self.failure: str | None = None

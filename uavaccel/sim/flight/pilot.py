@@ -24,7 +24,7 @@ from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uavaccel.sim.simulation import Simulation
-    from uavaccel.sim.world import World
+    from uavaccel.sim.vehicle import Vehicle
 
 LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
 
@@ -43,7 +43,7 @@ class Command:
 class Pilot:
     """The commands of one vehicle of a simulation."""
 
-    def __init__(self, simulation: Simulation, vehicle: World) -> None:
+    def __init__(self, simulation: Simulation, vehicle: Vehicle) -> None:
         self._simulation, self.vehicle = simulation, vehicle
         self._profile = simulation.profile
         self.api_control = False

@@ -1,0 +1,26 @@
+"""The MJCF model of a scene, with one quadrotor or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+
+from uavaccel.resources import asset
+
+QUADROTOR = "quadrotor"
+
+
+def load_scene(scene: str, others: Sequence[str] = ()) -> mujoco.MjModel:
+    """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
+
+    Raises UserError for an unknown scene.
+    """
+    path = str(asset(f"mjcf/{scene}.xml"))
+    if not others:
+        return mujoco.MjModel.from_xml_path(path)
+    spec = mujoco.MjSpec.from_file(path)
+    for prefix in others:
+        quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
+        spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
+    return spec.compile()
