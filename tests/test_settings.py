@@ -43,7 +43,6 @@ def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
     assert sorted(read(tmp_path, USUAL).passed_over()) == [
         "Recording.Cameras",
         "Vehicles.Drone1.Cameras",
-        "Vehicles.Drone1.X",
         "ViewMode",
     ]
 
@@ -70,7 +69,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"EnableRpc": False}, "EnableRpc = False"),
     ({"PhysicsEngineName": "ExternalPhysicsEngine"}, "PhysicsEngineName"),
     ({"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}}, "Vehicles.A.VehicleType = 'PX4Multirotor'"),
-    ({"Vehicles": {"A": {}, "B": {}}}, "Vehicles = "),
+    ({"Vehicles": {"A": {"X": "near"}}}, "Vehicles.A.X = 'near'"),
     ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
     ({"Wind": {"X": "strong"}}, "Wind.X = 'strong'"),
     ([1], "settings should be a mapping in braces, not list"),

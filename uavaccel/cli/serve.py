@@ -90,7 +90,7 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
     profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, clock_speed)
     wind = settings.wind
-    simulation.world.state["wind"] = (wind.x, wind.y, wind.z)
+    simulation.world.set_wind((wind.x, wind.y, wind.z))
     return simulation
 
 

@@ -157,6 +157,15 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
 
 
 @njit
+def pass_ticks(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> None:
+    """Record this tick if it is due, and let `ticks` pass."""
+    record(recorder, samples, state)
+    for _ in range(ticks):
+        state.tick += 1
+        record(recorder, samples, state)
+
+
+@njit
 def after_step(
     parameters: Record,
     state: Record,
@@ -257,20 +266,16 @@ def _compile(sources: int) -> EntryPoints:
     @entry_point
     def stand_still(handles: Any, ticks: int) -> int:
         _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles, 0)
-        state, recorder = of_flight[0], of_recorder[0]
-        record(recorder, samples, state)
-        for _ in range(ticks if sources else 0):
-            state.tick += 1
-            record(recorder, samples, state)
+        if sources:
+            pass_ticks(of_flight[0], of_recorder[0], samples, ticks)
         return ticks
 
     @entry_point
     def look(handles: Any, ticks: int) -> int:
         qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles, 0)
-        if sources:
-            read_pose(of_flight[0], qpos)
-            kick(of_parameters[0], of_flight[0], qvel, force)
-        return ticks
+        read_pose(of_flight[0], qpos)
+        kick(of_parameters[0], of_flight[0], qvel, force)
+        return ticks * (sources != 0)
 
     return EntryPoints(fly, fly_all, stand_still, look)
 

@@ -23,7 +23,7 @@ from uavaccel.sim.recording import CommandLog, Recording
 from uavaccel.sim.running import Continue, DeferredReply
 from uavaccel.sim.saved import State
 from uavaccel.sim.tally import Speed, Trace
-from uavaccel.sim.world import LEVEL, START_M, FlightError, World
+from uavaccel.sim.world import HERE, LEVEL, FlightError, Start, World
 from uavaccel.units import NS_PER_S, exact
 
 __all__ = ["DeferredReply", "Simulation"]
@@ -227,6 +227,13 @@ class Simulation:
         """Switch the leading vehicle's rotors on or off; needs API control (OffboardApi::arm)."""
         return self.lead.arm(armed)
 
+    def add_vehicle(self, name: str, start: Start, origin_m: Vector = HERE) -> Pilot:
+        """One vehicle more, and who flies it. Raises UserError as World.add_vehicle does."""
+        vehicle = self.world.add_vehicle(name, start, origin_m)
+        self.frames.forget()  # the pose that was shown is of the model before
+        self.pilots.append(Pilot(self, vehicle))
+        return self.pilots[-1]
+
     @property
     def lead(self) -> Pilot:
         """Who flies the first vehicle, which is meant wherever none is named."""
@@ -251,15 +258,17 @@ class Simulation:
     def reset(
         self,
         wall_ns: int,
-        position_m: Vector = START_M,
+        position_m: Vector | None = None,
         orientation_wxyz: Quaternion = LEVEL,
         recording: bool = False,
     ) -> None:
-        """Back to a settled hover, API control off; what runs is released, a command with False.
+        """Back to the start, the leading vehicle to a settled hover where a place is given; API control off.
 
-        The recorder stops, or with `recording` starts anew. Raises UserError where nothing can hover.
+        What runs is released, a command with False. The recorder stops, or with `recording` starts anew. Raises
+        UserError where nothing can hover.
         """
-        self.world.check_place(position_m, orientation_wxyz)
+        if position_m is not None:
+            self.world.check_place(position_m, orientation_wxyz)
         for pilot in self.pilots:
             pilot.end(False, wall_ns)
         if self.period:

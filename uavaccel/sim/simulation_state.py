@@ -26,6 +26,9 @@ def of(simulation: Simulation) -> State:
     state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
     state |= under("running", simulation.lead.get_state())
     state |= under("commands", simulation.commands.get_state())
+    for pilot in simulation.pilots[1:]:
+        state |= under(f"pilots.{pilot.vehicle.name}", pilot.get_state())
+        state |= {f"pilots.{pilot.vehicle.name}.api_control": pilot.api_control}
     return (
         state | under("frames", simulation.frames.get_state()) | under("world", simulation.world.get_state())
     )
@@ -46,4 +49,8 @@ def restore(simulation: Simulation, state: Mapping[str, Any]) -> None:
     ends = [number_or_none(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
     simulation.period = None if ends == [None, None] else Continue(DeferredReply(), *ends)
     simulation.lead.set_state(running)
+    for pilot in simulation.pilots[1:]:
+        kept = part(f"pilots.{pilot.vehicle.name}", state)
+        pilot.set_state(kept)
+        pilot.api_control = bool(kept["api_control"])
     simulation.commands.set_state(part("commands", state))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from uavaccel.sim.saved import State, layout_of, part, under
 from uavaccel.sim.scene import load_scene
 from uavaccel.sim.touch import Touches, deepest_contact
 from uavaccel.sim.vehicle import HERE, LEVEL, Start, Vehicle
+from uavaccel.units import mujoco_to_ned
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
@@ -36,6 +38,7 @@ DEEPEST_M = 0.05  # into what it is placed on; from deeper contacts would throw 
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
 MOST_VEHICLES = 100
+APART_M = 0.75  # between the middles of two vehicles, so that they do not touch
 
 
 class FlightError(RuntimeError):
@@ -165,6 +168,9 @@ class World:
         if not name or "/" in name or name in (vehicle.name for vehicle in self.vehicles):
             raise UserError(f"a vehicle cannot be called {name!r}: names differ, and hold no /")
         self.check_place(start.position_m, start.orientation_wxyz)
+        for other in self.vehicles:
+            if math.dist(start.position_m, mujoco_to_ned(other.qpos[:3])) < APART_M:
+                raise UserError(f"{name} would start less than {APART_M:g} m from {other.name}")
         poses = [(vehicle.qpos.copy(), vehicle.qvel.copy()) for vehicle in self.vehicles]
         touched = [vehicle.touches.get_state() for vehicle in self.vehicles]
         vehicle = Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/")

@@ -14,13 +14,15 @@ from uavaccel.errors import UserError
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
-from uavaccel.wire.attitude_api import AttitudeApi
+from uavaccel.wire.attitude_api import AttitudeApi, stick_map
 from uavaccel.wire.flight_api import LONGEST_S, FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
 from uavaccel.wire.method import Method
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.vehicle_api import VehicleApi
+from uavaccel.wire.vehicles import populate
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
@@ -39,6 +41,7 @@ class Api:
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
+        populate(simulation, self.settings)
         self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
         self._images = ImageApi(simulation, render)
         self._game = GameApi(simulation, self.recorder)
@@ -46,6 +49,7 @@ class Api:
         flight = [kind(self._commanded, lambda: self._wall_ns) for kind in (FlightApi, AttitudeApi)]
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
         self.methods |= flight[0].methods() | flight[1].methods()
+        self.methods |= VehicleApi(simulation, self.pilot_of).methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
@@ -74,7 +78,6 @@ class Api:
             "getServerVersion": Method(lambda: SERVER_VERSION, 0),
             "getMinRequiredClientVersion": Method(lambda: MIN_CLIENT_VERSION, 0),
             "getSettingsString": Method(lambda: self.settings.as_json(float(simulation.clock_speed)), 0),
-            "listVehicles": Method(lambda: [self.settings.vehicle], 0),
             "reset": Method(self._reset, 0),
             "enableApiControl": Method(self._enable_api_control, 1, 1),
             "isApiControlEnabled": Method(self._is_api_control_enabled, 0, 1),
@@ -96,9 +99,6 @@ class Api:
             "simGetImages": Method(images.get_images, 1, 2),
             "simGetImage": Method(images.get_image, 2, 2),
             "simGetCameraInfo": Method(images.camera_info, 1, 2),
-            "simGetCollisionInfo": Method(images.collision_info, 0, 1),
-            "simGetVehiclePose": Method(images.vehicle_pose, 0, 1),
-            "simSetVehiclePose": Method(images.set_vehicle_pose, 2, 1),
             "uavaccelImage": Method(images.raw_image, 1),
             "uavaccelSetLane": Method(images.set_lane, 1),
             "uavaccelCollision": Method(images.collision, 0),
@@ -120,19 +120,19 @@ class Api:
 
     def pilot_of(self, name: Any) -> Pilot:
         """Who flies a vehicle; "" is the first. Raises ValueError, in AirSim's words, for an unknown name."""
-        self._check_vehicle(name)
-        return self.simulation.lead
+        pilots = self.simulation.pilots
+        for pilot in pilots:
+            if name in ("", pilot.vehicle.name):
+                return pilot
+        known = ", ".join(f"'{pilot.vehicle.name}'" for pilot in pilots)
+        raise ValueError(
+            f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+            f"-only API or this vehicle does not exist; there is {known}"
+        )
 
     def _commanded(self, name: Any) -> Pilot:
         self.recorder.keep()  # the first command starts the simulation's recorder anew
         return self.pilot_of(name)
-
-    def _check_vehicle(self, name: Any) -> None:
-        if name not in ("", self.settings.vehicle):
-            raise ValueError(
-                f"Vehicle API for '{name}' is not available. This could either because this is simulation"
-                f"-only API or this vehicle does not exist; there is '{self.settings.vehicle}'"
-            )
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
@@ -185,10 +185,10 @@ class Api:
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_point_map(kinematics.position_m),
+            "gps_location": types.geo_point_map(pilot.vehicle.in_world(kinematics.position_m)),
             "timestamp": kinematics.time_ns,
             "landed_state": 0 if pilot.vehicle.landed else 1,
-            "rc_data": types.rc_data_map(),
+            "rc_data": types.rc_data_map() | stick_map(pilot.sticks),
         }
 
     def _kinematics(self, vehicle: Any = "") -> dict[str, Any]:

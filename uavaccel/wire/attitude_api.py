@@ -15,7 +15,7 @@ import numpy as np
 from uavaccel.sim.autopilot import POSITION, THROTTLE
 from uavaccel.sim.flight import goal as goals
 from uavaccel.sim.flight.goal import Goal, Yaw
-from uavaccel.sim.flight.manual import STICKS
+from uavaccel.sim.flight.manual import RATE_MODE, STICKS, VALID, Sticks
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.wire import types
 from uavaccel.wire.flight_api import Answer, fly_for
@@ -23,6 +23,7 @@ from uavaccel.wire.method import Method
 
 TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
 MAX_SPEED_RAD_S = 669.857
+STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
 
 class AttitudeApi:
@@ -80,10 +81,10 @@ class AttitudeApi:
         if not isinstance(data, Mapping):
             raise ValueError(f"rcdata must be a map, not {type(data).__name__}")
         sticks = np.zeros(STICKS)
-        for index, name in enumerate(("roll", "pitch", "throttle", "yaw", "switches")):
+        for index, name in enumerate(STICK_NAMES):
             sticks[index] = types.number(data.get(name, 0.0), name)
-        sticks[4] = int(sticks[4]) & 1
-        sticks[5] = types.flag(data.get("is_valid", False), "is_valid")
+        sticks[RATE_MODE] = int(types.number(data.get("switches", 0), "switches")) & 1
+        sticks[VALID] = types.flag(data.get("is_valid", False), "is_valid")
         self._pilot_of(vehicle).move_sticks(sticks)
 
     def rotor_states(self, vehicle: Any = "") -> dict[str, Any]:
@@ -106,6 +107,13 @@ class AttitudeApi:
             self._pilot_of(vehicle).vehicle.set_gains(level, *gains)
 
         return Method(set_gains, 3, 1)
+
+
+def stick_map(sticks: Sticks) -> dict[str, Any]:
+    """What of RCData the sticks are."""
+    valid = bool(sticks[VALID])
+    names = zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True)
+    return {**dict(names), "switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}
 
 
 def _four(**numbers: Any) -> tuple[float, float, float, float]:

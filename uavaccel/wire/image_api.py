@@ -151,31 +151,7 @@ class ImageApi:
         if str(name) not in FRONT_CAMERAS:
             raise ValueError(f"no camera '{name}'; there is front_center, also called 0")
 
-    # --- poses, collisions, lanes -------------------------------------------------------------------------------
-
-    def vehicle_pose(self, vehicle: Any = "") -> dict[str, Any]:
-        """simGetVehiclePose; ours is of the same tick as everything else."""
-        return types.pose_map(self.simulation.kinematics())
-
-    def set_vehicle_pose(self, pose: Any, ignore_collision: Any, vehicle: Any = "") -> None:
-        """simSetVehiclePose: at rest in a new pose; NaN leaves a part as it is."""
-        position, orientation = types.pose(pose)
-        now = self.simulation.kinematics()
-        keep = [math.isnan(sum(position)), math.isnan(sum(orientation))]
-        self.simulation.world.place(
-            now.position_m if keep[0] else position, now.orientation_wxyz if keep[1] else orientation
-        )
-
-    def collision_info(self, vehicle: Any = "") -> dict[str, Any]:
-        """simGetCollisionInfo; reading it sets has_collided back, as in AirSim."""
-        touches = self.simulation.world.touches
-        info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
-        if touch := touches.latest:
-            info |= {"time_stamp": self.simulation.time_of(touch.tick), "object_name": touch.object}
-            info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
-            info |= {"position": types.vector_map(touch.position_m)}
-            info |= {"impact_point": types.vector_map(touch.impact_point_m)}
-        return info
+    # --- lanes -------------------------------------------------------------------------------
 
     def set_lane(self, lane: Any) -> None:
         """Our own: lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""

@@ -18,11 +18,11 @@ from pydantic.alias_generators import to_pascal
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.world import MOST_VEHICLES, VEHICLE
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 
 LOOPBACK = "127.0.0.1"
 PORT = 41451
-VEHICLE = "SimpleFlight"
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
 
 
@@ -45,7 +45,20 @@ class Recording(_AirSim):
 
 
 class Vehicle(_AirSim):
+    """NED metres from the player's start, degrees."""
+
     vehicle_type: Literal["SimpleFlight", "simpleflight"] = "SimpleFlight"
+    auto_create: bool = True
+    is_fpv_vehicle: bool = False
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+    yaw: float | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether the settings say where it starts."""
+        return (self.x, self.y, self.z) != (None, None, None)
 
 
 class Settings(_AirSim):
@@ -59,14 +72,22 @@ class Settings(_AirSim):
     enable_rpc: Literal[True] = True
     rpc_enabled: Literal[True] = True
     physics_engine_name: Literal["FastPhysicsEngine", ""] = ""
-    vehicles: Annotated[dict[str, Vehicle], Field(max_length=1)] = Field(default_factory=dict)
+    vehicles: Annotated[dict[str, Vehicle], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
     wind: Wind = Wind()
     recording: Recording = Recording()
 
     @property
     def vehicle(self) -> str:
-        """The vehicle's name."""
-        return next(iter(self.vehicles), VEHICLE)
+        """The default vehicle's name: the first by the alphabet, or the one that is to be watched."""
+        created = self.created()
+        watched = (name for name, vehicle in created if vehicle.is_fpv_vehicle)
+        return next(watched, created[0][0] if created else VEHICLE)
+
+    def created(self) -> list[tuple[str, Vehicle]]:
+        """The vehicles that there are from the start, by the alphabet as AirSim's map has them."""
+        return [
+            (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
+        ]
 
     @property
     def address(self) -> str:
