@@ -47,6 +47,7 @@ class Pilot:
         self._simulation, self.vehicle = simulation, vehicle
         self._profile = simulation.profile
         self.api_control = False
+        vehicle.restore_gains()  # the world may have been another simulation's
         self.start_over()
 
     def start_over(self) -> None:
