@@ -27,8 +27,8 @@ def of(simulation: Simulation) -> State:
     state |= under("running", simulation.lead.get_state())
     state |= under("commands", simulation.commands.get_state())
     for pilot in simulation.pilots[1:]:
-        state |= under(f"pilots.{pilot.vehicle.name}", pilot.get_state())
-        state |= {f"pilots.{pilot.vehicle.name}.api_control": pilot.api_control}
+        kept = pilot.get_state() | under("log", pilot.log.get_state()) | {"api_control": pilot.api_control}
+        state |= under(f"pilots.{pilot.vehicle.name}", kept)
     return (
         state | under("frames", simulation.frames.get_state()) | under("world", simulation.world.get_state())
     )
@@ -52,5 +52,6 @@ def restore(simulation: Simulation, state: Mapping[str, Any]) -> None:
     for pilot in simulation.pilots[1:]:
         kept = part(f"pilots.{pilot.vehicle.name}", state)
         pilot.set_state(kept)
+        pilot.log.set_state(part("log", kept))
         pilot.api_control = bool(kept["api_control"])
     simulation.commands.set_state(part("commands", state))

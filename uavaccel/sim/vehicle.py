@@ -254,6 +254,17 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.look()
 
+    def carry(self) -> dict[str, Any]:
+        """What of the flight is in the model, to be taken over into the next."""
+        arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
+        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.touches.get_state()}
+
+    def take_over(self, carried: Mapping[str, Any]) -> None:
+        """The inverse of `carry`; what stands still keeps its geoms' numbers where vehicles are added behind it."""
+        for name in ("qpos", "qvel", "_force", "_push"):
+            getattr(self, name)[:] = carried[name]
+        self.touches.set_state(carried["touches"])
+
     def look(self) -> None:
         """Read MuJoCo's pose and velocity, after they were changed from outside."""
         hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)

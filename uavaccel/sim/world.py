@@ -171,17 +171,14 @@ class World:
         for other in self.vehicles:
             if math.dist(start.position_m, mujoco_to_ned(other.qpos[:3])) < APART_M:
                 raise UserError(f"{name} would start less than {APART_M:g} m from {other.name}")
-        poses = [(vehicle.qpos.copy(), vehicle.qvel.copy()) for vehicle in self.vehicles]
-        touched = [vehicle.touches.get_state() for vehicle in self.vehicles]
+        kept = [vehicle.carry() for vehicle in self.vehicles]
         vehicle = Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/")
         vehicle.origin_m = origin_m
         self.vehicles.append(vehicle)
         self.close()
         self._load()
-        for old, pose, touches in zip(self.vehicles, poses, touched, strict=False):
-            old.qpos[:], old.qvel[:] = pose
-            old.touches.set_state(touches)  # what stands still in the model keeps its geoms' numbers
-            old.look()
+        for old, carried in zip(self.vehicles, kept, strict=False):
+            old.take_over(carried)
         vehicle.state["wind"] = self.lead.state["wind"]
         self._begin(vehicle, start)
         vehicle.state["tick"] = self.tick

@@ -69,12 +69,13 @@ class VehicleApi:
 
     def set_kinematics(self, state: Any, ignore_collision: Any, vehicle: Any = "") -> None:
         """simSetKinematics: pose and velocities; the accelerations follow from them here."""
+        flown = self._pilot_of(vehicle).vehicle
         if not isinstance(state, Mapping):
             raise ValueError("state must be a KinematicsState")
         velocity = _bounded(state.get("linear_velocity"), "linear_velocity", FASTEST_M_S)
         rate = _bounded(state.get("angular_velocity"), "angular_velocity", FASTEST_RAD_S)
         place = self._place(*types.pose(state), vehicle)
-        self._simulation.world.teleport(self._pilot_of(vehicle).vehicle, *place, velocity, rate)
+        self._simulation.world.teleport(flown, *place, velocity, rate)
 
     def collision_info(self, vehicle: Any = "") -> dict[str, Any]:
         """simGetCollisionInfo; reading it sets has_collided back, as in AirSim."""
