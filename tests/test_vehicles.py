@@ -11,7 +11,8 @@ from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, 
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.world import START_M, Start, World
+from uavaccel.sim.vehicle import Newcomer, Start
+from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.settings import Settings
@@ -212,11 +213,11 @@ def test_a_saved_game_holds_them_all() -> None:
 
 
 @pytest.mark.parametrize(("vehicles", "text"), [
-    ({"A": {}, "B": {}}, "Vehicles.B: B would start less than 0.75 m from A"),
+    ({"A": {}, "B": {}}, "Vehicles: B would start less than 0.75 m from A"),
     ({"A": {"X": 45, "Z": -3}}, "Vehicles.A: position: .* inside block_north"),
     ({"A": {"Z": 3}}, "Vehicles.A: position: NED z has to be"),
     ({"A": {"X": 2e4}}, "Vehicles.A: position: north and east have to be within 10000 m"),
-    ({"A": {}, "B/1": ASIDE}, "Vehicles.B/1: a vehicle cannot be called 'B/1'"),
+    ({"A": {}, "B/1": ASIDE}, "Vehicles: a vehicle cannot be called 'B/1'"),
 ])  # fmt: skip
 def test_places_that_cannot_be_are_named(vehicles: Any, text: str) -> None:
     with pytest.raises(UserError, match=text):
@@ -284,10 +285,8 @@ def test_no_wind_that_is_allowed_ends_the_flight(profile: Profile) -> None:
 def test_many_fly_and_the_last_command_wins() -> None:
     world = World("blocks", NATIVE)
     simulation = Simulation(world)
-    for index in range(1, MANY):
-        simulation.add_vehicle(
-            f"V{index}", Start((-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0))
-        )
+    places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
+    simulation.add_vehicles([Newcomer(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
     api = Api(simulation, render=False)
     names = [vehicle.name for vehicle in world.vehicles]
     replies: dict[str, list[Any]] = {name: [] for name in names}

@@ -7,7 +7,7 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -23,7 +23,8 @@ from uavaccel.sim.recording import CommandLog, Recording
 from uavaccel.sim.running import Continue, DeferredReply
 from uavaccel.sim.saved import State
 from uavaccel.sim.tally import Speed, Trace
-from uavaccel.sim.world import HERE, LEVEL, FlightError, Start, World
+from uavaccel.sim.vehicle import Newcomer
+from uavaccel.sim.world import LEVEL, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
 __all__ = ["DeferredReply", "Simulation"]
@@ -227,12 +228,11 @@ class Simulation:
         """Switch the leading vehicle's rotors on or off; needs API control (OffboardApi::arm)."""
         return self.lead.arm(armed)
 
-    def add_vehicle(self, name: str, start: Start, origin_m: Vector = HERE) -> Pilot:
-        """One vehicle more, and who flies it. Raises UserError as World.add_vehicle does."""
-        vehicle = self.world.add_vehicle(name, start, origin_m)
+    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+        """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
+        self.world.add_vehicles(newcomers)
         self.frames.forget()  # the pose that was shown is of the model before
-        self.pilots.append(Pilot(self, vehicle))
-        return self.pilots[-1]
+        self.pilots += [Pilot(self, vehicle) for vehicle in self.world.vehicles[len(self.pilots) :]]
 
     @property
     def lead(self) -> Pilot:

@@ -9,7 +9,7 @@ import ctypes
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,7 +25,7 @@ from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, para
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State, into_record, of_record, part, under
 from uavaccel.sim.touch import Touches
-from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
+from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
 AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -43,6 +43,14 @@ class Start:
     idle: bool = False
 
 
+class Newcomer(NamedTuple):
+    """A vehicle that is to be added; `origin_m` is where its own frame begins, NED in the world."""
+
+    name: str
+    start: Start
+    origin_m: Vector = HERE
+
+
 class Vehicle:
     """A quadrotor flown by SimpleFlight's cascade. `prefix` is that of its names in the MJCF model."""
 
@@ -53,10 +61,11 @@ class Vehicle:
         start: Start,
         samples: Samples,
         prefix: str = "",
+        origin_m: Vector = HERE,
         contacts_act: bool = True,
     ) -> None:
         self.name, self.profile, self.start, self.prefix = name, profile, start, prefix
-        self.origin_m: Vector = HERE
+        self.origin_m = origin_m
         self._samples, self._contacts_act = samples, contacts_act
         self._flight = np.zeros(1, FLIGHT_DTYPE)
         # views of the records' fields, which numpy finds again only slowly
@@ -121,6 +130,12 @@ class Vehicle:
         """Tick of the first touch since the last reset."""
         tick = int(self._field["collision_tick"][0])
         return None if tick == NEVER else tick
+
+    @property
+    def place_m(self) -> Vector:
+        """Where MuJoCo has it, NED in the world."""
+        x, y, z = mujoco_to_ned(self.qpos[:3]).tolist()
+        return x, y, z
 
     @property
     def landed(self) -> bool:

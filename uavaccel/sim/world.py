@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
-from uavaccel.sim import hotloop
+from uavaccel.sim import hotloop, world_state
+from uavaccel.sim.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.flight.goal import of_velocity
 from uavaccel.sim.lane.layout import LaneLayout
@@ -21,24 +21,18 @@ from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.quadrotor import Record
 from uavaccel.sim.samples import Samples
-from uavaccel.sim.saved import State, layout_of, part, under
+from uavaccel.sim.saved import State
 from uavaccel.sim.scene import load_scene
 from uavaccel.sim.touch import Touches, deepest_contact
-from uavaccel.sim.vehicle import HERE, LEVEL, Start, Vehicle
-from uavaccel.units import mujoco_to_ned
+from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
-FARTHEST_M = 10_000.0  # north or east: farther away the physics loses its millimetres
-STRONGEST_WIND_M_S = 100.0  # beyond it a tick's drag exceeds the speed that it brakes
-DEEPEST_M = 0.05  # into what it is placed on; from deeper contacts would throw the vehicle
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
 MOST_VEHICLES = 100
-APART_M = 0.75  # between the middles of two vehicles, so that they do not touch
 
 
 class FlightError(RuntimeError):
@@ -55,24 +49,24 @@ class World:
     def __init__(self, scene: str, profile: Profile) -> None:
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self._scene = scene
-        self._lane: LaneLayout | None = None
+        self.scene = scene
+        self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
-        self._samples = Samples(profile.recorder_ticks)
+        self.recorder = Samples(profile.recorder_ticks)
         acts = not self.freeze_on_collision
-        self.lead = Vehicle(VEHICLE, profile, Start(START_M), self._samples, contacts_act=acts)
+        self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
         self.vehicles = [self.lead]
         self._load()
         self.reset()
 
     def _load(self) -> None:
         """Make the model for the vehicles that there are."""
-        self.model = load_scene(self._scene, [vehicle.prefix for vehicle in self.vehicles[1:]])
+        self.model = load_scene(self.scene, [vehicle.prefix for vehicle in self.vehicles[1:]])
         self.model.opt.timestep = self.profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
-        self._warnings = self.data.warning.number
-        self._clearance = Clearance(self.model, self.data)
+        self.warnings = self.data.warning.number
+        self.clearance = Clearance(self.model, self.data)
         for vehicle in self.vehicles:
             vehicle.bind(self.model, self.data, self._name_of)
         self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
@@ -144,45 +138,47 @@ class World:
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
-        self._lane = layout
+        self.lane = layout
         for camera in self._cameras.values():
             camera.scene_changed()
-        self._clearance.look_anew()
+        self.clearance.look_anew()
         self.lead.state["wind"] = layout.wind_m_s
 
     def set_wind(self, wind_m_s: Vector) -> None:
         """NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
-        if not np.linalg.norm(wind_m_s) <= STRONGEST_WIND_M_S:
-            raise UserError(f"wind: {wind_m_s} m/s is not a wind of at most {STRONGEST_WIND_M_S:g} m/s")
+        check_wind(wind_m_s)
         for vehicle in self.vehicles:
             vehicle.state["wind"] = wind_m_s
-        self._clearance.look_anew()
+        self.clearance.look_anew()
 
-    def add_vehicle(self, name: str, start: Start, origin_m: Vector = HERE) -> Vehicle:
-        """One vehicle more, at its start; the others fly on. Cameras are made anew.
+    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+        """More vehicles, at their starts; the others fly on. Cameras are made anew.
 
-        Raises UserError for a name that is taken or cannot be, for a place where nothing can begin, and in the lane.
+        Raises UserError, and adds none, for a name that is taken or cannot be, for a place where nothing can begin, and
+        in the lane.
         """
-        if self.freeze_on_collision or len(self.vehicles) == MOST_VEHICLES:
+        if self.freeze_on_collision or len(self.vehicles) + len(newcomers) > MOST_VEHICLES:
             raise UserError(f"no vehicle can be added: at most {MOST_VEHICLES}, and one in the lane")
-        if not name or "/" in name or name in (vehicle.name for vehicle in self.vehicles):
-            raise UserError(f"a vehicle cannot be called {name!r}: names differ, and hold no /")
-        self.check_place(start.position_m, start.orientation_wxyz)
-        for other in self.vehicles:
-            if math.dist(start.position_m, mujoco_to_ned(other.qpos[:3])) < APART_M:
-                raise UserError(f"{name} would start less than {APART_M:g} m from {other.name}")
-        kept = [vehicle.carry() for vehicle in self.vehicles]
-        vehicle = Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/")
-        vehicle.origin_m = origin_m
-        self.vehicles.append(vehicle)
+        places = {vehicle.name: vehicle.place_m for vehicle in self.vehicles}
+        for name, start, _ in newcomers:
+            check_name(name, places)
+            self.check_place(start.position_m, start.orientation_wxyz)
+            check_apart(name, start.position_m, places)
+            places[name] = start.position_m
+        carried, ticks, wind = [old.carry() for old in self.vehicles], self.tick, self.state["wind"].copy()
+        new = [
+            Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
+            for name, start, origin_m in newcomers
+        ]
+        self.vehicles += new
         self.close()
         self._load()
-        for old, carried in zip(self.vehicles, kept, strict=False):
-            old.take_over(carried)
-        vehicle.state["wind"] = self.lead.state["wind"]
-        self._begin(vehicle, start)
-        vehicle.state["tick"] = self.tick
-        return vehicle
+        for old, kept in zip(self.vehicles, carried, strict=False):
+            old.take_over(kept)
+        for vehicle in new:
+            vehicle.state["wind"] = wind
+            self._begin(vehicle, vehicle.start)
+            vehicle.state["tick"] = ticks
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
@@ -203,7 +199,7 @@ class World:
         self._begin(self.lead, start)
         for vehicle in self.vehicles[1:]:
             self._begin(vehicle, vehicle.start)
-        self._failed = False
+        self.failed = False
 
     def _begin(self, vehicle: Vehicle, start: Start) -> None:
         vehicle.begin(start)
@@ -211,7 +207,7 @@ class World:
 
     def _moved(self) -> None:
         mujoco.mj_kinematics(self.model, self.data)
-        self._clearance.look_anew()
+        self.clearance.look_anew()
 
     def place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE
@@ -223,11 +219,11 @@ class World:
         self.check_place(position_m, orientation_wxyz)
         if len(self.vehicles) == 1:
             mujoco.mj_resetData(self.model, self.data)
-        self._warnings[:] = 0
+        self.warnings[:] = 0
         self.lead.put(position_m, orientation_wxyz, velocity_m_s)
         self.lead.forget_touches()
         self._moved()
-        self._failed = False
+        self.failed = False
 
     def teleport(
         self,
@@ -242,10 +238,10 @@ class World:
         What it has touched stays told (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
         """
         self.check_place(position_m, orientation_wxyz, vehicle)
-        if self._failed:  # nothing of its velocity is worth keeping
-            self._warnings[:] = 0
+        if self.failed:  # nothing of its velocity is worth keeping
+            self.warnings[:] = 0
             vehicle.put(position_m, orientation_wxyz)
-            self._failed = False
+            self.failed = False
         vehicle.move(position_m, orientation_wxyz)
         if velocity_m_s is not None:
             vehicle.set_velocity(velocity_m_s, rate_rad_s)
@@ -257,24 +253,17 @@ class World:
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None
     ) -> None:
         """Raise UserError, as `place` does, where a vehicle cannot be put."""
-        vehicle, z_m = vehicle or self.lead, position_m[2]
-        top_m = self.parameters["ground_altitude_m"] - HIGHEST_M
-        if not top_m <= z_m <= 0.0:
-            raise UserError(
-                f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
-            )
-        if not max(abs(position_m[0]), abs(position_m[1])) <= FARTHEST_M:
-            raise UserError(f"position: north and east have to be within {FARTHEST_M:g} m, not {position_m}")
+        vehicle = vehicle or self.lead
+        check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]))
         if self.freeze_on_collision:  # nothing is thrown: the game is over before it began
             return
-        before = self._physics()
-        self._clearance.look_anew()
+        before = self.physics()
+        self.clearance.look_anew()
         vehicle.set_pose(position_m, orientation_wxyz)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
         depth_m, geom = deepest_contact(self.model, self.data, vehicle.body_id)
-        mujoco.mj_setState(self.model, self.data, before, PHYSICS)
-        mujoco.mj_kinematics(self.model, self.data)
+        self.set_physics(before)
         if depth_m > DEEPEST_M:
             raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self._name_of(geom)}")
 
@@ -285,12 +274,12 @@ class World:
 
         Raises FlightError when MuJoCo warns; the vehicles then stand still until one is placed anew.
         """
-        if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
+        if self.failed or (self.freeze_on_collision and self.collision_tick is not None):
             return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
         flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
-        if self._warnings.any():
-            self._failed = True
-            kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
+        if self.warnings.any():
+            self.failed = True
+            kind = mujoco.mjtWarning(int(np.flatnonzero(self.warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")
         return flown
 
@@ -298,7 +287,7 @@ class World:
         lead, flown, field = self.lead, 0, self.lead.field
         while flown < ticks:
             tick = int(field["tick"][0])
-            due = self._clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
+            due = self.clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
             flown += lead.fly(due)
             if field["contacts_changed"][0]:
                 self._look_at_contacts(lead)
@@ -329,63 +318,44 @@ class World:
         `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
         lane's layout and the samples recorded so far are in it.
         """
-        state: State = {"scene": self._scene, "profile": self.profile.name, "failed": self._failed}
-        state |= {"physics": self._physics(), "warnings": self._warnings.copy()}
-        state |= self.lead.get_state() | under("samples", self._samples.get_state())
-        state |= under("contacts", self._clearance.get_state())
-        for vehicle in self.vehicles[1:]:
-            state |= under(f"vehicles.{vehicle.name}", vehicle.get_state())
-        return state | (under("lane", vars(self._lane)) if self._lane else {})
+        return world_state.of(self)
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
-        own_vehicles = {vehicle.name for vehicle in self.vehicles[1:]}
-        saved = {key.split(".")[1] for key in state if key.startswith("vehicles.")}
-        for name, found, own in (
-            ("scene", str(state["scene"]), self._scene),
-            ("profile", str(state["profile"]), self.profile.name),
-            ("vehicles", sorted(saved), sorted(own_vehicles)),
-        ):
-            if found != own:
-                raise UserError(f"the saved state's {name} is {found}, not {own}")
-        self._failed = bool(state["failed"])
-        if lane := part("lane", state):
-            self.set_lane(layout_of(lane))
-        mujoco.mj_setState(self.model, self.data, np.asarray(state["physics"], float), PHYSICS)
-        mujoco.mj_kinematics(self.model, self.data)
-        self._warnings[:] = state["warnings"]
-        self.lead.set_state(state)
-        for vehicle in self.vehicles[1:]:
-            vehicle.set_state(part(f"vehicles.{vehicle.name}", state))
-        self._samples.set_state(part("samples", state))
-        self._clearance.set_state(part("contacts", state))
+        world_state.restore(self, state)
 
-    def _physics(self) -> NDArray[np.float64]:
+    def physics(self) -> NDArray[np.float64]:
+        """MuJoCo's state for its integrator."""
         values = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
         mujoco.mj_getState(self.model, self.data, values, PHYSICS)
         return values
 
+    def set_physics(self, values: ArrayLike) -> None:
+        """Back to what `physics` gave."""
+        mujoco.mj_setState(self.model, self.data, np.asarray(values, float), PHYSICS)
+        mujoco.mj_kinematics(self.model, self.data)
+
     @property
     def recording(self) -> bool:
-        return self._samples.running
+        return self.recorder.running
 
     def start_recording(self) -> None:
         """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
-        self._samples.start(self.tick)
+        self.recorder.start(self.tick)
         self.lead.stand_still(0)
 
     def stop_recording(self) -> None:
-        self._samples.stop()
+        self.recorder.stop()
 
     def samples(self) -> NDArray[np.float64]:
         """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
-        return self._samples.rows()
+        return self.recorder.rows()
 
     def take_samples(self) -> NDArray[np.float64]:
         """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
-        return self._samples.take()
+        return self.recorder.take()
 
     @property
     def samples_dropped(self) -> int:
         """Samples that found the buffer full."""
-        return self._samples.dropped
+        return self.recorder.dropped

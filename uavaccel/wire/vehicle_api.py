@@ -12,6 +12,7 @@ from typing import Any
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import Newcomer
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
@@ -48,7 +49,8 @@ class VehicleApi:
         place, attitude = types.pose(pose)
         if math.isnan(sum(place) + sum(attitude)):
             raise ValueError("pose must be finite")
-        self._simulation.add_vehicle(str(name), *standing(place, euler_from_quaternion(attitude)[2]))
+        start = standing(place, euler_from_quaternion(attitude)[2])
+        self._simulation.add_vehicles([Newcomer(str(name), *start)])
         return True
 
     def pose(self, vehicle: Any = "") -> dict[str, Any]:

@@ -11,32 +11,37 @@ import math
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.world import HERE, START_M, Start
+from uavaccel.sim.vehicle import HERE, Newcomer, Start
+from uavaccel.sim.world import START_M
 from uavaccel.wire.settings import Settings, Vehicle
 
 STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
 
 
 def populate(simulation: Simulation, settings: Settings) -> None:
-    """Name and place the leading vehicle, and add the others. Raises UserError that names the key.
+    """Name and place the leading vehicle, and add the others. Raises UserError that names it.
 
     A vehicle without X, Y and Z hovers 10 m up, ready to be flown; one with them starts there, idle, as in AirSim.
     """
-    world, names = simulation.world, [vehicle.name for vehicle in simulation.world.vehicles]
+    world = simulation.world
     world.lead.name = settings.vehicle
-    for name, vehicle in settings.created():
-        key = f"Vehicles.{name}"
-        try:
-            if name == settings.vehicle:
-                if vehicle.placed:
-                    start, world.lead.origin_m = starting(vehicle)
-                    world.check_place(start.position_m, start.orientation_wxyz)
-                    world.lead.start = start
-                    simulation.reset(simulation.wall_ns)
-            elif name not in names:
-                simulation.add_vehicle(name, *starting(vehicle))
-        except UserError as error:
-            raise UserError(f"{key}: {error}") from None
+    there = [vehicle.name for vehicle in world.vehicles]
+    newcomers, key = [], ""
+    try:
+        for name, vehicle in settings.created():
+            key = f".{name}"
+            start, origin_m = starting(vehicle)
+            world.check_place(start.position_m, start.orientation_wxyz)
+            if name == settings.vehicle and vehicle.placed:
+                world.lead.start, world.lead.origin_m = start, origin_m
+                simulation.reset(simulation.wall_ns)
+            elif name not in there:
+                newcomers.append(Newcomer(name, start, origin_m))
+        key = ""
+        if newcomers:
+            simulation.add_vehicles(newcomers)
+    except UserError as error:
+        raise UserError(f"Vehicles{key}: {error}") from None
 
 
 def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
