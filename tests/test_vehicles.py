@@ -233,6 +233,20 @@ def test_who_leads() -> None:
     assert [name for name, _ in Settings.model_validate(watched).created()] == ["B", "Z"]
 
 
+def test_in_computer_vision_mode_a_vehicle_is_a_camera_that_stays() -> None:
+    settings = Settings.model_validate({"SimMode": "ComputerVision"})
+    api = Api(Simulation(World("blocks", NATIVE)), settings, render=False)
+    assert call(api, "listVehicles") == ["ComputerVision"]
+    call(api, "simSetVehiclePose", pose(7.0, 1.0, -3.0), True)
+    go_on(api, 2.0)
+    assert place(api).tolist() == [7.0, 1.0, -3.0]
+    assert call(api, "simGetVehiclePose")["position"] == point(7.0, 1.0, -3.0)
+    assert api.simulation.time_ns == 2_000_000_000
+    for method in ("takeoff", "enableApiControl", "getMultirotorState"):
+        with pytest.raises(rpc.RpcError, match="this is simulation-only API or this vehicle does not exist"):
+            call(api, method, *ARGUMENTS[method])
+
+
 # --- poses and winds ------------------------------------------------------------------------------
 
 

@@ -49,6 +49,9 @@ class World:
     def __init__(self, scene: str, profile: Profile) -> None:
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
+        self.still = (
+            False  # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
+        )
         self.scene = scene
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
@@ -255,7 +258,7 @@ class World:
         """Raise UserError, as `place` does, where a vehicle cannot be put."""
         vehicle = vehicle or self.lead
         check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]))
-        if self.freeze_on_collision:  # nothing is thrown: the game is over before it began
+        if self.freeze_on_collision or self.still:  # nothing is thrown: the game is over before it began
             return
         before = self.physics()
         self.clearance.look_anew()
@@ -274,7 +277,7 @@ class World:
 
         Raises FlightError when MuJoCo warns; the vehicles then stand still until one is placed anew.
         """
-        if self.failed or (self.freeze_on_collision and self.collision_tick is not None):
+        if self.still or self.failed or (self.freeze_on_collision and self.collision_tick is not None):
             return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
         flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
         if self.warnings.any():

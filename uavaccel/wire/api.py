@@ -124,15 +124,24 @@ class Api:
         for pilot in pilots:
             if name in ("", pilot.vehicle.name):
                 return pilot
-        known = ", ".join(f"'{pilot.vehicle.name}'" for pilot in pilots)
-        raise ValueError(
+        raise self._not_there(name)
+
+    def _not_there(self, name: Any) -> ValueError:
+        known = ", ".join(f"'{pilot.vehicle.name}'" for pilot in self.simulation.pilots)
+        return ValueError(
             f"Vehicle API for '{name}' is not available. This could either because this is simulation"
             f"-only API or this vehicle does not exist; there is {known}"
         )
 
+    def _flown(self, name: Any) -> Pilot:
+        """Who flies a vehicle, where vehicles fly. Raises ValueError, in AirSim's words, as pilot_of does."""
+        if self.settings.flightless:
+            raise self._not_there(name)
+        return self.pilot_of(name)
+
     def _commanded(self, name: Any) -> Pilot:
         self.recorder.keep()  # the first command starts the simulation's recorder anew
-        return self.pilot_of(name)
+        return self._flown(name)
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
@@ -141,16 +150,16 @@ class Api:
         self.simulation.reset(self._wall_ns, recording=world.recording)
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
-        pilot, enabled = self.pilot_of(vehicle), types.flag(enabled, "is_enabled")
+        pilot, enabled = self._flown(vehicle), types.flag(enabled, "is_enabled")
         if not enabled:  # a command that runs on would have no end
             pilot.cancel(self._wall_ns)
         pilot.api_control = enabled
 
     def _is_api_control_enabled(self, vehicle: Any = "") -> bool:
-        return self.pilot_of(vehicle).api_control
+        return self._flown(vehicle).api_control
 
     def _arm(self, arm: Any, vehicle: Any = "") -> bool:
-        return self.pilot_of(vehicle).arm(types.flag(arm, "arm"))
+        return self._flown(vehicle).arm(types.flag(arm, "arm"))
 
     def _pause(self, paused: Any) -> None:
         if types.flag(paused, "is_paused"):
@@ -180,7 +189,7 @@ class Api:
         return min(seconds, LONGEST_S)
 
     def _multirotor_state(self, vehicle: Any = "") -> dict[str, Any]:
-        pilot = self.pilot_of(vehicle)
+        pilot = self._flown(vehicle)
         kinematics = pilot.kinematics()
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here

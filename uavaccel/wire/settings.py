@@ -21,6 +21,7 @@ from uavaccel.sim.profile import Profile
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 
+COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
 PORT = 41451
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
@@ -47,7 +48,7 @@ class Recording(_AirSim):
 class Vehicle(_AirSim):
     """NED metres from the player's start, degrees."""
 
-    vehicle_type: Literal["SimpleFlight", "simpleflight"] = "SimpleFlight"
+    vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
     auto_create: bool = True
     is_fpv_vehicle: bool = False
     x: float | None = None
@@ -64,7 +65,7 @@ class Vehicle(_AirSim):
 class Settings(_AirSim):
     """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
 
-    sim_mode: Literal["Multirotor", ""] = "Multirotor"
+    sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
     clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
     local_host_ip: str = ""
@@ -81,7 +82,12 @@ class Settings(_AirSim):
         """The default vehicle's name: the first by the alphabet, or the one that is to be watched."""
         created = self.created()
         watched = (name for name, vehicle in created if vehicle.is_fpv_vehicle)
-        return next(watched, created[0][0] if created else VEHICLE)
+        return next(watched, created[0][0] if created else COMPUTER_VISION if self.flightless else VEHICLE)
+
+    @property
+    def flightless(self) -> bool:
+        """Whether vehicles are but cameras that are put somewhere."""
+        return self.sim_mode == COMPUTER_VISION
 
     def created(self) -> list[tuple[str, Vehicle]]:
         """The vehicles that there are from the start, by the alphabet as AirSim's map has them."""

@@ -24,7 +24,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
     A vehicle without X, Y and Z hovers 10 m up, ready to be flown; one with them starts there, idle, as in AirSim.
     """
     world = simulation.world
-    world.lead.name = settings.vehicle
+    world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
     newcomers, key = [], ""
     try:
