@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from uavaccel.sim.simulation import Simulation
     from uavaccel.sim.vehicle import Vehicle
 
+OTHERS_LOG_LENGTH = 64  # nobody asks for it
 LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
 
 
@@ -46,6 +47,7 @@ class Pilot:
     def __init__(self, simulation: Simulation, vehicle: Vehicle) -> None:
         self._simulation, self.vehicle = simulation, vehicle
         self._profile = simulation.profile
+        self._leads = vehicle is simulation.world.lead
         self.api_control = False
         vehicle.restore_gains()  # the world may have been another simulation's
         self.start_over()
@@ -53,7 +55,7 @@ class Pilot:
     def start_over(self) -> None:
         """Nothing has been commanded yet."""
         self.command: Command | None = None
-        self.log = CommandLog()
+        self.log = CommandLog(None if self._leads else OTHERS_LOG_LENGTH)
         self.sticks: Sticks = np.zeros(STICKS)
 
     def fly(self, goal: Goal, ticks: int, wall_ns: int) -> DeferredReply:
