@@ -43,7 +43,7 @@ def serve(options: ServeOptions) -> None:
     settings = read_settings(options.settings) if options.settings else Settings()
     host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
     simulation = simulation_of(options, settings, clock_speed)
-    api = Api(simulation, settings, recordings=recordings_of(options, settings))
+    api = api_of(simulation, options, settings)
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
@@ -90,8 +90,19 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
     profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, clock_speed)
     wind = settings.wind
-    simulation.world.set_wind((wind.x, wind.y, wind.z))
+    try:
+        simulation.world.set_wind((wind.x, wind.y, wind.z))
+    except UserError as error:
+        raise UserError(f"{options.settings}: Wind: {error}") from None
     return simulation
+
+
+def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) -> Api:
+    """The calls, and the vehicles that the settings ask for. Raises UserError that names the file and the key."""
+    try:
+        return Api(simulation, settings, recordings=recordings_of(options, settings))
+    except UserError as error:
+        raise UserError(f"{options.settings}: {error}") from None
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path | None:
@@ -112,13 +123,20 @@ def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     host, port = server.address
     speed = float(server.api.simulation.clock_speed)
     say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
-    say(
-        f"{settings.vehicle} hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
-    )
+    say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
     if passed_over := settings.passed_over():
         say(f"{options.settings}: without meaning here: {', '.join(passed_over)}")
+
+
+def waiting(server: Server) -> str:
+    """How the vehicles begin."""
+    vehicles = server.api.simulation.world.vehicles
+    lead = vehicles[0]
+    how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
+    others = f", {len(vehicles) - 1} more beside it" if len(vehicles) > 1 else ""
+    return f"{lead.name} {'is a camera' if server.api.settings.flightless else how}{others}"
 
 
 @contextmanager

@@ -98,19 +98,22 @@ class Simulation:
             self.pause(wall_ns)
         self._account(wall_ns)
 
-    def next_event_wall_ns(self) -> int | None:
-        """When something will end unless a message comes first; None while nothing will."""
+    def next_event_wall_ns(self, turns: bool = True) -> int | None:
+        """When something will end unless a message comes first; None while nothing will.
+
+        `turns`: a task's next turn, which may be its end, is such an event too. They happen at their ticks anyway.
+        """
         if self.paused:
             return None
-        timer, tick = self.wall_timer_ns(), self._next_end_tick()
+        timer, tick = self.wall_timer_ns(), self._next_end_tick(turns)
         if tick is None:
             return timer
         due = self.pacer.wall_due(tick)
         return due if timer is None else min(timer, due)
 
-    def _next_end_tick(self) -> int | None:
-        """The tick at which something ends, or a command's task takes its next turn."""
-        ticks = [pilot.command.end_tick for pilot in self.pilots if pilot.command is not None]
+    def _next_end_tick(self, turns: bool = True) -> int | None:
+        commands = [pilot.command for pilot in self.pilots if pilot.command is not None]
+        ticks = [command.end_tick for command in commands if turns or command.task is None]
         if self.period is not None and self.period.end_tick is not None:
             ticks.append(self.period.end_tick)
         return min(ticks, default=None)
