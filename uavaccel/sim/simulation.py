@@ -12,14 +12,14 @@ from fractions import Fraction
 from typing import Any
 
 from uavaccel.clock import Pacer, positive_clock_speed
-from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim import simulation_state
 from uavaccel.sim.executor import UNBOUND, Executor
-from uavaccel.sim.flight.goal import of_velocity
+from uavaccel.sim.flight.commanded import Commanded
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.recording import CommandLog, Recording
+from uavaccel.sim.recording import Recording
 from uavaccel.sim.running import Continue, DeferredReply
 from uavaccel.sim.saved import State
 from uavaccel.sim.tally import Speed, Trace
@@ -30,7 +30,7 @@ from uavaccel.units import NS_PER_S, exact
 __all__ = ["DeferredReply", "Simulation"]
 
 
-class Simulation:
+class Simulation(Commanded):
     """Clock, commands and recorder over one `World`.
 
     `catch_up_wall_ns`: backlog of wall time that is made good; the rest is lost and counted. None: no bound, for a
@@ -212,49 +212,13 @@ class Simulation:
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
-    # --- flight commands --------------------------------------------------------------------------
-
-    def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> DeferredReply:
-        """Fly a velocity for a simulated time; a running command ends with False (latest wins).
-
-        Raises UserError where an exact profile's tick does not divide the time. Without API control the command
-        takes its time and has no effect (OffboardApi.hpp).
-        """
-        ticks = self.profile.command_ticks(duration_s)
-        return self.lead.fly(of_velocity(goal), ticks, wall_ns)
-
-    def cancel(self, wall_ns: int) -> None:
-        """End the leading vehicle's command, if any, with False; position hold follows after the goal timeout."""
-        self.lead.cancel(wall_ns)
-
-    def arm(self, armed: bool) -> bool:
-        """Switch the leading vehicle's rotors on or off; needs API control (OffboardApi::arm)."""
-        return self.lead.arm(armed)
+    # --- vehicles ---
 
     def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
         """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
         self.world.add_vehicles(newcomers)
         self.frames.forget()  # the pose that was shown is of the model before
         self.pilots += [Pilot(self, vehicle) for vehicle in self.world.vehicles[len(self.pilots) :]]
-
-    @property
-    def lead(self) -> Pilot:
-        """Who flies the first vehicle, which is meant wherever none is named."""
-        return self.pilots[0]
-
-    @property
-    def api_control(self) -> bool:
-        """Whether programs may fly the leading vehicle."""
-        return self.lead.api_control
-
-    @api_control.setter
-    def api_control(self, given: bool) -> None:
-        self.lead.api_control = given
-
-    @property
-    def commands(self) -> CommandLog:
-        """The leading vehicle's, since the last reset."""
-        return self.lead.log
 
     # --- start and record -------------------------------------------------------------------------
 

@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim import hotloop, world_state
 from uavaccel.sim.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.clearance import Clearance
-from uavaccel.sim.flight.goal import of_velocity
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
+from uavaccel.sim.led import Led
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import Record
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
 from uavaccel.sim.scene import load_scene
-from uavaccel.sim.touch import Touches, deepest_contact
+from uavaccel.sim.touch import deepest_contact
 from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class FlightError(RuntimeError):
     """MuJoCo warned of a state it could not integrate; the game is void."""
 
 
-class World:
+class World(Led):
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
@@ -80,53 +79,6 @@ class World:
     def _name_of(self, geom: int) -> str:
         """The object, or the other vehicle, that a geom belongs to."""
         return self._bodies.get(int(self.model.geom_bodyid[geom])) or object_name(self.model, geom)
-
-    # --- the leading vehicle ----------------------------------------------------------------------
-
-    @property
-    def parameters(self) -> Record:
-        """Of the leading quadrotor and its autopilot (quadrotor.PARAMETERS_DTYPE)."""
-        return self.lead.parameters
-
-    @property
-    def state(self) -> Record:
-        """Of the leading vehicle's flight (quadrotor.FLIGHT_DTYPE)."""
-        return self.lead.state
-
-    @property
-    def tick(self) -> int:
-        return self.lead.tick
-
-    @property
-    def collision_tick(self) -> int | None:
-        """Tick of the first touch since the last reset."""
-        return self.lead.collision_tick
-
-    @property
-    def collision_object(self) -> str:
-        """What was touched first since the last reset; "" for nothing."""
-        first = self.lead.touches.first
-        return first.object if first else ""
-
-    @property
-    def touches(self) -> Touches:
-        return self.lead.touches
-
-    @property
-    def landed(self) -> bool:
-        return self.lead.landed
-
-    def kinematics(self, origin_ns: int = 0) -> Kinematics:
-        """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
-        return self.lead.kinematics(origin_ns)
-
-    def fly_velocity(self, goal: VelocityGoal) -> None:
-        """Set the autopilot's goal to a velocity."""
-        self.lead.set_goal(of_velocity(goal))
-
-    def hold_from(self, tick: int | None) -> None:
-        """Position hold sets in at `tick`; None: not at all."""
-        self.lead.hold_from(tick)
 
     # --- scene ------------------------------------------------------------------------------------
 
