@@ -9,6 +9,8 @@ import mujoco
 from uavaccel.resources import asset
 
 QUADROTOR = "quadrotor"
+DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which a camera that it carries leaves out
+OTHERS_GROUP = 2  # those of the others, which it sees
 
 
 def load_scene(scene: str, others: Sequence[str] = ()) -> mujoco.MjModel:
@@ -22,5 +24,7 @@ def load_scene(scene: str, others: Sequence[str] = ()) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(path)
     for prefix in others:
         quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
+        for geom in quadrotor.geoms:
+            geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
     return spec.compile()

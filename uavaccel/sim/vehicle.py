@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim import autopilot, hotloop
 from uavaccel.sim.flight.goal import Goal
@@ -31,7 +30,15 @@ AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
-GAINS = ("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain")
+GAINS = (
+    *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
+    *("full_pid", "integral_gain", "derivative_gain"),
+)
+PID_LEVEL = {
+    "position": autopilot.POSITION_LEVEL,
+    "velocity": autopilot.VELOCITY_LEVEL,
+    "angle": autopilot.ANGLE_LEVEL,
+}
 
 
 @dataclass(frozen=True)
@@ -186,18 +193,17 @@ class Vehicle:
     def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
         """A level of the cascade, "position", "velocity", "angle" or "rate": gains of its three axes.
 
-        The vertical integrator starts anew (Params::gains_changed). AirSim's rate controllers take kp alone; the
-        others have no derivative here, and no integral but that of vz. Raises UserError for gains that are missing.
+        The controllers start anew (Params::gains_changed). AirSim's rate controllers take kp alone.
         """
-        missing = any(kd) or any(ki[:2]) or (ki[2] != 0.0 and level != "velocity")
-        if level != "rate" and missing:
-            raise UserError(
-                f"{level} gains: kd and ki have to be 0, except ki of the vertical velocity; there are {ki} and {kd}"
-            )
-        self.parameters[f"{level}_gain"] = kp
-        if level == "velocity":
-            self.parameters["z_integral_gain"] = ki[2]
-        self._field["z_integral_mode"][0] = autopilot.UNSET
+        parameters = self.parameters
+        parameters[f"{level}_gain"] = kp
+        if level in PID_LEVEL:
+            slots = slice(3 * PID_LEVEL[level], 3 * PID_LEVEL[level] + 3)
+            parameters["integral_gain"][slots], parameters["derivative_gain"][slots] = ki, kd
+        if level == "velocity":  # its vertical integrator leaks, and is one of its own
+            parameters["z_integral_gain"], parameters["integral_gain"][slots.stop - 1] = ki[2], 0.0
+        parameters["full_pid"] = parameters["integral_gain"].any() or parameters["derivative_gain"].any()
+        self._field["z_integral_mode"][0] = self._field["pid_mode"][0] = autopilot.UNSET
 
     def restore_gains(self) -> None:
         """Params.hpp's gains."""
@@ -214,6 +220,7 @@ class Vehicle:
         self.state["wind"] = wind
         self.state["armed"] = 1
         self.state["hover_tick"] = NEVER
+        self.state["pid_mode"] = autopilot.UNSET
         self.put(start.position_m, start.orientation_wxyz)
         self.forget_touches()
         if start.idle:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.scene import DRONE_GROUP
 
 Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 GeomImage = NDArray[np.int32]
 
 WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
-DRONE_GROUP = 1  # of quadrotor.xml's visible geoms
 _RENDER_FLAGS = {
     mujoco.mjtRndFlag.mjRND_CULL_FACE: True,  # half the faces of everything
     mujoco.mjtRndFlag.mjRND_SHADOW: False,
