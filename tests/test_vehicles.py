@@ -10,6 +10,7 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.scene import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import Newcomer, Start
 from uavaccel.sim.world import START_M, World
@@ -182,6 +183,13 @@ def test_two_that_meet_have_touched_each_other() -> None:
     assert told["A"]["normal"]["x_val"] < -0.9 < 0.9 < told["B"]["normal"]["x_val"]
     apart = told["B"]["position"]["x_val"] + 5.0 - told["A"]["position"]["x_val"]
     assert apart == pytest.approx(2 * 0.3418, abs=0.03), "each in its own frame"
+
+
+def test_a_camera_sees_the_others_and_not_its_own_vehicle() -> None:
+    """By MuJoCo's groups: the leading vehicle's cameras leave out its own."""
+    model = fleet(A={}, B=ASIDE).simulation.world.model
+    for body, groups in (("quadrotor", {DRONE_GROUP, 3}), ("B/quadrotor", {OTHERS_GROUP, 3})):
+        assert set(model.geom_group[model.geom_bodyid == model.body(body).id]) == groups
 
 
 def test_reset_brings_all_to_their_starts() -> None:

@@ -22,9 +22,14 @@ def load_scene(scene: str, others: Sequence[str] = ()) -> mujoco.MjModel:
     if not others:
         return mujoco.MjModel.from_xml_path(path)
     spec = mujoco.MjSpec.from_file(path)
-    for prefix in others:
+    attach_quadrotors(spec, others)
+    return spec.compile()
+
+
+def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
+    """One quadrotor more for each prefix, whose names begin with it; what there was keeps its numbers."""
+    for prefix in prefixes:
         quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
         for geom in quadrotor.geoms:
             geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
-    return spec.compile()

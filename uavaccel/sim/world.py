@@ -132,6 +132,7 @@ class World(Led):
             old.take_over(kept)
         for vehicle in new:
             vehicle.state["wind"] = wind
+            vehicle.parameters["ground_altitude_m"] = self.parameters["ground_altitude_m"]
             self._begin(vehicle, vehicle.start)
             vehicle.state["tick"] = ticks
 
