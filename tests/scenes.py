@@ -84,10 +84,23 @@ class Seen(NamedTuple):
 
 def cast_rays(pose: Pose, boxes: dict[str, Any]) -> Seen:
     """What a camera 90 degrees wide sees of boxes, given in NED."""
-    right = (np.arange(COLUMNS) + 0.5 - COLUMNS / 2) / (COLUMNS / 2)
-    down = (np.arange(ROWS) + 0.5 - ROWS / 2) / (COLUMNS / 2)
+    return cast_from(pose.camera_m(), pose.matrix(), boxes, COLUMNS, ROWS, 90.0)
+
+
+def cast_from(
+    eye: NDArray[np.float64],
+    axes: NDArray[np.float64],
+    boxes: dict[str, Any],
+    columns: int,
+    rows: int,
+    fov_deg: float,
+) -> Seen:
+    """What a camera at `eye` sees of boxes in NED; its forward, right and down are the columns of `axes`."""
+    pixel = 2 * np.tan(np.radians(fov_deg) / 2) / columns
+    right = (np.arange(columns) + 0.5 - columns / 2) * pixel
+    down = (np.arange(rows) + 0.5 - rows / 2) * pixel
     rays = np.stack(np.broadcast_arrays(1.0, right[None, :], down[:, None]), axis=-1)
-    world, eye = rays @ pose.matrix().T, pose.camera_m()
+    world = rays @ axes.T
     ends = []
     for middle, half in boxes.values():
         with np.errstate(divide="ignore", invalid="ignore"):

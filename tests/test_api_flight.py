@@ -11,12 +11,15 @@ import pytest
 
 from tests.simulating import answer, simulate
 from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.flight.goal import Goal, of_velocity
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.wire import rpc, types
 from uavaccel.wire.api import Api
 from uavaccel.wire.flight_api import facing
 from uavaccel.wire.game_api import decode_state, encode_state
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import EPOCH_NS
 
 MS = 1_000_000
 MAX_DOF, FORWARD_ONLY = 0, 1
@@ -72,7 +75,7 @@ def test_states_are_those_of_the_physics() -> None:
         ("angular_acceleration", now.angular_acceleration_rad_s2),
     ):
         assert tuple(state[name][axis] for axis in ("x_val", "y_val", "z_val")) == vector, name
-    assert told["timestamp"] == now.time_ns == before.time_ns + NATIVE.tick_ns
+    assert told["timestamp"] - EPOCH_NS == now.time_ns == before.time_ns + NATIVE.tick_ns
     moved = np.subtract(now.position_m, before.position_m) / NATIVE.tick_s
     np.testing.assert_allclose(moved, now.linear_velocity_m_s, atol=0.01)
     assert told["kinematics_estimated"] == result_of(api, "simGetGroundTruthKinematics", [], 702 * MS)
@@ -89,16 +92,14 @@ def test_a_state_survives_the_wire() -> None:
 def test_gps_is_a_sphere_around_airsims_origin() -> None:
     """A degree of latitude is a 360th of the circumference; of longitude, the cosine of the latitude times that."""
     degree_m = 2 * math.pi * 6_378_137.0 / 360
-    point = types.geo_point_map((degree_m / 100, -degree_m / 50, -7.0))
-    assert point["latitude"] == pytest.approx(47.641468 + 0.01, abs=1e-9)
-    assert point["longitude"] == pytest.approx(
-        -122.140165 - 0.02 / math.cos(math.radians(47.641468)), abs=1e-9
-    )
-    assert point["altitude"] == 122.0 + 7.0
+    north = geographic((degree_m / 100, 0.0, -7.0), Settings().home)
+    assert north == pytest.approx((47.641468 + 0.01, -122.140165, 122.0 + 7.0), abs=1e-9)
+    east = geographic((0.0, degree_m / 1000, 0.0), Settings().home)
+    assert east.longitude == pytest.approx(-122.140165 + 0.001 / math.cos(math.radians(47.641468)), abs=1e-9)
     api = flown()
-    assert result_of(api, "getMultirotorState", [], 700 * MS)["gps_location"] == types.geo_point_map(
-        api.simulation.kinematics().position_m
-    )
+    told = result_of(api, "getMultirotorState", [], 700 * MS)["gps_location"]
+    place = geographic(api.simulation.kinematics().position_m, Settings().home)
+    assert tuple(told[key] for key in ("latitude", "longitude", "altitude")) == place
 
 
 # --- goals --------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import hypergeom
+from scipy.stats import binomtest, hypergeom
 
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.config import PaperConfig, read_claims
@@ -131,6 +131,7 @@ def test_a_claim_of_section_iv_c(claim: str, failing: dict[str, tuple[float, flo
 
 
 PAPER_TABLE = {"adsc": (23, 1, 0, 0, 0), "tcsc": (21, 30, 23, 14, 13)}
+WHOLE_SPEEDUPS = {5.0: 3.6, 10.0: 5.2}
 SPEEDUPS = dict(zip(CLOCKS, (1.0, 4.0, 6.4, 14.8, 15.4), strict=True))
 
 
@@ -148,9 +149,17 @@ def policies(games: int = 100, **changes: float) -> Policies:
                     "games": games,
                     "successes": round(ratio * games),
                     "training_speedup": changes.get(f"speed{k:g}", SPEEDUPS[k]),
+                    "whole_training_speedup": changes.get(f"whole{k:g}", WHOLE_SPEEDUPS.get(k)),
                 }
             )
-    return Policies(cells)
+    with_tcsc, with_adsc = round(0.21 * games), round(changes.get("both", 0.20) * games)
+    flown = [
+        {"command": command, "successes": won, "games": games}
+        for command, won in (("tcsc", with_tcsc), ("adsc", with_adsc))
+    ]
+    alone = with_tcsc - with_adsc + 20  # and 20 lanes with ADSC alone
+    p_value = float(binomtest(alone, alone + 20).pvalue)
+    return Policies(cells, [{"flown_with": flown, "mcnemar_p": p_value}])
 
 
 @pytest.mark.parametrize(
@@ -166,7 +175,9 @@ def policies(games: int = 100, **changes: float) -> Policies:
         ("training_speedup_10x", {"speed10": 9.0}),
         ("training_speedup_50x", {"speed50": 20.0}),
         ("training_speedup_100x", {"speed100": 12.0}),
-        ("week_to_two_days", {"speed5": 2.0, "speed10": 3.0}),
+        ("week_to_two_days", {"whole5": 2.0, "whole10": 3.0}),
+        ("adsc_fails_accelerated", {"adsc50": 0.08}),
+        ("policy_flies_with_both", {"both": 0.10}),
     ],
 )
 def test_a_claim_of_section_iv_d(claim: str, failing: dict[str, float]) -> None:

@@ -46,7 +46,7 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
 @pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=lambda profile: profile.name)
 def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str, profile: object) -> None:
     worlds = [World(scene, profile), World(scene, profile)]  # type: ignore[arg-type]
-    worlds[1]._clearance = Touchy(worlds[1].model, worlds[1].data)
+    worlds[1].clearance = Touchy(worlds[1].model, worlds[1].data)
     collisions = []
     for seed in range(6):
         if scene == "lane":

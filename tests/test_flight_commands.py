@@ -12,6 +12,7 @@ from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, 
 from tests.simulating import simulate, world_of
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim import autopilot
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.quadrotor import density_ratio
 from uavaccel.sim.simulation import Simulation
@@ -19,9 +20,10 @@ from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, euler_from_quaternion
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.geodesy import GeoPoint, ned_of
+from uavaccel.wire.geodesy import ned_of
 from uavaccel.wire.session import open_session
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import EPOCH_NS
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 ON_THE_GROUND = Settings.model_validate({"Vehicles": {"Drone": {"X": 3, "Y": -2, "Yaw": 90}}})
@@ -371,7 +373,7 @@ def test_motors_turn_as_told_and_say_so() -> None:
     hover = call(api, "getRotorStates")
     lift = sum(rotor["thrust"] for rotor in hover["rotors"]) * density_ratio(world.parameters, -10.0)
     assert lift == pytest.approx(9.80665, rel=1e-4)
-    assert hover["timestamp"] == api.simulation.time_ns
+    assert hover["timestamp"] == EPOCH_NS + api.simulation.time_ns
     fly(api, "moveByMotorPWMs", 0.2, 0.4, 0.6, 2.0, 0.1)
     rotors = call(api, "getRotorStates")["rotors"]
     shares = [0.2, 0.4, 0.6, 1.0]

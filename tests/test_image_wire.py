@@ -17,7 +17,9 @@ from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.image_api import PALETTE, decode_image
+from uavaccel.wire.image_api import decode_image
+from uavaccel.wire.segmentation import colours, id_of_name
+from uavaccel.wire.types import EPOCH_NS
 
 pytestmark = pytest.mark.opengl
 
@@ -114,7 +116,9 @@ def test_depth_is_how_far_each_ray_goes(blocks: Wire, pose: Pose) -> None:
         blocks.floats(DEPTH_VIS)[inside], np.minimum(seen.planar_m / 100, 1)[inside], rtol=3e-3
     )
     np.testing.assert_array_equal(blocks.bgr(DEPTH_VIS), blocks.bgr(PLANAR))
-    np.testing.assert_array_equal(blocks.picture("depth"), blocks.floats(PLANAR))
+    sky = blocks.floats(PLANAR) == 65504.0
+    np.testing.assert_array_equal(blocks.picture("depth")[~sky], blocks.floats(PLANAR)[~sky])
+    assert sky[seen.inside() & (seen.box < 0)].all()
 
 
 @pytest.mark.parametrize("pose", POSES)
@@ -126,9 +130,13 @@ def test_segmentation_has_one_colour_for_each_object_and_black_for_the_sky(block
     np.testing.assert_array_equal(ids[seen.inside()], expected[seen.inside()])
     assert ids.dtype == np.int32
     assert ids.shape == (ROWS, COLUMNS)
-    np.testing.assert_array_equal(blocks.bgr(SEGMENTATION), PALETTE[ids + 1][..., ::-1])
+    object_ids = np.array([id_of_name(name) for name in [*BLOCKS, ""]])
+    object_ids[-1] = 0
+    np.testing.assert_array_equal(
+        blocks.bgr(SEGMENTATION)[seen.inside()], colours()[object_ids[seen.box]][..., ::-1][seen.inside()]
+    )
     assert (blocks.bgr(SEGMENTATION)[ids == -1] == 0).all()
-    assert len(np.unique(PALETTE, axis=0)) == len(PALETTE) == 256
+    assert len(np.unique(colours(), axis=0)) == len(colours()) == 256
 
 
 def test_a_picture_is_blue_green_red_as_bytes_and_as_png_and_red_green_blue_as_our_own(lane: Wire) -> None:
@@ -171,7 +179,7 @@ def test_a_response_tells_the_pose_and_the_time_of_its_picture(blocks: Wire) -> 
         [{"camera_name": "front_center", "image_type": PLANAR, "pixels_as_float": True}, {}],
         "",
     )
-    assert response["time_stamp"] == other["time_stamp"] == state["timestamp"] == 1234 * MS
+    assert response["time_stamp"] == other["time_stamp"] == state["timestamp"] == EPOCH_NS + 1234 * MS
     assert response["camera_orientation"] == told["orientation"]
     w, x, y, z = told["orientation"].values()
     degrees = np.degrees(
@@ -204,9 +212,10 @@ def test_camera_info_projects_a_corner_to_its_pixel(blocks: Wire) -> None:
     np.testing.assert_allclose(list(info["pose"]["position"].values()), pose.camera_m(), atol=1e-6)
     np.testing.assert_allclose(list(info["pose"]["orientation"].values()), pose.quaternion(), atol=1e-6)
     corner = np.array([42.0, 20.0, -12.0])  # of block_north
-    forward, right, down = pose.matrix().T @ (corner - pose.camera_m())
-    x, y, near, w = np.array(info["proj_mat"]["matrix"]) @ (right, -down, forward, 1.0)
-    column, row = (1 + x / w) * COLUMNS / 2, (1 - y / w) * ROWS / 2
+    north, east, down = pose.matrix().T @ (corner - pose.camera_m())
+    x, y, near, w = np.array(info["proj_mat"]["matrix"]) @ (north, east, down, 1.0)
+    assert w == -north  # AirSim's matrix takes north for behind
+    column, row = (1 - x / w) * COLUMNS / 2, (1 + y / w) * ROWS / 2
     assert near == 10.0  # centimetres, as in Unreal
     seen = cast_rays(pose, {"block_north": BLOCKS["block_north"]}).box
     patch = seen[int(row) - 2 : int(row) + 3, int(column) - 2 : int(column) + 3]
@@ -237,11 +246,14 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
         ("simGetImages", [{}], "must be a list"),
         ("simGetImages", [[3]], "must be a map"),
         ("simGetImages", [[{"camera_name": "tail"}]], "no camera 'tail'"),
-        ("simGetImages", [[{"image_type": 4}]], "image type 4 is not available"),
         ("simGetImages", [[{"image_type": "scene"}]], "image_type must be a number"),
-        ("simGetImage", ["bottom_center", 0], "no camera 'bottom_center'"),
-        ("simGetImage", ["0", 7], "image type 7 is not available"),
-        ("simGetCameraInfo", ["1"], "no camera '1'"),
+        ("simGetImage", ["5", 0], "no camera '5'; there are front_center \\(0\\), front_right"),
+        ("simGetImage", ["0", 8], "image type 8 is not available; there are 0 scene, 1 depth_planar"),
+        ("simGetImages", [[{}], "Drone9"], "Vehicle API for 'Drone9' is not available.*'SimpleFlight'"),
+        ("simGetImages", [[{}], "", True], "no camera ''; there are none"),
+        ("simGetCameraInfo", ["7"], "no camera '7'"),
+        ("simSetCameraPose", ["tail", POSES[0].message()], "no camera 'tail'"),
+        ("simSetCameraFov", ["0", 180.0], "at most 179"),
         ("uavaccelImage", ["far_m"], "no picture 'far_m'; there are gray, colour, depth, segmentation"),
     ],
 )

@@ -12,14 +12,19 @@ from matplotlib.figure import Figure
 from tests.dp1_games import quantile
 from tests.drawing import headline, labelled, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
+from tests.opengl import needs_opengl
 from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations
 from uavaccel.suites.evaluation.summary import summarise
+from uavaccel.suites.training.curve import draw_runs
+from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.suites.training.report import draw_trainings, phase_times
+from uavaccel.wire.latency import shipped_latency
 
 Row = dict[str, Any]
 
@@ -123,6 +128,8 @@ def test_every_number_of_a_training(tmp_path: Path) -> None:
     assert summary == run.read_json("summary.json")
     assert len(summary.pop("weights_sha256")) == 64
     commands = [row["commands"] for row in run.rows()]
+    assert 1.0 < summary.pop("modelled_real_time_s") / sum(commands) < 1.1  # of 1 s each
+    assert summary.pop("modelled_real_time_how").startswith("ADSC under the profile airsim at ClockSpeed 1 ")
     assert summary == {
         "suite": "train",
         "profile": "native",
@@ -139,6 +146,29 @@ def test_every_number_of_a_training(tmp_path: Path) -> None:
         },
     }
     assert summary["phase_s"]["simulation"] > summary["phase_s"]["learning"] > 0
+
+
+def test_real_time_has_flight_pictures_decisions_and_learning() -> None:
+    """While a TCSC's client decides and learns nothing flies, so that these add up exactly."""
+    state = {"observation": "state", "clock_speed": 50.0}  # as it was trained is not how it is modelled
+    keys = {"mirror": False, "inference_s": 0.0, "learning_s": 0.0}
+    blind = model_real_time(tiny_config(state, **keys))["command_s"]
+    assert 1.0 < blind < 1.05
+    working = {**keys, "inference_s": 0.25, "learning_s": 2.0, "commands_per_gradient_step": 4}
+    assert model_real_time(tiny_config(state, **working))["command_s"] == pytest.approx(blind + 0.25 + 0.5)
+    on_policy = {**working, "algorithm": "ppo", "options": {}}
+    assert model_real_time(tiny_config(state, **on_policy))["command_s"] == pytest.approx(blind + 0.25)
+
+
+@needs_opengl
+def test_real_time_has_the_pictures_latencies() -> None:
+    keys = {"mirror": False, "inference_s": 0.0, "learning_s": 0.0}
+    seen, blind = (
+        model_real_time(tiny_config({"observation": kind}, **keys))["command_s"] for kind in ("dvs", "state")
+    )
+    frame_s = shipped_latency("airsim").platform.frame_ns() / 1e9
+    # Three pictures and DVS per command; a picture waits for up to two frames, one on average.
+    assert 3 * 0.5 * frame_s < seen - blind < 3 * 2 * frame_s
 
 
 def phases(*seconds: float) -> dict[str, float]:
@@ -180,6 +210,31 @@ def test_any_other_training_has_the_times_of_the_machine(tmp_path: Path) -> None
         assert times.phase_s == pytest.approx(phases(2.5, 4.0, 6.0, 1.25, 5.0))
         assert times.simulated_s_per_wall_s == pytest.approx(100.0 / 27.0)
         assert times.label == f"ADSC 100x\n{timing}, seed 6"
+
+
+def curve_of(path: Path, won: list[bool], walls_s: list[float]) -> RunDirectory:
+    config = Flown(seed=6, task={})
+    timings: list[Row] = [{"wall_s": wall_s} for wall_s in walls_s]
+    return run_of(path, config, [{"is_success": each} for each in won], timings)
+
+
+def test_learning_curves_are_over_the_wall_clock_of_all_starts(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    short = curve_of(tmp_path / "short", [False, True, True, True], [10.0, 20.0, 5.0, 6.0])  # begun twice
+    won = [game % 3 == 0 for game in range(250)]
+    long = curve_of(tmp_path / "long", won, [2.0 * game for game in range(250)])
+    draw_runs([short, long, short], ["mine", "long", "mine"], tmp_path / "curves.png")
+    axes = drawn["curves"].axes[0]
+    lines = labelled(axes)
+    assert list(lines) == ["mine", "long"]  # of one name, one entry
+    assert points(lines["mine"]) == [(10.0, 0.0), (20.0, 0.5), (25.0, round(2 / 3, 12)), (26.0, 0.75)]
+    recent = [(2.0 * game, sum(won[game - 99 : game + 1]) / 100) for game in range(99, 250)]
+    assert points(lines["long"]) == recent  # from the 100th game on
+    assert axes.get_xscale() == "log"
+    assert [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2] == [182 * 3600.0]
+    with pytest.raises(UserError, match="is no training with a wall time"):
+        draw_runs([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
 
 
 def test_figure_9_tells_trainings_apart_and_says_what_was_measured(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import selectors
 import socket
 from collections.abc import Iterator
@@ -16,11 +17,13 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.server import Connection, Server
+from uavaccel.wire.connection import Answer
+from uavaccel.wire.server import IDLE_LIMIT_NS, TURN_NS, Connection, Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.transport import SocketTransport
 
 MS = 1_000_000
+PING = rpc.pack_request(1, "ping", [])
 MOVE = ("moveByVelocity", [1.0, 0.0, 0.0, 0.1, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""])
 
 
@@ -256,3 +259,124 @@ def test_no_server_is_one_line() -> None:
     unused.close()
     with pytest.raises(UserError, match="start one with `uavaccel serve`"):
         SocketTransport(*unused.address)
+
+
+def wait_for_sockets(server: Server) -> None:
+    """Until what was sent has come."""
+    server._selector.select(timeout=10)
+
+
+@pytest.fixture
+def clients() -> Iterator[contextlib.ExitStack]:
+    """Closes their sockets."""
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def joined(server: Server, clients: contextlib.ExitStack) -> tuple[Connection | None, socket.socket]:
+    """One more connection, None if it was turned away."""
+    before = set(server._connections)
+    client = clients.enter_context(socket.create_connection(server.address))
+    server._listener.setblocking(True)
+    server._accept()
+    return next(iter(server._connections - before), None), client
+
+
+def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
+    stepped: tuple[Server, SteppedClock], clients: contextlib.ExitStack
+) -> None:
+    server, clock = stepped
+    clock.step_ns = TURN_NS // 8  # every look at the clock
+    (flooding, flood), (other, client) = joined(server, clients), joined(server, clients)
+    assert flooding is not None
+    assert other is not None
+    flood.sendall(b"".join(rpc.pack_request(number, "ping", []) for number in range(40)))
+    client.sendall(rpc.pack_request(7, "ping", []))
+    wait_for_sockets(server)
+    server._read(flooding)
+    server._read(other)
+    server._flush()
+    first = [reply[1] for reply in replies(flood)]
+    assert 0 < len(first) < 10
+    assert [reply[1] for reply in replies(client)] == [7]
+    assert server._selector.get_map().get(flooding.socket) is None, "it is not read before its turn"
+    answered = [first]
+    while server._backlog:
+        server._serve_backlog()
+        server._flush()
+        answered.append([reply[1] for reply in replies(flood)])
+        assert len(answered[-1]) < 10
+    assert sorted(number for turn in answered for number in turn) == list(range(40))
+    assert [min(turn) for turn in answered] == sorted(min(turn) for turn in answered)
+    assert server._selector.get_key(flooding.socket).events == selectors.EVENT_READ
+
+
+def test_silent_clients_make_room_and_a_line_says_so(
+    stepped: tuple[Server, SteppedClock], clients: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, clock = stepped
+    said: list[str] = []
+    monkeypatch.setattr(server.api.notices, "say", said.append)
+    monkeypatch.setattr("uavaccel.wire.server.MAX_CONNECTIONS", 3)
+    (waiting, pilot), (silent, _), (speaking, speaker) = (
+        joined(server, clients),
+        joined(server, clients),
+        joined(server, clients),
+    )
+    assert None not in (waiting, silent, speaking)
+    pilot.sendall(rpc.pack_request(1, "moveByVelocity", [1.0, 0.0, 0.0, 1e6, 0, MOVE[1][5]]))
+    wait_for_sockets(server)
+    server._read(waiting)  # type: ignore[arg-type]
+    assert joined(server, clients)[0] is None, "nobody has been silent for long"
+    clock.charge(IDLE_LIMIT_NS + 1)
+    speaker.sendall(PING)
+    wait_for_sockets(server)
+    server._read(speaking)  # type: ignore[arg-type]
+    newcomer, _ = joined(server, clients)
+    assert server._connections == {waiting, speaking, newcomer}, "who waits for an answer is not silent"
+    assert [line.partition("; ")[0] for line in said] == ["warning: 3 clients are connected"] * 2
+    assert "turned away" in said[0]
+    assert "make room" in said[1]
+
+
+def test_an_answer_that_cannot_be_packed_costs_the_caller_its_call(
+    stepped: tuple[Server, SteppedClock], clients: contextlib.ExitStack
+) -> None:
+    server, _ = stepped
+    connection, client = joined(server, clients)
+    assert connection is not None
+    for number, result in enumerate((1 << 80, object(), True)):
+        server._answers.append(Answer(connection, number, None, result))
+    server._flush()
+    told = {message[1]: (message[2], message[3]) for message in replies(client)}
+    assert told[2] == (None, True)
+    assert all("cannot be packed" in told[number][0] for number in (0, 1))
+
+
+@pytest.mark.opengl
+def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.ExitStack) -> None:
+    server, clock = Server(Api(simulate(10.0)), port=0), SteppedClock()
+    clients.callback(server.close)
+    server.clock = clock  # type: ignore[assignment]
+    clock.step_ns = TURN_NS
+    (drawing, painter), (other, client) = joined(server, clients), joined(server, clients)
+    assert drawing is not None
+    assert other is not None
+    painter.sendall(rpc.pack_request(1, "simGetImages", [[{}] * 6]) + rpc.pack_request(2, "ping", []))
+    wait_for_sockets(server)
+    server._read(drawing)
+    client.sendall(rpc.pack_request(7, "ping", []))
+    wait_for_sockets(server)
+    server._read(other)
+    server._flush()
+    assert [reply[1] for reply in replies(client)] == [7]
+    turns = 0
+    while server._backlog:
+        assert replies(painter) == []
+        server._serve_backlog()
+        turns += 1
+    assert turns >= 6
+    server._flush()
+    told = {reply[1]: reply[3] for reply in replies(painter)}
+    assert len(told[1]) == 6
+    assert told[2] is True

@@ -41,8 +41,6 @@ def test_what_is_honoured(tmp_path: Path) -> None:
 
 def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
     assert sorted(read(tmp_path, USUAL).passed_over()) == [
-        "Recording.Cameras",
-        "Vehicles.Drone1.Cameras",
         "ViewMode",
     ]
 
@@ -94,3 +92,46 @@ def test_an_interval_that_the_step_does_not_divide() -> None:
     with pytest.raises(UserError, match=r"Recording\.RecordInterval: 0\.033 s .* 0\.032 and 0\.034 s are"):
         settings.recorder_of(NATIVE)
     assert settings.recorder_of(AIRSIM).recorder_ticks == 12  # AirSim waits for more than the interval
+
+
+@pytest.mark.parametrize(("content", "text"), [
+    (b"[" * 100_000, "not settings: nested too deeply"),
+    (b'{"A":' * 100_000, "not settings: nested too deeply"),
+    (b"\xff\xfe{", "not JSON: "),
+    (b" " * (1 << 21), "longer than 1 MiB, so no settings"),
+])  # fmt: skip
+def test_a_file_that_cannot_be_settings_is_one_line(tmp_path: Path, content: bytes, text: str) -> None:
+    path = tmp_path / "settings.json"
+    path.write_bytes(content)
+    with pytest.raises(UserError) as caught:
+        read_settings(path)
+    assert str(caught.value).startswith(f"{path}: {text}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
+def test_a_file_without_end_is_not_read_to_it() -> None:
+    with pytest.raises(UserError, match="/dev/zero: longer than 1 MiB"):
+        read_settings(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(("content", "text"), [
+    ({"Vehicles": {"A": {"Cameras": {"0": {"X": "far"}}}}}, "Vehicles.A.Cameras.0.X = 'far'"),
+    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 180}]}}, "CaptureSettings.0.FOV_Degrees = 180"),
+    ({"DefaultSensors": {"L": {"SensorType": 6, "NumberOfChannels": 0}}}, "DefaultSensors.L"),
+    ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L"),
+    ({"DefaultSensors": {"L": {"Range": 7}}}, "DefaultSensors.L"),
+    ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),
+])  # fmt: skip
+def test_what_is_wrong_with_cameras_and_sensors_is_named(tmp_path: Path, content: Any, text: str) -> None:
+    with pytest.raises(UserError) as caught:
+        read(tmp_path, content)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wind_that_nothing_withstands_is_refused() -> None:
+    from tests.simulating import world_of
+
+    with pytest.raises(UserError, match="Wind must be at most 100 m/s, not 1000"):
+        Settings.model_validate({"Wind": {"X": 1000}}).prepare(world_of(NATIVE))

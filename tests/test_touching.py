@@ -15,6 +15,7 @@ from uavaccel.sim.quadrotor import air_density
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
+from uavaccel.wire.types import EPOCH_NS
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=lambda profile: profile.name)
 HULL_HALF_HEIGHT_M, HULL_RADIUS_M = 0.045, 0.3418  # of quadrotor.xml
@@ -59,7 +60,7 @@ def test_every_touch_is_told_once_and_a_reset_forgets_it(profile: Profile) -> No
         assert (first["has_collided"], again["has_collided"]) == (True, False)
         assert first["object_name"] == again["object_name"] == "ground"
         assert first["collision_count"] == touch
-        stamp_s = (first["time_stamp"] - simulation.time_of(0)) / 1e9
+        stamp_s = (first["time_stamp"] - EPOCH_NS - simulation.time_of(0)) / 1e9
         assert stamp_s == pytest.approx(start_s + fall_s, abs=2 * profile.tick_s)
         np.testing.assert_allclose(vector(first["normal"]), [0.0, 0.0, -1.0], atol=1e-9)
         x, y, z = vector(first["impact_point"])

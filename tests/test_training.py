@@ -26,7 +26,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
-from uavaccel.rl.lanes import Lanes
+from uavaccel.rl.lanes import Lanes, make_lanes, seed_lanes
 from uavaccel.rl.learner import learning_rhythm
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.rl.replay import Batch
@@ -157,6 +157,32 @@ def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(training, "make_lanes", side_by_side)
     assert train_into(tmp_path / "one", config) == processes
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
+
+
+def test_lanes_in_turns_are_learned_from_row_by_row(tmp_path: Path) -> None:
+    config = tiny_config(STATE, mirror=False, environments=3, turns=2)
+    lanes = make_lanes(config.task, 3)
+    try:
+        learner = DoubleDQN(config, lanes)
+        seed_lanes(lanes, config.seed)
+        while len(learner.buffer) < 10:
+            learner.advance()
+        assert [len(group) for group in learner.groups] == [2, 1]
+        stored = learner.buffer.get_state()
+        goes_on = stored["dones"][:9] == 0  # elsewhere the next observation is that of another game
+        assert goes_on.sum() > 20
+        assert np.array_equal(stored["next_observations"][:9][goes_on], stored["observations"][1:10][goes_on])
+    finally:
+        lanes.close()
+
+
+def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path) -> None:
+    config = tiny_config(STATE, mirror=False, environments=3, turns=2, games=9, checkpoint_games=3)
+    (tmp_path / "config.yaml").write_text(to_yaml(config))
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "7"]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    resumed = train_into(tmp_path / "killed", config, resume=True)
+    assert resumed == train_into(tmp_path / "whole", config)
 
 
 class Logged(DummyVecEnv):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from uavaccel.bench.memory import proportional_mib
 from uavaccel.bench.speed import Measurement, elapsed_s
 from uavaccel.envs.batch import MOST_TILES, LaneBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -38,10 +40,13 @@ def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
     for lanes in size.lanes:
         bare, who = bare_tiles(min(size.tiles or lanes, MOST_TILES))
         for name, task in (("pictures", MANY_PICTURES), ("commands", {})):
-            per_s, processes, tiles = _fly(size, lanes, COMMANDS[name], task)
+            per_s, processes, tiles, memory_mib = _fly(size, lanes, COMMANDS[name], task)
             note = f"{processes} processes, {tiles} tiles, {size.renderer} renderer, {who}"
             if name == "commands":
                 yield Measurement(f"{lanes} lanes: commands", per_s, "commands/s", None, note)
+                if memory_mib is not None:
+                    note = "proportional set size of all processes, this one included"
+                    yield Measurement(f"{lanes} lanes: memory", memory_mib, "MiB", None, note)
                 continue
             frames = round(MANY_PICTURES["t_move_s"] / MANY_PICTURES["t_sample_s"])
             yield Measurement(f"{lanes} lanes: pictures", per_s * frames, "frames/s", bare, note)
@@ -50,8 +55,10 @@ def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
             )
 
 
-def _fly(size: BatchSize, lanes: int, commands: int, task: dict[str, float]) -> tuple[float, int, int]:
-    """Commands per second of all lanes together, processes and tiles."""
+def _fly(
+    size: BatchSize, lanes: int, commands: int, task: dict[str, float]
+) -> tuple[float, int, int, float | None]:
+    """Commands per second of all lanes together, processes, tiles and MiB."""
     random = np.random.default_rng(0)
     batch = LaneBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
 
@@ -64,7 +71,9 @@ def _fly(size: BatchSize, lanes: int, commands: int, task: dict[str, float]) -> 
         batch.reset(seed=0)
         fly(WARM_UP)
         took_s = elapsed_s(lambda: fly(commands))
-        return commands * lanes / took_s, batch.processes, batch.tiles
+        renderer = [] if batch.service is None else [batch.service.process.pid]
+        memory_mib = proportional_mib([os.getpid(), *batch.process_ids, *renderer])
+        return commands * lanes / took_s, batch.processes, batch.tiles, memory_mib
     finally:
         batch.close()
 

@@ -39,7 +39,7 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=v
 @app.command()
 def run(
     experiment: Annotated[
-        str, typer.Argument(help="dp1, dp2, train, evaluate, paper, or an experiment's YAML file.")
+        str, typer.Argument(help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file.")
     ],
     clock: Clock = None,
     command: Commands = None,
@@ -51,6 +51,7 @@ def run(
     timing: Timing = None,
     profile: Profile = None,
     seed: Seed = None,
+    seeds: Annotated[int | None, typer.Option(help="Of rl: trainings of each cell.")] = None,
     with_run: Annotated[
         str | None, typer.Option("--with", help="Of paper: a run of rl, which decides what needs training.")
     ] = None,
@@ -72,6 +73,7 @@ def run(
         "timing": timing,
         "profile": profile,
         "seed": seed,
+        "seeds": seeds,
         "with_run": with_run,
     }
     run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run))
@@ -245,7 +247,10 @@ def serve(
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
     recordings: Annotated[
-        Path | None, typer.Option(help="Folder for what startRecording records; otherwise the settings'.")
+        Path | None,
+        typer.Option(
+            help="Folder for what startRecording records; otherwise the settings', or ~/Documents/AirSim."
+        ),
     ] = None,
 ) -> None:
     """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""

@@ -19,5 +19,6 @@ def report_runs(run_dirs: Sequence[Path]) -> None:
         report_run(run)
         together[str(run.config()["suite"])].append(run)
     for runs in together.values():
-        if len(runs) > 1 and (path := suite_of(runs[0]).compare(runs)):
-            console.print(str(path), markup=False)
+        if len(runs) > 1:
+            for path in suite_of(runs[0]).compare(runs):
+                console.print(str(path), markup=False)

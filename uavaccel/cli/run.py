@@ -129,8 +129,10 @@ def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, 
     by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
     simulated_s = sum(case.simulated_s() for case in cases)
     disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
+    games = sum(suite.games(config, case) for case in cases)
+    what = f"{games} games" if games == len(cases) else f"{games:,} games in {len(cases)} cells"
     return (
-        f"{len(cases)} games ({by_clock}: {_sources(clocks)}), {simulated_s:,.0f} simulated s: "
+        f"{what} ({by_clock}: {_sources(clocks)}), {simulated_s:,.0f} simulated s: "
         f"estimated {duration(wall_s)} and {max(disk_mb, 1):.0f} MB, into {out}"
     )
 
@@ -171,6 +173,8 @@ def report_run(run: RunDirectory) -> Summary:
     summary = suite.report(run)
     if headline := suite.headline(summary):
         console.print(headline)
+    if pace := suite.pace(run):
+        console.print(pace)
     if table := suite.overview(summary):
         show_table(table)
     cells = summary.get("cells", ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import ipaddress
 import signal
 import sys
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation, Speed
@@ -44,6 +46,7 @@ def serve(options: ServeOptions) -> None:
     host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
     simulation = simulation_of(options, settings, clock_speed)
     api = api_of(simulation, options, settings)
+    draw_once(api)
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
@@ -88,26 +91,33 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     profile = settings.recorder_of(PROFILES[options.profile])
-    simulation = ready_simulation(options.scene, profile, clock_speed)
-    wind = settings.wind
-    try:
-        simulation.world.set_wind((wind.x, wind.y, wind.z))
-    except UserError as error:
-        raise UserError(f"{options.settings}: Wind: {error}") from None
+    simulation = ready_simulation(options.scene, profile, clock_speed, furnished=True)
+    settings.prepare(simulation.world)
     return simulation
 
 
 def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) -> Api:
     """The calls, and the vehicles that the settings ask for. Raises UserError that names the file and the key."""
     try:
-        return Api(simulation, settings, recordings=recordings_of(options, settings))
+        return Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
     except UserError as error:
         raise UserError(f"{options.settings}: {error}") from None
 
 
-def recordings_of(options: ServeOptions, settings: Settings) -> Path | None:
-    """The folder for recordings; None keeps them in memory."""
-    return options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
+def draw_once(api: Api) -> None:
+    """So that no client's first image holds up the clock; where nothing can draw, say so."""
+    try:
+        api.scenery.pictures.warm_up()
+    except UserError as error:
+        say(f"warning: there are no images: {error}")
+    gc.freeze()  # OpenGL's modules too stay: collecting them again and again would hold the clock up
+    api.simulation.reset(MonotonicClock().now_ns())  # the clock starts now
+
+
+def recordings_of(options: ServeOptions, settings: Settings) -> Path:
+    """The folder for recordings: AirSim's own, unless another is given."""
+    given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
+    return given or Path.home() / "Documents" / "AirSim"
 
 
 def start_recording(api: Api) -> None:

@@ -149,6 +149,15 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
         return self._lanes.ask_all("call", [(name, *each) for each in arguments], self._all(lanes))
 
+    def call_async(self, lane: int, name: str, *arguments: Any) -> None:
+        """Have one environment begin a method, and come back at once: `call_wait` has the result."""
+        self._lanes.ask(lane, "call", name, *arguments)
+
+    def call_wait(self) -> tuple[int, Any]:
+        """The first environment that is done of those that `call_async` sent off, and its result."""
+        lane = self._lanes.first_answered()
+        return lane, self._lanes.answer(lane)
+
     def set_each(self, name: str, value: Any, lanes: Sequence[int] | None = None) -> None:
         """Give an attribute of some environments (all) a value."""
         self._lanes.ask_all("set_attribute", [(name, value)] * len(self._all(lanes)), self._all(lanes))

@@ -55,6 +55,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
         self._sensor = self.task.sensor()
+        self._told = self.task.told()
         self._command = COMMANDS[self.task.command]
         self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
@@ -136,6 +137,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         state["game"] = json.dumps(game)
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
+        if self._told is not None:
+            state |= under("told", self._told.get_state())
         state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
         return state | under("guard", self._client.get_state())
 
@@ -154,6 +157,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         ]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
         self._sensor.set_state(part("sensor", state))
+        if self._told is not None:
+            self._told.set_state(part("told", state))
         assert self._client is not None
         self._client.set_state(part("guard", state))
         self._frames.extend(state["frames"])
@@ -208,21 +213,30 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         start = self._sensor.reset(first.state, first.image, course)
         seen = start if task.sees_start and not task.blank_images else self._sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
+        if self._told is not None:
+            self._told.start(first.state.time_ns)
         self._command.begin(self._client)
 
     def _fly(self, client: FlightClient, action: Any) -> Moment:
         """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
         task, now = self.task, self._now
         goal, missing = task.goal(action), task.frames_per_command
+        taken_ns, gathered_ns = [], 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
             now = now._replace(state=sample.state, position_m=sample.state.position_m)
+            gathered_ns = client.now_ns()
             if sample.collision:
                 hit, position_m = str(sample.collision["object"]), tuple(sample.collision["position_m"])
                 now = now._replace(position_m=position_m, collision=hit)
                 break
             self._frames.append(self._see(sample))
+            taken_ns.append(sample.state.time_ns)
             missing -= 1
         self._frames.extend([self._sensor.blank] * missing)
+        if self._told is not None:
+            since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock stands
+            present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
+            self._told.flown(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
 
     def _see(self, sample: FlightSample) -> NDArray[Any]:
@@ -240,7 +254,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             stopwatch.switch(phase)
 
     def _observation(self) -> Observation:
-        return np.concatenate(self._frames)
+        told = () if self._told is None else (self._told.seen(),)
+        return np.concatenate([*self._frames, *told])
 
     def _info(self) -> Info:
         now = self._now

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import sys
 import threading
 import traceback
@@ -24,6 +25,8 @@ from uavaccel.envs.batch_memory import Observations
 from uavaccel.errors import UserError
 from uavaccel.sim.camera import make_cameras_with
 from uavaccel.sim.rendering.camera import RemoteCamera
+
+NICENESS = 5  # the renderer and the learner, for whom all lanes wait, go first
 
 
 class Lane:
@@ -105,6 +108,7 @@ def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int
 
 def main() -> None:
     options = json.loads(sys.argv[1])
+    os.nice(NICENESS)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
     threads = [threading.Thread(target=fly, args=(options, place)) for place in options["lanes"]]
     for thread in threads:

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from uavaccel.errors import UserError
@@ -82,6 +82,13 @@ class LaneProcesses:
             return answer[1]
         raise self._error(lane, *answer[1:])
 
+    def first_answered(self) -> int:
+        """A lane whose answer to a question is there; waits for one. Raises BatchError where none was asked."""
+        asked = {self._connections[lane]: lane for lane, waiting in enumerate(self._asked) if waiting}
+        if not asked:
+            raise BatchError("no lane was asked for anything")
+        return asked[wait(list(asked))[0]]  # type: ignore[index]
+
     def ask_all(self, method: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int]) -> list[Any]:
         """A question to each of some lanes, all asked before the first answer is taken."""
         for lane, each in zip(lanes, arguments, strict=True):
@@ -124,6 +131,9 @@ class LaneProcesses:
         for connection in self._connections:
             connection.close()
         self._connections = []
+        if any(self._asked):  # a question may be a whole game, and nobody waits for its answer any more
+            for process in self._processes:
+                process.terminate()
         for process in self._processes:
             stop(process)
         self._processes = []

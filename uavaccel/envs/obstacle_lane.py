@@ -12,10 +12,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from gymnasium import spaces
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Course, Moment, Positive, Task
+from uavaccel.envs.told import Knowledge, Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import LaneFile, parse_lane
@@ -35,6 +36,9 @@ class LaneTask(Task):
     lane: LaneFile | None = None
     """One lane for all games, instead of drawn ones: written out, or the name of its YAML file."""
     observation: Literal["dvs", "state", "colour", "depth"] = "dvs"
+
+    knows: tuple[Knowledge, ...] = ()
+    """What the agent is told beside its pictures: last_action, frame_age."""
 
     t_move_s: Positive = 1.0
     t_sample_s: Positive = 0.33
@@ -60,6 +64,22 @@ class LaneTask(Task):
         if not headings:
             raise ValueError("needs at least one heading")
         return headings
+
+    @model_validator(mode="after")
+    def _tells_beside_pictures(self) -> LaneTask:
+        if self.knows and self.observation == "state":
+            raise ValueError(
+                "knows needs pictures, beside which it is told: observation dvs, colour or depth"
+            )
+        if len(set(self.knows)) < len(self.knows):
+            raise ValueError("knows must not name one thing twice")
+        return self
+
+    def told(self) -> Told | None:
+        """Its last action and the age of its frames, where `knows` says so."""
+        if not self.knows:
+            return None
+        return Told(self.knows, self.headings_deg, self.frames_per_command * self.history)
 
     @property
     def typical_s(self) -> float:

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
+from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.sim.profile import PROFILES
@@ -130,12 +131,18 @@ class Task(Config):
         )
 
     def observation_space(self) -> spaces.Box:
-        """Of the frames of `history` commands, stacked along the first axis."""
+        """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""
         blank = self.sensor().blank
-        shape = (self.frames_per_command * self.history * blank.shape[0], *blank.shape[1:])
+        told = self.told()
+        planes = 0 if told is None else told.planes
+        shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])
         if blank.dtype == np.uint8:
             return spaces.Box(0, 255, shape, np.uint8)
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+    def told(self) -> Told | None:
+        """What the agent is told beside its frames."""
+        return None
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
         """A frame of observation "state"."""

@@ -55,7 +55,7 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = ("observation", "history", "blank_images", "dvs_preset", "dvs_seed", "dvs_rate_hz")
+SENSES = ("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed", "dvs_rate_hz")
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
@@ -91,7 +91,7 @@ def make_agent(name: str, task: LaneTask) -> Agent:
 
 def _refuse_misfit(name: str, policy: Policy, task: LaneTask) -> None:
     trained = policy.config.task
-    for key in ("observation", "history"):
+    for key in ("observation", "history", "knows"):
         if getattr(task, key) != getattr(trained, key):
             raise UserError(
                 f"task.{key} = {getattr(task, key)!r}: {name} was trained with {getattr(trained, key)!r}"

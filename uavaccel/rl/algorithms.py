@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import stable_baselines3
+import torch as th
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.errors import UserError
 from uavaccel.rl.config import LearnerConfig
@@ -62,3 +66,14 @@ def make_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
     space, actions = config.task.observation_space(), config.task.action_space()
     policy: BasePolicy = make(space, actions, learning_rate, **policy_keywords(config))
     return policy
+
+
+def greedy(policy: BasePolicy, observations: NDArray[Any]) -> NDArray[np.int64]:
+    """The best actions (n,) for observations (n, ...)."""
+    if not isinstance(policy, DQNPolicy):
+        return np.asarray(policy.predict(observations, deterministic=True)[0])
+    with (
+        th.inference_mode()
+    ):  # as `predict`, without its checks and switches, which take longer than the network
+        ratings = policy.q_net(th.from_numpy(observations).to(policy.device))
+        return np.asarray(ratings.argmax(dim=1).cpu())

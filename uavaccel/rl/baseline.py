@@ -48,7 +48,7 @@ class Baseline:
         self._watch("train", "learning")
         self._watch("predict", "inference")
         self._callback = _Games(self)
-        self._begun = False
+        self._begun = self.holding = False
 
     @property
     def policy(self) -> BasePolicy:

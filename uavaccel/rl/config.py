@@ -18,6 +18,8 @@ class LearnerConfig(Config):
     games: Annotated[int, Field(ge=1)] = 5000
     environments: Annotated[int, Field(ge=1)] = 1
     """Lanes flown side by side, each in a process of its own; 1 with wall, where neighbours would disturb."""
+    turns: Annotated[int, Field(ge=1)] = 1
+    """Groups of the lanes that take turns, of double_dqn: while one decides and is learned from, the others fly."""
     task: LaneTask = LaneTask()
 
     algorithm: str = "double_dqn"
@@ -46,6 +48,12 @@ class LearnerConfig(Config):
     def _timing_allows(self) -> LearnerConfig:
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
+        return self
+
+    @model_validator(mode="after")
+    def _turns_have_lanes(self) -> LearnerConfig:
+        if self.turns > self.environments:
+            raise ValueError(f"turns must be at most environments: {self.turns} of {self.environments} lanes")
         return self
 
     @model_validator(mode="after")

@@ -1,6 +1,6 @@
 """Double DQN (van Hasselt et al., AAAI 2016) over lanes flown side by side: a training's loop, on one page.
 
-collect    an action for each lane, greedy or at random; the lanes fly on their own,
+collect    an action for each lane, greedy or at random; the lanes fly on their own, in groups that take turns,
 learn      and meanwhile batches are drawn and the online network steps towards the target network's rating;
 store      what the lanes gave back goes into the replay buffer;
 schedule   exploration and learning rate fall with the games done, the target network follows now and then.
@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.algorithms import greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.graph import GraphedStep
@@ -39,7 +39,7 @@ from uavaccel.rl.learner import (
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.replay import Batch, ReplayBuffer
+from uavaccel.rl.replay import Batch, ReplayBuffer, Row
 
 COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
 
@@ -64,6 +64,12 @@ class DoubleDQN:
             None if (turned := mirrored_actions(config)) is None else th.tensor(turned, device=self.device)
         )
         self.observations: NDArray[Any] | None = None
+        self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(lanes.num_envs), config.turns)
+        self.holding = False
+        self._next = 0  # group to take off
+        self._flying: deque[int] = deque()
+        self._actions = np.zeros(lanes.num_envs, np.int64)
+        self._charges = [0] * config.turns  # gradient steps that each group has yet to pay for
         self.returns = [0.0] * lanes.num_envs
         self.games = self.commands = self.steps = self.updates = self.owed = 0
         self.exploration_rate = 0.0
@@ -74,46 +80,66 @@ class DoubleDQN:
         self._flights_left = 0
 
     def advance(self) -> list[Game]:
-        """One command of every lane, and the learning beside it; the games that ended with it."""
+        """A group of lanes takes off, learning goes on, and once all are in the air the first one lands.
+
+        Gives the games that ended with it. While it is `holding`, the first group waits until all are down.
+        """
         if self.observations is None:
             self.observations = np.asarray(self.lanes.reset())
-        if self.at_rest:
-            charge_learning(self.lanes, self.config, self.owed)
-        actions = self._act(self.observations)
-        self.lanes.step_async(actions)
+            self._row = Row.like(self.observations)
+        waits = self.holding and self._next == 0 and self._flying
+        if not waits:
+            self._take_off(self._next, self.observations)
         self._learn_beside_the_flight()
-        after, rewards, dones, infos = self.lanes.step_wait()
-        seen = np.asarray(after)
-        self.commands += self.lanes.num_envs
-        games = finished_games(self, rewards.tolist(), dones.tolist(), infos)
-        charge_inference(self.lanes, self.config)
-        if self.games < self.config.games:
-            self._store(actions, rewards, seen, dones, infos)
-            self._schedule()
-        self.observations = seen
-        return games
+        all_in_the_air = len(self._flying) == len(self.groups)
+        return self._land(self._flying.popleft()) if all_in_the_air or waits else []
 
     @property
     def at_rest(self) -> bool:
-        """Whether a checkpoint can be taken: between two learnings, with none half done."""
-        return self.steps % self._rhythm[0] == 0 and not self._parts
+        """Whether a checkpoint can be taken: between two learnings, none half done, and every lane down."""
+        return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
     # --- collect ----------------------------------------------------------------------------------
+
+    def _take_off(self, group: int, observations: NDArray[Any]) -> None:
+        lanes = self.groups[group]
+        charge_learning(self.lanes, self.config, self._charges[group], lanes)
+        self._charges[group] = 0
+        self._actions[lanes] = self._act(observations[lanes])
+        self.lanes.step_async(self._actions[lanes], *self._in_part(lanes))
+        self._flying.append(group)
+        self._next = (group + 1) % len(self.groups)
+
+    def _land(self, group: int) -> list[Game]:
+        lanes = self.groups[group]
+        after, rewards, dones, infos = self.lanes.step_wait(*self._in_part(lanes))
+        seen = np.asarray(after)
+        self.commands += len(lanes)
+        games = finished_games(self, rewards.tolist(), dones.tolist(), infos, lanes.tolist())
+        charge_inference(self.lanes, self.config, lanes)
+        self._keep(lanes, rewards, seen, dones, infos)
+        if group == len(self.groups) - 1 and self.games < self.config.games:
+            self.buffer.add(*self._row)
+            self._schedule()
+        return games
+
+    def _in_part(self, lanes: NDArray[np.int64]) -> tuple[list[int], ...]:
+        """What to add to a call that is for some lanes; nothing for all of them, which any VecEnv understands."""
+        return () if len(self.groups) == 1 else (lanes.tolist(),)
 
     def _act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         with self.stopwatch.phase("inference"):
             warming_up = self.commands < self.options.learning_starts
             if warming_up or self.random.rand() < self.exploration_rate:
-                return np.array([self.lanes.action_space.sample() for _ in range(self.lanes.num_envs)])
-            self.policy.set_training_mode(False)
-            return np.asarray(self.policy.predict(observations, deterministic=True)[0])
+                return np.array([self.lanes.action_space.sample() for _ in observations])
+            return greedy(self.policy, observations)
 
     # --- learn ------------------------------------------------------------------------------------
 
     def _learn_beside_the_flight(self) -> None:
         """An equal part of what is owed, so that all is done before the next is."""
         if self.owed and not self._parts:
-            self._flights_left = self._rhythm[0]
+            self._flights_left = self._rhythm[0] * len(self.groups)
             self._parts.extend(self._parts_of(self.owed, self._flights_left))
         if not self._parts:
             return
@@ -169,7 +195,6 @@ class DoubleDQN:
 
     def _descend(self, batch: Batch, targets: th.Tensor) -> None:
         """One step of the online network towards the targets, by Huber's loss."""
-        self.policy.set_training_mode(True)
         chosen = self.policy.q_net(batch.observations).gather(1, batch.actions)
         loss = functional.smooth_l1_loss(chosen, targets)
         self.policy.optimizer.zero_grad()
@@ -198,20 +223,24 @@ class DoubleDQN:
 
     # --- store, schedule --------------------------------------------------------------------------
 
-    def _store(
+    def _keep(
         self,
-        actions: NDArray[np.int64],
+        lanes: NDArray[np.int64],
         rewards: Any,
         seen: NDArray[Any],
         dones: Any,
         infos: list[dict[str, Any]],
     ) -> None:
-        after = seen.copy()  # where a game ended, `seen` is the next one's first observation
-        for lane, info in enumerate(infos):
-            if dones[lane] and "terminal_observation" in info:
-                after[lane] = info["terminal_observation"]
-        truncated = np.array([bool(info.get("TimeLimit.truncated", False)) for info in infos])
-        self.buffer.add(self.observations, actions, rewards, after, dones, truncated)  # type: ignore[arg-type]
+        """What a group saw, did and brought back, until the last one has landed."""
+        assert self.observations is not None
+        row = self._row
+        row.observations[lanes], row.actions[lanes] = self.observations[lanes], self._actions[lanes]
+        row.rewards[lanes], row.after[lanes], row.dones[lanes] = rewards, seen, dones
+        for lane, info, done in zip(lanes, infos, dones, strict=True):
+            row.truncated[lane] = bool(info.get("TimeLimit.truncated", False))
+            if done and "terminal_observation" in info:  # `seen` is the next game's first observation
+                row.after[lane] = info["terminal_observation"]
+        self.observations[lanes] = seen
 
     def _schedule(self) -> None:
         options, remaining = self.options, 1.0 - self.games / self.config.games
@@ -220,8 +249,10 @@ class DoubleDQN:
         if self.steps % max(options.target_update_interval // self.lanes.num_envs, 1) == 0:
             polyak_update(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), 1.0)
         self.exploration_rate = options.exploration_rate(remaining)
-        if self.at_rest and self.commands > options.learning_starts:
+        due = self.steps % self._rhythm[0] == 0 and not self._parts
+        if due and self.commands > options.learning_starts:
             self.owed += self._rhythm[1]
+            self._charges = [self.owed] * len(self.groups)
 
     # --- going on after a stop ----------------------------------------------------------------------
 
@@ -246,6 +277,8 @@ class DoubleDQN:
             setattr(self, name, state.counters[name])
         set_generator(self.random, state.counters["random"])
         self.observations = observations
+        self._row = Row.like(observations)
+        self._charges = [self.owed] * len(self.groups)
 
 
 def mirrored_actions(config: LearnerConfig) -> list[int] | None:

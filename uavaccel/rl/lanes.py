@@ -29,17 +29,20 @@ class BatchVecEnv(VecEnv):
         self._reset_options()
         return self.batch.observations()
 
-    def step_async(self, actions: np.ndarray) -> None:
-        self.batch.step_async(actions)
+    def step_async(self, actions: np.ndarray, lanes: Sequence[int] | None = None) -> None:
+        """A command each for some lanes (all)."""
+        self.batch.step_async(actions, lanes)
 
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, terminated, truncated, infos = self.batch.step_wait()
+    def step_wait(self, lanes: Sequence[int] | None = None) -> VecEnvStepReturn:
+        """What those lanes bring back."""
+        observations, rewards, terminated, truncated, infos = self.batch.step_wait(lanes)
         cut_off = (truncated & ~terminated).tolist()
-        for lane, (info, cut) in enumerate(zip(infos, cut_off, strict=True)):
+        flown = range(self.num_envs) if lanes is None else lanes
+        for place, (lane, info, cut) in enumerate(zip(flown, infos, cut_off, strict=True)):
             if "final_info" in info:
                 self.reset_infos[lane] = info
-                infos[lane] = {**info.pop("final_info"), "terminal_observation": info.pop("final_obs")}
-            infos[lane]["TimeLimit.truncated"] = cut
+                infos[place] = {**info.pop("final_info"), "terminal_observation": info.pop("final_obs")}
+            infos[place]["TimeLimit.truncated"] = cut
         return observations, rewards, terminated | truncated, infos
 
     def close(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -44,6 +44,8 @@ class Learner(Protocol):
     games: int
     returns: list[float]
     stopwatch: Stopwatch
+    holding: bool
+    """Whether it is to come to rest soon, for a checkpoint."""
 
     @property
     def policy(self) -> BasePolicy:
@@ -70,12 +72,17 @@ class Learner(Protocol):
 
 
 def finished_games(
-    learner: Learner, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[dict[str, Any]]
+    learner: Learner,
+    rewards: Sequence[float],
+    dones: Sequence[bool],
+    infos: Sequence[dict[str, Any]],
+    lanes: Sequence[int] | None = None,
 ) -> list[Game]:
-    """Count a step's rewards; the games that ended with it, up to as many as are wanted."""
+    """Count the rewards of a step of some lanes (all); the games that ended with it, up to as many as are wanted."""
     games: list[Game] = []
-    for lane, (done, info) in enumerate(zip(dones, infos, strict=True)):
-        learner.returns[lane] += float(rewards[lane])
+    flown = range(learner.lanes.num_envs) if lanes is None else lanes
+    for lane, reward, done, info in zip(flown, rewards, dones, infos, strict=True):
+        learner.returns[lane] += float(reward)
         if done and learner.games < learner.config.games:
             games.append(Game(learner.games, lane, info, learner.returns[lane], learner.exploration_rate))
             learner.returns[lane] = 0.0
@@ -94,16 +101,19 @@ def falling(start: float, final_share: float, remaining: float) -> float:
     return start * (final_share + (1.0 - final_share) * remaining)
 
 
-def charge_inference(lanes: Lanes, config: LearnerConfig) -> None:
-    """In `virtual` each lane pays for its decision."""
+def charge_inference(lanes: Lanes, config: LearnerConfig, which: Iterable[int] | None = None) -> None:
+    """In `virtual` each lane pays for its decision; `which` of them, all by default."""
     if config.task.timing == "virtual":
-        lanes.env_method("charge", config.inference_s, "inference")
+        lanes.env_method("charge", config.inference_s, "inference", indices=which)
 
 
-def charge_learning(lanes: Lanes, config: LearnerConfig, gradient_steps: int) -> None:
+def charge_learning(
+    lanes: Lanes, config: LearnerConfig, gradient_steps: int, which: Iterable[int] | None = None
+) -> None:
     """In `virtual` each lane pays for the gradient steps that its own commands bring about."""
     if config.task.timing == "virtual" and gradient_steps:
-        lanes.env_method("charge", gradient_steps / lanes.num_envs * config.learning_s, "learning")
+        share_s = gradient_steps / lanes.num_envs * config.learning_s
+        lanes.env_method("charge", share_s, "learning", indices=which)
 
 
 def plain_generator(random: np.random.RandomState) -> list[Any]:

@@ -19,7 +19,7 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import replacing, to_json
-from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.algorithms import greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
@@ -40,7 +40,7 @@ class Policy:
 
     def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         """Actions (n,) for observations (n, ...)."""
-        return np.asarray(self.network.predict(observations, deterministic=True)[0])
+        return greedy(self.network, observations)
 
 
 def weights_sha256(policy: BasePolicy) -> str:

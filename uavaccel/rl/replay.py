@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
@@ -18,6 +18,30 @@ class Batch(NamedTuple):
     dones: th.Tensor  # (n, 1): the game was over, not cut short
     rewards: th.Tensor  # (n, 1)
     discounts: th.Tensor  # (n, 1): of the rating of what followed
+
+
+class Row(NamedTuple):
+    """One command of every lane, as the replay buffer takes it; filled group by group."""
+
+    observations: NDArray[Any]
+    actions: NDArray[np.int64]
+    rewards: NDArray[np.float64]
+    after: NDArray[Any]
+    dones: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+    @classmethod
+    def like(cls, observations: NDArray[Any]) -> Row:
+        """An empty one for observations (lanes, ...)."""
+        lanes = len(observations)
+        return cls(
+            np.empty_like(observations),
+            np.empty(lanes, np.int64),
+            np.empty(lanes),
+            np.empty_like(observations),
+            np.empty(lanes, np.bool_),
+            np.empty(lanes, np.bool_),
+        )
 
 
 class ReplayBuffer:
@@ -48,7 +72,7 @@ class ReplayBuffer:
         self,
         observations: NDArray[np.generic],
         actions: NDArray[np.int64],
-        rewards: NDArray[np.float32],
+        rewards: NDArray[np.floating[Any]],
         next_observations: NDArray[np.generic],
         dones: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
@@ -78,18 +102,22 @@ class ReplayBuffer:
         discounts = gamma ** counted.sum(axis=1).astype(np.float32)
         final = (rows + last) % self.rows
         dones = self.dones[final, lanes] * (1.0 - self.truncated[final, lanes])
-        row, lane, after = (th.from_numpy(each).to(self.device) for each in (rows, lanes, final))
+        row, lane, after, actions = self._sent(rows, lanes, final, self.actions[rows, lanes])
+        dones, rewards, discounts = self._sent(
+            *(each.astype(np.float32) for each in (dones, rewards, discounts))
+        )
         return Batch(
             self.observations[row, lane],
-            self._column(self.actions[rows, lanes]),
+            actions[:, None],
             self.next_observations[after, lane],
-            self._column(dones.astype(np.float32)),
-            self._column(rewards.astype(np.float32)),
-            self._column(discounts.astype(np.float32)),
+            dones[:, None],
+            rewards[:, None],
+            discounts[:, None],
         )
 
-    def _column(self, values: NDArray[np.generic]) -> th.Tensor:
-        return th.from_numpy(values[:, None]).to(self.device)
+    def _sent(self, *values: NDArray[np.generic]) -> th.Tensor:
+        """Arrays (n,) of one type on the device, in one go: a transfer waits for all that the GPU has to do."""
+        return th.from_numpy(np.stack(values)).to(self.device)
 
     def get_state(self) -> dict[str, NDArray[np.generic]]:
         """All of it, as arrays."""

@@ -99,11 +99,15 @@ class Camera:
     def _open(self) -> None:
         self._gl: Any
         self._gl, self.renderer = gl.make_context(self.width, self.height)
+        self._turns = gl.turns(self.renderer)
         set_quality(self.model, self.width, self.height)
-        self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        gl.sample_textures_fast(self._context)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._read_pixels = gl.pixel_reader()
+        with self._turns:
+            self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            gl.sample_textures_fast(self._context)
+            if self.renderer.software:
+                gl.drop_stencil(self._context, self.width, self.height)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            self._read_pixels = gl.pixel_reader()
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         _close_at_exit(self)
 
@@ -135,7 +139,8 @@ class Camera:
         """Metres along the optical axis (AirSim's DepthPlanar); `far_m` for the sky; (height, width) float32."""
         self._draw(data, as_ids=True)  # depth needs no lighting
         picture = _target((self.height, self.width), np.dtype(np.float32), out)
-        mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
+        with self._turns:
+            mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
         return to_metres(self.model, _turned_over(picture, out))
 
     def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
@@ -160,25 +165,29 @@ class Camera:
     def _draw(self, data: mujoco.MjData, as_ids: bool = False) -> None:
         self._bind()
         scene = self._view.update(data, as_ids)
-        mujoco.mjr_render(self._rectangle, scene, self._context)
+        with self._turns:
+            mujoco.mjr_render(self._rectangle, scene, self._context)
 
     def _read_colours(self) -> None:
         """Red, green, blue, alpha, four bytes per pixel: leaving out the fourth takes the driver five times as long."""
-        self._read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
+        with self._turns:
+            self._read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
 
     def _bind(self) -> None:
         if self._gl is None:
             raise ValueError("this camera is closed")
         gl.check_process()
-        gl.bind(self._gl)
+        with self._turns:
+            gl.bind(self._gl)
 
     def close(self) -> None:
         """Free what OpenGL holds; further calls do nothing."""
         if getattr(self, "_gl", None) is None or not gl.survives():
             return
         self._bind()
-        self._context.free()  # before its GL context, or it would free what is another's
-        gl.release(self._gl)
+        with self._turns:
+            self._context.free()  # before its GL context, or it would free what is another's
+            gl.release(self._gl)
         self._context = self._gl = None
 
     def __enter__(self) -> Self:

@@ -32,15 +32,29 @@ class Clearance:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         body = model.body("quadrotor").id
-        touching = (model.geom_contype | model.geom_conaffinity) > 0
-        self._still = np.flatnonzero(touching & (model.geom_bodyid == 0))
+        touching = self._find_surroundings(model)
         own = touching & (model.geom_bodyid == body)
         self._radius_m = float((np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound)[own].max())
-        self._model, self._data = model, data
+        self._model = model
+        # views, which MuJoCo makes anew whenever they are asked for
+        self._qpos, self._places = (
+            data.qpos,
+            (model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb),
+        )
         self._alone = model.nbody == 2  # the world and the vehicle: nothing else moves
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._next_look_tick = 0
+
+    def _find_surroundings(self, model: mujoco.MjModel) -> NDArray[np.bool_]:
+        touching: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) > 0
+        self._still = np.flatnonzero(touching & (model.geom_bodyid == 0))
+        return touching
+
+    def surroundings_changed(self) -> None:
+        """Something was moved, has come or has gone."""
+        self._find_surroundings(self._model)
+        self.look_anew()
 
     def look_anew(self) -> None:
         """The vehicle or its surroundings were moved."""
@@ -71,10 +85,7 @@ class Clearance:
         """Seconds of flight, 0 or more, in which nothing can be touched, whatever the autopilot does."""
         if not self._alone:
             return 0.0
-        model, data = self._model, self._data
-        distance_m = _distance(
-            data.qpos, self._still, model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb
-        )
+        distance_m = _distance(self._qpos, self._still, *self._places)
         speed = math.hypot(*state["velocity"].tolist())
         strongest = _strongest_acceleration(parameters, speed + math.hypot(*state["wind"].tolist()))
         return _time_to(distance_m - self._radius_m - MARGIN_M, speed, strongest)
@@ -83,7 +94,7 @@ class Clearance:
 def _strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
     """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
     rotors = 4 * parameters["max_thrust_n"] * STRONGEST_THRUST
-    drag = np.linalg.norm(parameters["drag_factor_m2"]) * DENSEST_AIR * (airspeed_m_s + GUST_M_S) ** 2
+    drag = math.hypot(*parameters["drag_factor_m2"].tolist()) * DENSEST_AIR * (airspeed_m_s + GUST_M_S) ** 2
     return float((rotors + drag) / parameters["mass_kg"] + parameters["gravity_m_s2"])
 
 

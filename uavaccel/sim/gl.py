@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import threading
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -23,6 +24,7 @@ PROBE_TIMEOUT_S = 60.0  # drivers that hang were reported (google-deepmind/mujoc
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6"
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
 
+_driver = threading.RLock()
 _in_thread = threading.local()  # .context: the one that is current
 _drawn = False  # whether this process, or one that it was forked from, has made a context
 _forked = False  # whether it was forked after that
@@ -47,6 +49,11 @@ class GlRenderer:
     software: bool
 
 
+def turns(renderer: GlRenderer) -> AbstractContextManager[Any]:
+    """Lets the threads of this process draw one at a time in software: Mesa crashes now and then where many do."""
+    return _driver if renderer.software else nullcontext()
+
+
 def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
     """A GL context of MuJoCo's, made current in this thread, and who draws in it.
 
@@ -58,10 +65,11 @@ def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
     backend = choose_backend()
     try:
         module = f"mujoco.{backend}" if backend in HEADLESS else "mujoco.rendering.classic.gl_context"
-        context = importlib.import_module(module).GLContext(width, height)
-        _drawn = True
-        bind(context)
-        return context, _current_renderer(backend)
+        with _driver:
+            context = importlib.import_module(module).GLContext(width, height)
+            _drawn = True
+            bind(context)
+            return context, _current_renderer(backend)
     except Exception as error:  # of several libraries, each with its own kind
         raise UserError(
             f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
@@ -91,6 +99,22 @@ def sample_textures_fast(context: Any) -> None:
         GL.glBindTexture(target, int(texture))
         GL.glTexParameteri(target, GL.GL_TEXTURE_MIN_FILTER, GL.GL_NEAREST_MIPMAP_NEAREST)
         GL.glTexParameteri(target, GL.GL_TEXTURE_MAG_FILTER, GL.GL_NEAREST)
+
+
+def drop_stencil(context: Any, width: int, height: int) -> None:
+    """Give the off-screen buffer depths without MuJoCo's stencil beside them: a fifth of the frame, in software.
+
+    The stencil is for reflections, of which there are none; depths have the same 32 bits, so pixels are the same. The
+    buffer goes with the GL context.
+    """
+    from OpenGL import GL
+
+    depth = GL.glGenRenderbuffers(1)
+    GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, depth)
+    GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH_COMPONENT32F, width, height)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, int(context.offFBO))
+    for attachment, buffer in ((GL.GL_DEPTH_STENCIL_ATTACHMENT, 0), (GL.GL_DEPTH_ATTACHMENT, depth)):
+        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
 
 
 def pixel_reader() -> Any:

@@ -57,6 +57,7 @@ class Simulation(Commanded):
         self.paused = False
         self.pilots = [Pilot(self, vehicle) for vehicle in world.vehicles]
         self.period: Continue | None = None
+        self.records_game = True  # a recording begins anew with the first command
         self.trace = Trace()
         self.failure: str | None = None
         self.time0_ns = 0
@@ -262,13 +263,17 @@ class Simulation(Commanded):
         """The state at the present tick, stamped with `time_ns`."""
         return self.world.kinematics(self.time0_ns)
 
+    def truth(self) -> Kinematics:
+        """The leading vehicle's state in the world's frame, which is its own unless the settings place it."""
+        return self.world.lead.kinematics(self.time0_ns, in_world=True)
+
     def record(self) -> None:
         """Start the recorder anew: nobody else does."""
         self.world.start_recording()
 
     def begin_recording(self, pilot: Pilot) -> None:
         """t = 0 of a recording is the tick at which the leading vehicle's first command is accepted."""
-        if pilot is self.lead and not pilot.log and self.world.recording:
+        if self.records_game and pilot is self.lead and not pilot.log and self.world.recording:
             self.record()
 
     def recording(self) -> Recording:

@@ -150,11 +150,12 @@ class Vehicle:
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
 
-    def kinematics(self, origin_ns: int = 0) -> Kinematics:
+    def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
         """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
         n = tuple(self._kinematics.tolist())
         time_ns = origin_ns + self.tick * self.profile.tick_ns
-        return Kinematics(time_ns, self.local(n[0:3]), n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
+        place_m = n[0:3] if in_world else self.local(n[0:3])
+        return Kinematics(time_ns, place_m, n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
 
     def local(self, place_m: Vector) -> Vector:
         """A place of the world in the vehicle's own frame."""

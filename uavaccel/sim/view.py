@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene import DRONE_GROUP
+from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
 
 Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
@@ -49,13 +51,27 @@ class View:
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
+        self._eye: Pose | None = None
         self._resized = not self._models_own_view(width)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
+
+    def look_from(self, eye: Pose | None, width: int, height: int, fov_deg: float) -> None:
+        """Look from a place in the world, NED, None for the camera's own, and in another form."""
+        self._eye = eye
+        self.half_width = float(np.tan(np.radians(fov_deg) / 2))
+        self._half_height = self.half_width * height / width
+        self._resized = not self._models_own_view(width)
+
+    def show_everything(self) -> None:
+        """Draw the drone too."""
+        self._options.geomgroup[DRONE_GROUP] = True
 
     def update(self, data: mujoco.MjData, as_ids: bool = False) -> mujoco.MjvScene:
         """The scene for the pose in `data.qpos`; `as_ids` draws each geom in a colour that stands for it, unlit."""
         mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
         mujoco.mj_camlight(self.model, data)
+        if self._eye is not None:
+            self._place_eye(data, self._eye)
         if as_ids != self._as_ids:
             self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
@@ -71,6 +87,13 @@ class View:
             ids[geom.segid + 1] = geom.objid
         return np.take(ids, segments, out=out)
 
+    def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:
+        """Let the model's camera be elsewhere: physics takes no notice of cameras, and each step places them anew."""
+        camera = self._camera.fixedcamid
+        forward, right, down = eye.matrix().T
+        axes = np.stack([ned_to_mujoco(right), -ned_to_mujoco(down), -ned_to_mujoco(forward)], axis=1)
+        data.cam_xpos[camera], data.cam_xmat[camera] = ned_to_mujoco(eye.position_m), axes.ravel()
+
     def _models_own_view(self, width: int) -> bool:
         """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
         half_height = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
@@ -81,6 +104,13 @@ class View:
         for eye in self._eyes:
             eye.frustum_width = near * self.half_width
             eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
+
+
+def vehicle_pose(data: mujoco.MjData) -> Pose:
+    """The quadrotor's pose in `data.qpos`, NED."""
+    x, y, z = mujoco_to_ned(data.qpos[:3]).tolist()
+    w, i, j, k = quaternion_mujoco_to_ned(data.qpos[3:7]).tolist()
+    return Pose((x, y, z), (w, i, j, k))
 
 
 def far_m(model: mujoco.MjModel) -> float:

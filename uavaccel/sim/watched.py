@@ -11,13 +11,13 @@ from uavaccel.sim.world import World
 class WatchedWorld(World):
     """A `World` that calls back at every so many ticks, once `watch` was called. Looking changes no flight."""
 
-    def __init__(self, scene: str, profile: Profile) -> None:
-        super().__init__(scene, profile)
-        self._watchers: list[tuple[int, Callable[[int], None]]] = []
+    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
+        super().__init__(scene, profile, furnished)
+        self._watchers: list[tuple[int, int, Callable[[int], None]]] = []
 
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
-        """Call `look` with the tick whenever it has reached a multiple of `every_ticks`; what is returned ends that."""
-        watcher = every_ticks, look
+    def watch(self, every_ticks: int, look: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
+        """Call `look` with the tick at every so many ticks after `first_tick`; what is returned ends that."""
+        watcher = every_ticks, first_tick, look
         self._watchers.append(watcher)
         return lambda: self._watchers.remove(watcher)
 
@@ -25,14 +25,14 @@ class WatchedWorld(World):
         """As World.advance; a vehicle that is frozen where it touched something is not looked at any more."""
         flown = 0
         while self._watchers and flown < ticks and not self._frozen:
-            to_next = min(every - self.tick % every for every, _ in self._watchers)
+            to_next = min(every - (self.tick - first) % every for every, first, _ in self._watchers)
             due = min(ticks - flown, to_next)
             chunk = super().advance(due)
             flown += chunk
             if chunk < due:  # a touch
                 break
-            for every, look in self._watchers:
-                if self.tick % every == 0:
+            for every, first, look in tuple(self._watchers):  # one may end itself
+                if (self.tick - first) % every == 0:
                     look(self.tick)
         return flown or super().advance(ticks)
 

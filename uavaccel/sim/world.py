@@ -22,11 +22,13 @@ from uavaccel.sim.profile import Profile
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
 from uavaccel.sim.scene import load_scene
+from uavaccel.sim.scene_objects import take_over
 from uavaccel.sim.touch import deepest_contact
 from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
+    from uavaccel.sim.mounted_camera import MountedCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
@@ -41,16 +43,18 @@ class FlightError(RuntimeError):
 class World(Led):
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
+    `furnished` for AirSim's clients (uavaccel.sim.furnished).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act. Where no vehicle is named, the leading one is meant.
     """
 
-    def __init__(self, scene: str, profile: Profile) -> None:
+    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self.still = (
-            False  # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
-        )
+        # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
+        self.still = False
+        self._furnished = furnished
+        self._mounted_camera: MountedCamera | None = None
         self.scene = scene
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
@@ -63,7 +67,8 @@ class World(Led):
 
     def _load(self) -> None:
         """Make the model for the vehicles that there are."""
-        self.model = load_scene(self.scene, [vehicle.prefix for vehicle in self.vehicles[1:]])
+        others = [vehicle.prefix for vehicle in self.vehicles[1:]]
+        self.model = load_scene(self.scene, others, self._furnished)
         self.model.opt.timestep = self.profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
@@ -90,14 +95,30 @@ class World(Led):
             self._cameras[width, height] = make_camera(self.model, width, height)
         return self._cameras[width, height]
 
+    def mounted_camera(self, width: int, height: int) -> MountedCamera:
+        """A camera to be pointed anywhere, for pictures up to a size; kept. Raises UserError without OpenGL."""
+        from uavaccel.sim.mounted_camera import MountedCamera
+
+        camera = self._mounted_camera
+        if camera is None or camera.width_most < width or camera.height_most < height:
+            if camera is not None:
+                camera.close()
+            self._mounted_camera = camera = MountedCamera(self.model, width, height)
+        return camera
+
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
         self.lane = layout
+        self.surroundings_changed()
+        self.lead.state["wind"] = layout.wind_m_s
+
+    def surroundings_changed(self) -> None:
+        """Objects of the model were moved, have come or gone, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
-        self.clearance.look_anew()
-        self.lead.state["wind"] = layout.wind_m_s
+        mujoco.mj_kinematics(self.model, self.data)
+        self.clearance.surroundings_changed()
 
     def set_wind(self, wind_m_s: Vector) -> None:
         """NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
@@ -127,7 +148,9 @@ class World(Led):
         ]
         self.vehicles += new
         self.close()
+        before = self.model
         self._load()
+        take_over(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
             old.take_over(kept)
         for vehicle in new:
@@ -140,6 +163,9 @@ class World(Led):
         """Give back what OpenGL holds."""
         while self._cameras:
             self._cameras.popitem()[1].close()
+        if self._mounted_camera is not None:
+            self._mounted_camera.close()
+            self._mounted_camera = None
 
     # --- places -----------------------------------------------------------------------------------
 

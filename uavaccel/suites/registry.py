@@ -18,6 +18,8 @@ SUITES = {
     "dp2": "uavaccel.suites.dp2.suite:Dp2",
     "train": "uavaccel.suites.training.suite:Training",
     "ablation": "uavaccel.suites.ablation.suite:Ablation",
+    "rl": "uavaccel.suites.rl.suite:Rl",
+    "robustness": "uavaccel.suites.robustness.suite:Robustness",
     "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
 }

@@ -13,6 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, timing_of
@@ -27,8 +28,8 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
-    if jobs > 1 and suite.serial:
-        raise UsageError(f"--jobs must be 1 with {suite.name}: {suite.serial}")
+    if jobs > 1 and (why := suite.why_serial(config)):
+        raise UsageError(f"--jobs must be 1 with {suite.name}: {why}")
 
 
 def begin_run(
@@ -83,16 +84,20 @@ def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
 def _fly_one_by_one(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
-    with suite.open(config, cases[0].timing, run) as opened:
-        for case in cases:
-            yield fly_case(suite, config, case, opened)
+    try:
+        with suite.open(config, cases[0].timing, run) as opened:
+            for case in cases:
+                yield fly_case(suite, config, case, opened)
+    except BatchError as error:
+        raise UserError(f"{error}; go on with --resume") from error
 
 
 def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
 ) -> Iterator[Flown]:
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="4*n_jobs", batch_size=4)
+        ahead = f"{suite.batch}*n_jobs"  # of long games none, or an interruption would find them waiting
+        parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch=ahead, batch_size=suite.batch)
         games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
         try:
             yield from _told_of_dead_workers(games)

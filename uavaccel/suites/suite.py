@@ -80,6 +80,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     config: type[ConfigType]
     serial: ClassVar[str] = ""
     """Why its games must be flown one after another in one process; empty where they need not."""
+    batch: ClassVar[int] = 4
+    """Games that a worker process is handed at once; 1 where each takes minutes."""
     quick: ClassVar[Mapping[str, Any] | None] = None
     """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
 
@@ -102,6 +104,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         Raises UserError if the run has no finished game or damaged files.
         """
 
+    def why_serial(self, config: ConfigType) -> str:
+        """`serial`, where that depends on the configuration."""
+        return self.serial
+
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
 
@@ -111,6 +117,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def cost(self, config: ConfigType, case: CaseType) -> Cost:
         """What a game takes, about; by default its simulated time over a usual speed, and a row."""
         return Cost(flying_s(case), ROW_BYTES)
+
+    def games(self, config: ConfigType, case: CaseType) -> int:
+        """How many games a case is, where it is a whole run of another suite."""
+        return 1
 
     def renders(self, config: ConfigType) -> bool:
         """Whether games need OpenGL."""
@@ -135,13 +145,17 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """The result in a sentence."""
         return ""
 
+    def pace(self, run: RunDirectory) -> str:
+        """What its games took on this machine, in a sentence; it is in no summary, since it is never the same twice."""
+        return ""
+
     def overview(self, summary: Summary) -> SummaryTable | None:
         """The result in a small table."""
         return None
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path | None:
-        """Draw several runs side by side, into the first one's folder, beside its own figures; the picture's path."""
-        return None
+    def compare(self, runs: Sequence[RunDirectory]) -> Sequence[Path]:
+        """Draw several runs side by side, into the first one's folder, beside its own figures; the pictures' paths."""
+        return ()
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """A game's name and film; without `case` the most interesting. Raises UserError where nothing can be shown."""

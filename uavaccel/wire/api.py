@@ -6,23 +6,32 @@ Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
 from uavaccel.wire.attitude_api import AttitudeApi, stick_map
+from uavaccel.wire.camera_api import CameraApi
+from uavaccel.wire.detection_api import DetectionApi
 from uavaccel.wire.flight_api import LONGEST_S, FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
 from uavaccel.wire.method import Method
+from uavaccel.wire.notices import Notices
+from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.steps import Steps
 from uavaccel.wire.vehicle_api import VehicleApi
 from uavaccel.wire.vehicles import populate
+from uavaccel.wire.world_api import WorldApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
@@ -38,24 +47,42 @@ class Api:
         settings: Settings | None = None,
         render: bool = True,
         recordings: Path | None = None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
         populate(simulation, self.settings)
-        self.recorder = Recorder(simulation, self.settings.vehicle, recordings)
-        self._images = ImageApi(simulation, render)
+        self.scenery = Scenery(simulation, self.settings, render)
+        self.notices = Notices(say)
+        self.recorder = Recorder(self.scenery, recordings, say)
+        self._images = ImageApi(self.scenery, self._check_vehicle)
+        self._vehicles = VehicleApi(self.scenery, self.pilot_of)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
-        flight = [kind(self._commanded, lambda: self._wall_ns) for kind in (FlightApi, AttitudeApi)]
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
-        self.methods |= flight[0].methods() | flight[1].methods()
-        self.methods |= VehicleApi(simulation, self.pilot_of).methods()
+        self.methods |= self._flight() | self._vehicles.methods() | self._senses()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation has to be advanced to `wall_ns` before.
         """
+        result = self.begin(method, params, wall_ns)
+        if not isinstance(result, Steps):
+            return result
+        while self.go_on(result, method, params):
+            pass
+        return result.made
+
+    def go_on(self, steps: Steps, method: str, params: Sequence[Any]) -> bool:
+        """Make one more piece of what `begin` gave; False when it is whole. Raises rpc.RpcError."""
+        try:
+            return steps.advance()
+        except Exception as error:  # costs the caller its call and nobody else
+            raise rpc.threw(method, len(params), str(error)) from error
+
+    def begin(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
+        """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
         entry = self.methods.get(method)
         if entry is None:
             raise rpc.unknown_method(method, len(params))
@@ -98,11 +125,24 @@ class Api:
         return {
             "simGetImages": Method(images.get_images, 1, 2),
             "simGetImage": Method(images.get_image, 2, 2),
-            "simGetCameraInfo": Method(images.camera_info, 1, 2),
             "uavaccelImage": Method(images.raw_image, 1),
             "uavaccelSetLane": Method(images.set_lane, 1),
             "uavaccelCollision": Method(images.collision, 0),
         }
+
+    def _flight(self) -> dict[str, Method]:
+        """What a vehicle may be told to fly."""
+        flight = FlightApi(self._flown, lambda: self._wall_ns, self.settings.home)
+        return flight.methods() | AttitudeApi(self._flown, lambda: self._wall_ns).methods()
+
+    def _senses(self) -> dict[str, Method]:
+        """Cameras, objects, sensors and the world at large."""
+        scenery, check, notices = self.scenery, self._check_vehicle, self.notices
+        methods = CameraApi(scenery, check, notices).methods()
+        methods |= ObjectApi(scenery, self._vehicles, notices).methods()
+        methods |= DetectionApi(scenery, check).methods()
+        methods |= SensorApi(scenery, check).methods()
+        return methods | WorldApi(scenery, check, notices).methods()
 
     def _own_methods(self) -> dict[str, Method]:
         game = self._game
@@ -139,15 +179,17 @@ class Api:
             raise self._not_there(name)
         return self.pilot_of(name)
 
-    def _commanded(self, name: Any) -> Pilot:
-        self.recorder.keep()  # the first command starts the simulation's recorder anew
-        return self._flown(name)
+    def _check_vehicle(self, name: Any) -> None:
+        """For what the leading vehicle alone senses. Raises ValueError for another."""
+        if self.pilot_of(name) is not self.simulation.lead:
+            lead = self.simulation.lead.vehicle.name
+            raise ValueError(
+                f"cameras and sensors are those of the leading vehicle '{lead}', not of '{name}'"
+            )
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
-        world = self.simulation.world
-        self.recorder.keep()
-        self.simulation.reset(self._wall_ns, recording=world.recording)
+        self.recorder.go_through(lambda recording: self.simulation.reset(self._wall_ns, recording=recording))
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
         pilot, enabled = self._flown(vehicle), types.flag(enabled, "is_enabled")
@@ -194,8 +236,10 @@ class Api:
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_point_map(pilot.vehicle.in_world(kinematics.position_m)),
-            "timestamp": kinematics.time_ns,
+            "gps_location": types.geo_map(
+                geographic(pilot.vehicle.in_world(kinematics.position_m), self.settings.home)
+            ),
+            "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if pilot.vehicle.landed else 1,
             "rc_data": types.rc_data_map() | stick_map(pilot.sticks),
         }

@@ -99,7 +99,7 @@ class AttitudeApi:
             }
             for output, sign in zip(outputs, TURNS, strict=True)
         ]
-        return {"rotors": rotors, "timestamp": pilot.kinematics().time_ns}
+        return {"rotors": rotors, "timestamp": types.stamp(pilot.kinematics().time_ns)}
 
     def _gains(self, level: str) -> Method:
         def set_gains(kp: Any, ki: Any, kd: Any, vehicle: Any = "") -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.sim.earth import GeoPoint, geographic
 from uavaccel.sim.flight import goal as goals
 from uavaccel.sim.flight.goal import Goal, Yaw
 from uavaccel.sim.flight.manual import MoveByManual
@@ -23,7 +24,7 @@ from uavaccel.sim.flight.task import AT_REST_M_S, Land, RotateToYaw, Task
 from uavaccel.sim.running import DeferredReply
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
-from uavaccel.wire.geodesy import GeoPoint, ned_of
+from uavaccel.wire.geodesy import ned_of
 from uavaccel.wire.method import Method
 
 FORWARD_ONLY = 1
@@ -37,8 +38,9 @@ Answer = DeferredReply | bool
 class FlightApi:
     """The flight commands of the vehicles that `pilot_of` finds by name; `wall_ns` is when a call is handled."""
 
-    def __init__(self, pilot_of: Callable[[Any], Pilot], wall_ns: Callable[[], int]) -> None:
-        self._pilot_of, self._wall_ns = pilot_of, wall_ns
+    def __init__(self, pilot_of: Callable[[Any], Pilot], wall_ns: Callable[[], int], home: GeoPoint) -> None:
+        """`home` is where the world's NED begins."""
+        self._pilot_of, self._wall_ns, self._home = pilot_of, wall_ns, home
 
     def methods(self) -> dict[str, Method]:
         """The calls, AirSim's names; the last argument of each is the vehicle's name."""
@@ -132,7 +134,7 @@ class FlightApi:
             types.number(longitude, "longitude"),
             types.number(altitude, "altitude"),
         )
-        home = GeoPoint(types.HOME_LATITUDE, types.HOME_LONGITUDE, types.HOME_ALTITUDE_M)
+        home = geographic(self._pilot_of(vehicle).vehicle.origin_m, self._home)
         north, east, down = ned_of(goal, home)
         rest = (timeout, drivetrain, yaw, lookahead, adaptive, vehicle)
         return self.move_to_position(north, east, down, velocity, *rest)

@@ -44,6 +44,7 @@ class GameApi:
         start_m = (START_M[0], START_M[1], types.coordinate(height_m, "height_m"))
         self.set_clock_speed(clock_speed, wall_ns)
         self._recorder.keep()
+        simulation.records_game = True
         simulation.pause(wall_ns)
         simulation.reset(wall_ns, start_m, recording=True)
         simulation.api_control = True

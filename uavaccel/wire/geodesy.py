@@ -7,23 +7,15 @@ single precision resolves half a metre.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
+from uavaccel.sim.earth import GeoPoint
 
 SEMI_MAJOR_M = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3
-
-
-class GeoPoint(NamedTuple):
-    """Degrees, and metres over the sea."""
-
-    latitude: float
-    longitude: float
-    altitude_m: float
 
 
 def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
@@ -40,6 +32,6 @@ def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
 def _earth_centred(point: GeoPoint) -> NDArray[np.float64]:
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
     curvature_m = SEMI_MAJOR_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
-    across = (curvature_m + point.altitude_m) * math.cos(latitude)
-    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude_m) * math.sin(latitude)
+    across = (curvature_m + point.altitude) * math.cos(latitude)
+    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude) * math.sin(latitude)
     return np.array([across * math.cos(longitude), across * math.sin(longitude), along])

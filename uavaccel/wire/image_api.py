@@ -7,43 +7,47 @@ uncompressed images as blue, green, red bytes, compressed ones as PNG, float ima
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
-import cv2
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
-from uavaccel.sim.quadrotor import body_to_world
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.poses import Pose
+from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
+from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
+from uavaccel.wire.image_files import png
+from uavaccel.wire.pictures import Scene, known_type
+from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.steps import Steps
 
-WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0
-CAMERA_MOUNT_M = (0.46, 0.0, 0.0)  # FRD, BP_FlyingPawn's front_center
-FRONT_CAMERAS = ("0", "front_center", "", "fpv")
-DEPTH_VIS_FAR_M = 100.0
-MOST_IMAGES = 64  # of one call, while which the clock is not served
-
-SCENE, DEPTH_PLANAR, DEPTH_PERSPECTIVE, DEPTH_VIS, SEGMENTATION = 0, 1, 2, 3, 5
+MOST_IMAGES = 64  # of one call
+AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
-# Colours of segmentation ids, AirSim's way: fixed, far apart, id 0 black.
-_PALETTE = np.random.default_rng(5).permutation(np.arange(1, 1 << 12))[:255]
-PALETTE = np.vstack([[0, 0, 0], np.stack([_PALETTE >> 8, (_PALETTE >> 4) & 15, _PALETTE & 15], axis=1) * 17])
+
+class ImageRequest(NamedTuple):
+    """What is asked for, by the name that the client gave the camera."""
+
+    camera: MountedAs
+    camera_name: str
+    image_type: int
+    pixels_as_float: bool
+    compress: bool
 
 
 class ImageApi:
-    """The image calls of one simulation. `render` False refuses them all, and costs nothing."""
+    """The image calls of one simulation."""
 
-    def __init__(self, simulation: Simulation, render: bool = True) -> None:
-        self.simulation = simulation
-        self.render = render
+    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
+        self.simulation = scenery.simulation
+        self._scenery = scenery
+        self._check_vehicle = check_vehicle
 
     # --- images -----------------------------------------------------------------------------------------------
 
@@ -51,105 +55,66 @@ class ImageApi:
         """One picture of this moment at AirSim's default size: gray or segmentation (H, W), colour (H, W, 3), depth."""
         if kind not in PICTURES:
             raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
-        return self._draw(kind)
-
-    def _draw(self, kind: str) -> NDArray[Any]:
-        """The picture that a method of `Camera` draws. Raises ValueError where rendering is switched off."""
-        if not self.render:
+        if not self._scenery.render:
             raise ValueError("rendering is switched off")
         camera = self.simulation.world.camera(WIDTH, HEIGHT)
-        image: NDArray[Any] = getattr(camera, kind)(self._shown())
+        image: NDArray[Any] = getattr(camera, kind)(self.simulation.frames.scene(self.simulation.world.data))
         return image
-
-    def _shown(self) -> mujoco.MjData:
-        """What there is to see: the present, or what a modelled renderer shows."""
-        return self.simulation.frames.scene(self.simulation.world.data)
 
     def raw_image(self, kind: Any) -> dict[str, Any]:
         """Our own: one picture as bytes, with its shape and NumPy type."""
         image = self.picture(str(kind))
         return {"shape": list(image.shape), "dtype": image.dtype.str, "data": image.tobytes()}
 
-    def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[dict[str, Any]]:
-        """simGetImages."""
+    def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[Any] | Steps:
+        """simGetImages: all of one moment; what cannot be drawn is said in its response alone."""
         if not isinstance(requests, list) or len(requests) > MOST_IMAGES:
             raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
-        return [self._response(request) for request in requests]
+        cameras = self._cameras(vehicle, external)
+        asked = [image_request(request, cameras) for request in requests]
+        if len(asked) <= AT_ONCE:
+            return [self._response(request, self.simulation.truth()) for request in asked]
+        scene, kinematics = self._scenery.pictures.kept(), self.simulation.truth()
+        return Steps(self._response(request, kinematics, scene) for request in asked)
 
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
         """simGetImage: one PNG."""
-        self._check_camera(camera)
-        return _png(self._bgr(int(types.number(image_type, "image_type"))))
+        mounted = self._cameras(vehicle, external).named(camera)
+        return png(self._scenery.pictures.bgr(mounted, types.whole(image_type, "image_type")))
 
-    def _response(self, request: Any) -> dict[str, Any]:
-        if not isinstance(request, Mapping):
-            raise ValueError("an ImageRequest must be a map")
-        self._check_camera(request.get("camera_name", ""))
-        image_type = int(types.number(request.get("image_type", SCENE), "image_type"))
-        as_float, compress = bool(request.get("pixels_as_float")), bool(request.get("compress", True))
-        data: bytes = b""
-        floats: list[float] = []
-        if as_float:
-            floats = self._floats(image_type).ravel().tolist()
-        else:
-            image = self._bgr(image_type)
-            data = _png(image) if compress else image.tobytes()
-        kinematics = self.simulation.kinematics()
+    def _cameras(self, vehicle: Any, external: Any) -> Cameras:
+        self._check_vehicle(vehicle)
+        return self._scenery.cameras(vehicle, external)
+
+    def _response(self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None) -> dict[str, Any]:
+        image, message = self._drawn(request, scene)
+        as_float, compress = request.pixels_as_float, request.compress
+        data = b"" if as_float or message else png(image) if compress else image.tobytes()
+        eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         return {
             "image_data_uint8": data,
-            "image_data_float": floats,
-            "camera_position": types.vector_map(camera_position(kinematics)),
-            "camera_name": str(request.get("camera_name", "")),
-            "camera_orientation": types.quaternion_map(kinematics.orientation_wxyz),
-            "time_stamp": kinematics.time_ns,
-            "message": "",
+            "image_data_float": image.ravel() if as_float else [],
+            "camera_position": types.vector_map(self.simulation.world.lead.local(eye.position_m)),
+            "camera_name": request.camera_name,
+            "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
+            "time_stamp": types.stamp(kinematics.time_ns),
+            "message": message,
             "pixels_as_float": as_float,
             "compress": compress,
-            "width": WIDTH,
-            "height": HEIGHT,
-            "image_type": image_type,
+            "width": image.shape[1],
+            "height": image.shape[0],
+            "image_type": request.image_type,
         }
 
-    def _floats(self, image_type: int) -> NDArray[np.float32]:
-        if image_type == DEPTH_PLANAR:
-            return self._draw("depth")
-        if image_type == DEPTH_PERSPECTIVE:
-            return self._draw("depth_perspective")
-        if image_type == DEPTH_VIS:
-            return np.clip(self._draw("depth") / DEPTH_VIS_FAR_M, 0, 1)
-        # AirSim gives the first channel of any other image
-        return (self._bgr(image_type)[..., 2] / np.float32(255)).astype(np.float32)
-
-    def _bgr(self, image_type: int) -> NDArray[np.uint8]:
-        if image_type == SCENE:
-            return np.ascontiguousarray(self.picture("colour")[..., ::-1])
-        if image_type == SEGMENTATION:
-            colours = PALETTE[(self.picture("segmentation") + 1) % len(PALETTE)]
-            return np.ascontiguousarray(colours[..., ::-1].astype(np.uint8))
-        if image_type in (DEPTH_PLANAR, DEPTH_PERSPECTIVE, DEPTH_VIS):
-            kind = "depth_perspective" if image_type == DEPTH_PERSPECTIVE else "depth"
-            share = np.clip(self._draw(kind) / DEPTH_VIS_FAR_M, 0, 1)
-            return np.repeat(np.rint(share * 255).astype(np.uint8)[..., None], 3, axis=2)
-        raise ValueError(
-            f"image type {image_type} is not available; there are 0 scene, 1 2 3 depth, 5 segmentation"
-        )
-
-    def camera_info(self, camera: Any, vehicle: Any = "", external: Any = False) -> dict[str, Any]:
-        """simGetCameraInfo."""
-        self._check_camera(camera)
-        kinematics = self.simulation.kinematics()
-        half = math.tan(math.radians(FOV_DEG) / 2)
-        matrix = np.zeros((4, 4))
-        matrix[0, 0], matrix[1, 1], matrix[2, 3], matrix[3, 2] = 1 / half, WIDTH / HEIGHT / half, 10.0, 1.0
-        pose = {
-            "position": types.vector_map(camera_position(kinematics)),
-            "orientation": types.quaternion_map(kinematics.orientation_wxyz),
-        }
-        return {"pose": pose, "fov": FOV_DEG, "proj_mat": {"matrix": matrix.tolist()}}
-
-    def _check_camera(self, name: Any) -> None:
-        if str(name) not in FRONT_CAMERAS:
-            raise ValueError(f"no camera '{name}'; there is front_center, also called 0")
+    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
+        """The picture; or an empty one, and why."""
+        try:
+            known_type(request.image_type)
+        except ValueError as error:
+            return np.empty((0, 0), np.float32), str(error)
+        pictures = self._scenery.pictures
+        draw = pictures.floats if request.pixels_as_float else pictures.bgr
+        return draw(request.camera, request.image_type, scene), ""
 
     # --- lanes -------------------------------------------------------------------------------
 
@@ -169,6 +134,16 @@ class ImageApi:
         }
 
 
+def image_request(value: Any, cameras: Cameras) -> ImageRequest:
+    """An ImageRequest of the wire, whose type need not be known. Raises ValueError."""
+    if not isinstance(value, Mapping):
+        raise ValueError("an ImageRequest must be a map")
+    name = str(value.get("camera_name", ""))
+    image_type = types.whole(value.get("image_type", SCENE), "image_type")
+    as_float, compress = bool(value.get("pixels_as_float")), bool(value.get("compress", True))
+    return ImageRequest(cameras.named(name), name, image_type, as_float, compress)
+
+
 def lane_layout(lane: Any) -> LaneLayout:
     """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
@@ -178,19 +153,6 @@ def lane_layout(lane: Any) -> LaneLayout:
         raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
     difficulty = lane.get("difficulty") if isinstance(lane, Mapping) else None
     return draw_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
-
-
-def camera_position(kinematics: Kinematics) -> Vector:
-    """Where the front camera is, NED."""
-    turned: Vector = body_to_world(np.array(kinematics.orientation_wxyz), CAMERA_MOUNT_M)
-    return tuple(a + b for a, b in zip(kinematics.position_m, turned, strict=True))  # type: ignore[return-value]
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise ValueError("the image could not be compressed")
-    return data.tobytes()
 
 
 def decode_image(reply: Mapping[str, Any]) -> NDArray[Any]:

@@ -1,12 +1,14 @@
-"""AirSim's recorder on the wire: startRecording, stopRecording, and the airsim_rec.txt between them.
+"""AirSim's recorder on the wire: startRecording, stopRecording, and what is written between them.
 
-Source of the format: AirSim v1.8.1, RecordingFile.cpp and PawnSimApi.cpp (tab separated; simulated time in whole
-milliseconds; ground truth in the vehicle's NED frame). No images are recorded, so the last column stays empty.
+Source of the format: AirSim v1.8.1, RecordingFile.cpp and PawnSimApi.cpp (tab separated; time in whole milliseconds;
+ground truth in the vehicle's NED frame; images in a folder beside, named in the last column).
 """
 
 from __future__ import annotations
 
 import itertools
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -14,35 +16,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.watched import WatchedWorld
+from uavaccel.wire import types
+from uavaccel.wire.image_files import image_file
+from uavaccel.wire.scenery import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
 FILE_NAME = "airsim_rec.txt"
+IMAGES = "images"
+_BREAKS = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]")  # what would end a field or a line of the file
 
 
 class Recorder:
     """Starts and stops a simulation's recorder.
 
-    With a `folder` the samples go to a file in a dated folder below it; without one they stay in the simulation's
-    bounded buffer. What writes raises OSError, and closes the file.
+    With a `folder` the samples go to a file in a dated folder below it, and the images that the settings list beside
+    it; without one the samples stay in the simulation's bounded buffer. `say` tells where. What writes raises OSError,
+    and closes the file.
     """
 
-    def __init__(self, simulation: Simulation, vehicle: str, folder: Path | None = None) -> None:
-        self._simulation = simulation
-        self._vehicle = vehicle
+    def __init__(self, scenery: Scenery, folder: Path | None, say: Callable[[str], None]) -> None:
+        self._scenery = scenery
+        self._simulation = scenery.simulation
+        self._settings = scenery.settings.recording
+        self._vehicle = _BREAKS.sub(" ", scenery.settings.vehicle)
         self._folder = folder
+        self._say = say
         self._file: IO[str] | None = None
+        self._images: dict[int, str] = {}  # names of the files by tick
+        self._last_pose: list[float] | None = None
+        self._stop_watching: Callable[[], None] = lambda: None
 
     def start(self) -> None:
         """Begin a recording, and a file of its own; one that runs is stopped."""
         self.stop()
-        self._simulation.record()
         if self._folder is not None:
-            self._file = (_new_folder(self._folder) / FILE_NAME).open("w", encoding="utf-8", newline="\n")
+            here = _new_folder(self._folder)
+            self._file = (here / FILE_NAME).open("w", encoding="utf-8", newline="\n")
             self._file.write("\t".join(COLUMNS) + "\n")
+            self._say(f"recording to {here / FILE_NAME}")
+        self._simulation.records_game = False
+        self._simulation.record()
+        try:
+            self._watch()
+        except Exception:
+            self.stop()
+            raise
 
     def stop(self) -> None:
+        """End it; the file has all samples."""
         self._simulation.world.stop_recording()
+        self._simulation.records_game = True
+        self._stop_watching()
+        self._stop_watching = lambda: None
         self.keep()
         if self._file is not None:
             self._file.close()
@@ -54,17 +80,61 @@ class Recorder:
             return
         rows = self._simulation.world.take_samples()
         try:
-            self._file.writelines(self._line(row) for row in rows)
+            self._file.writelines(self._line(row) for row in rows if self._is_new(row))
             self._file.flush()
         except OSError:
             self._file = None  # what is lost is lost; the flight goes on
             raise
 
+    def go_through(self, reset: Callable[[bool], None]) -> None:
+        """Let `reset`, which is told whether there is a recording, go by; the recording begins its grid anew."""
+        self.keep()
+        reset(self._simulation.world.recording)
+        if self._simulation.world.recording:
+            self._watch()
+
+    def _watch(self) -> None:
+        """Take the images that the settings list at each sample from now on."""
+        world = self._simulation.world
+        self._stop_watching()
+        if self._file is None or not self._settings.cameras or not self._scenery.render:
+            return
+        if not isinstance(world, WatchedWorld):
+            raise ValueError("images can be recorded by `uavaccel serve` alone")
+        self._images.clear()
+        self._take_images(world.tick)
+        self._stop_watching = world.watch(
+            self._simulation.profile.recorder_ticks, self._take_images, world.tick
+        )
+
+    def _take_images(self, tick: int) -> None:
+        if self._file is None:
+            return
+        folder = Path(self._file.name).parent / IMAGES
+        folder.mkdir(exist_ok=True)
+        stamp = types.stamp(self._simulation.time_of(tick))
+        names = []
+        for wanted in self._settings.cameras:
+            suffix, content = image_file(self._scenery, wanted)
+            camera = self._scenery.cameras().named(wanted.camera_name).name
+            parts = (self._vehicle, camera, str(wanted.image_type), str(stamp))
+            name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
+            (folder / name).write_bytes(content)
+            names.append(name)
+        self._images[tick] = ";".join(names)
+
+    def _is_new(self, row: NDArray[np.float64]) -> bool:
+        """Whether the sample is to be written: RecordOnMove leaves out those of a pose that has not changed."""
+        pose, before = row[1:8].tolist(), self._last_pose
+        self._last_pose = pose
+        return not (self._settings.record_on_move and pose == before)
+
     def _line(self, row: NDArray[np.float64]) -> str:
         """One sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
-        time_ms = self._simulation.time_of(int(row[0])) // 1_000_000
+        tick = int(row[0])
+        time_ms = types.stamp(self._simulation.time_of(tick)) // 1_000_000
         pose = (f"{value:.9g}" for value in row[1:8])
-        return "\t".join((self._vehicle, str(time_ms), *pose, "")) + "\n"
+        return "\t".join((self._vehicle, str(time_ms), *pose, self._images.pop(tick, ""))) + "\n"
 
 
 def _new_folder(parent: Path) -> Path:

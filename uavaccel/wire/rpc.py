@@ -10,10 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgpack
+import numpy as np
+from numpy.typing import NDArray
 
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
 MAX_ITEMS = 1 << 14  # of an array: room is made for as many as it announces, at every level of nesting
+
+
+_FLOAT32, _ARRAY32 = 0xCA, b"\xdd"  # MessagePack's
 
 
 class RpcError(Exception):
@@ -78,7 +83,40 @@ def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
 def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
     if error is not None:  # it may quote bytes that were no text
         error = error.encode("utf-8", "replace").decode()
-    return bytes(msgpack.packb([RESPONSE, message_id, error, result]))
+    return pack([RESPONSE, message_id, error, result])
+
+
+def pack(value: Any) -> bytes:
+    """MessagePack of what a call returns: of plain values, and of NumPy's arrays as lists of numbers."""
+    try:
+        return bytes(msgpack.packb(value))
+    except TypeError:  # there are arrays in it
+        return b"".join(_pieces(msgpack.Packer(), value))
+
+
+def _pieces(packer: msgpack.Packer, value: Any) -> Iterator[bytes]:
+    """MessagePack of a value that may hold arrays of numbers: those as lists of single precision, packed at once."""
+    if isinstance(value, np.ndarray):
+        yield _packed_floats(value)
+    elif isinstance(value, dict):
+        yield packer.pack_map_header(len(value))
+        for key, inner in value.items():
+            yield packer.pack(key)
+            yield from _pieces(packer, inner)
+    elif isinstance(value, list):
+        yield packer.pack_array_header(len(value))
+        for inner in value:
+            yield from _pieces(packer, inner)
+    else:
+        yield packer.pack(value)
+
+
+def _packed_floats(numbers: NDArray[Any]) -> bytes:
+    """A MessagePack array: its head, then a type's mark and four big-endian bytes per number."""
+    packed = np.empty((numbers.size, 5), np.uint8)
+    packed[:, 0] = _FLOAT32
+    packed[:, 1:] = numbers.astype(">f4").reshape(-1, 1).view(np.uint8)
+    return _ARRAY32 + numbers.size.to_bytes(4, "big") + packed.tobytes()
 
 
 def unknown_method(method: str, count: int) -> RpcError:

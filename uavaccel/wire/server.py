@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import selectors
 import socket
+from collections import deque
 from collections.abc import Callable
-from typing import IO, Any, NamedTuple
+from typing import IO
 
 from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
+from uavaccel.wire.connection import Answer, Connection
+from uavaccel.wire.steps import Steps
 from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good
@@ -27,31 +30,9 @@ READ_BYTES = 1 << 12
 MAX_UNSENT_BYTES = 1 << 26
 MAX_UNPACKED = 8  # answers that wait to be packed: one may be a recording of megabytes
 MAX_CONNECTIONS = 512  # fewer than the files that a process may open
-
-
-class Connection:
-    """One client: its stream of requests, and what could not be sent yet."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self.socket = connection
-        self.decoder = rpc.Decoder()
-        self.unsent = bytearray()
-        self.open = True
-
-
-class Answer(NamedTuple):
-    """What a client is to be told; a `DeferredReply` is due by now."""
-
-    connection: Connection
-    message_id: int
-    error: str | None
-    result: Any
-
-    def pack(self) -> bytes:
-        result = self.result
-        if isinstance(result, DeferredReply):
-            result = result.encode(result.value)
-        return rpc.pack_response(self.message_id, self.error, result)
+IDLE_LIMIT_NS = 10_000_000_000  # once there are so many, one that has been silent for so long makes room
+ACCEPTED_AT_ONCE = 16  # newcomers per wake-up
+TURN_NS = 3_000_000  # of wall time for the requests of one client, before the others have their turn
 
 
 class Server:
@@ -80,6 +61,7 @@ class Server:
         if stop_at_eof is not None:
             self._selector.register(stop_at_eof, selectors.EVENT_READ)
         self._connections: set[Connection] = set()
+        self._backlog: deque[Connection] = deque()  # those with requests that wait for their turn
         self._answers: list[Answer] = []
         self._busy_until_ns = 0
         self._stopping = False
@@ -93,6 +75,7 @@ class Server:
             while not self._stopping:
                 for key, events in wait_for_sockets(self._selector, self._wake_ns(simulation)):
                     self._serve_socket(key, events)
+                self._serve_backlog()
                 self._wait_for_end(simulation)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
@@ -119,7 +102,7 @@ class Server:
     def _wake_ns(self, simulation: Simulation) -> int:
         """The wall time to sleep to; in the past where polling is due."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns:
+        if now < self._busy_until_ns or self._backlog:
             return now
         if simulation.paused:
             return now + IDLE_NS
@@ -131,7 +114,8 @@ class Server:
 
     def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:
         if key.fileobj is self._listener:
-            self._accept()
+            for _ in range(ACCEPTED_AT_ONCE):
+                self._accept()
         elif key.data is None:
             self.stop()  # the watched stream ended
         else:
@@ -145,10 +129,11 @@ class Server:
             raw, _ = self._listener.accept()
         except OSError:
             return  # it has gone again
-        if len(self._connections) >= MAX_CONNECTIONS:
+        if len(self._connections) >= MAX_CONNECTIONS and not self._make_room():
             raw.close()
             return
         connection = Connection(raw)
+        connection.heard_ns = self.clock.now_ns()
         try:
             raw.setblocking(False)
             set_no_delay(raw)
@@ -157,6 +142,25 @@ class Server:
             raw.close()
         else:
             self._connections.add(connection)
+
+    def _make_room(self) -> bool:
+        """Drop the client that has been silent for longest, if that is long enough; say so, or that none was."""
+        silent = min(
+            (one for one in self._connections if one.idle), key=lambda one: one.heard_ns, default=None
+        )
+        silent_ns = 0 if silent is None else self.clock.now_ns() - silent.heard_ns
+        if silent is None or silent_ns < IDLE_LIMIT_NS:
+            self.api.notices.once(
+                f"warning: {MAX_CONNECTIONS} clients are connected; others are turned away "
+                f"until one of them has been silent for {IDLE_LIMIT_NS / 1e9:g} s"
+            )
+            return False
+        self.api.notices.once(
+            f"warning: {MAX_CONNECTIONS} clients are connected; those silent for more than "
+            f"{IDLE_LIMIT_NS / 1e9:g} s make room for others"
+        )
+        self._drop(silent)
+        return True
 
     def _read(self, connection: Connection) -> None:
         try:
@@ -168,32 +172,97 @@ class Server:
         if not data:
             self._drop(connection)
             return
-        self._busy_until_ns = self.clock.now_ns() + BUSY_NS
+        connection.heard_ns = self.clock.now_ns()
+        self._busy_until_ns = connection.heard_ns + BUSY_NS
         try:
             set_quick_ack(connection.socket)
-            for message in connection.decoder.messages(data):
-                self._handle(connection, rpc.parse_request(message))
-                if len(self._answers) >= MAX_UNPACKED:
-                    self._flush()
-                if not connection.open:
-                    return  # it asks and never reads
+            connection.requests.extend(map(rpc.parse_request, connection.decoder.messages(data)))
         except (rpc.ProtocolError, OSError):
+            connection.broken = True
+        self._serve_requests(connection)
+
+    def _serve_requests(self, connection: Connection) -> None:
+        """Answer what a client has asked for, for TURN_NS at most; what is left waits until the others had theirs.
+
+        Nothing more is read from it before.
+        """
+        until_ns = self.clock.now_ns() + TURN_NS
+        while connection.asks and connection.open:
+            if connection.begun:
+                self._go_on(connection, *connection.begun)
+            else:
+                self._handle(connection, connection.requests.popleft())
+            if len(self._answers) >= MAX_UNPACKED:
+                self._flush()  # it may ask and never read, and then is open no more
+            if self.clock.now_ns() >= until_ns:
+                break
+        if connection.open and connection.asks:
+            if not connection.in_backlog:
+                connection.in_backlog = True
+                self._backlog.append(connection)
+                self._watch(connection)
+        elif connection.open and connection.broken:
+            self._flush()  # what it asked for in good order before
             self._drop(connection)
+
+    def _serve_backlog(self) -> None:
+        """One more turn for each client that was cut short."""
+        for _ in range(len(self._backlog)):
+            connection = self._backlog.popleft()
+            connection.in_backlog = False
+            if connection.open:
+                self._serve_requests(connection)
+                self._watch(connection)
+
+    def _watch(self, connection: Connection) -> None:
+        """Look out for what the socket can be used for now."""
+        if not connection.open:
+            return
+        reading = 0 if connection.in_backlog else selectors.EVENT_READ
+        writing = selectors.EVENT_WRITE if connection.unsent else 0
+        before = self._selector.get_map().get(connection.socket)
+        if before is not None and before.events == (reading | writing):
+            return
+        if before is not None:
+            self._selector.unregister(connection.socket)
+        if reading | writing:
+            self._selector.register(connection.socket, reading | writing, connection)
 
     def _handle(self, connection: Connection, request: rpc.RpcRequest) -> None:
         wall_ns = self.clock.now_ns()
         self.api.simulation.advance_to(wall_ns)
         try:
-            result, error = self.api.call(request.method, request.params, wall_ns), None
+            result, error = self.api.begin(request.method, request.params, wall_ns), None
         except rpc.RpcError as failure:
             result, error = None, str(failure)
+        if isinstance(result, Steps):
+            connection.begun = request, result
+            return
         if request.message_id is None:
             return
         answer = Answer(connection, request.message_id, error, result)
         if isinstance(result, DeferredReply) and result.due_wall_ns is None:
-            result.on_due = lambda _: self._answers.append(answer)
+            connection.waiting += 1
+            result.on_due = lambda _: self._answer_late(answer)
         else:
             self._answers.append(answer)
+
+    def _go_on(self, connection: Connection, request: rpc.RpcRequest, steps: Steps) -> None:
+        """One more piece of a result; the answer, when it is whole."""
+        error = None
+        try:
+            if self.api.go_on(steps, request.method, request.params):
+                return
+        except rpc.RpcError as failure:
+            error = str(failure)
+        connection.begun = None
+        if request.message_id is not None:
+            result = None if error else steps.made
+            self._answers.append(Answer(connection, request.message_id, error, result))
+
+    def _answer_late(self, answer: Answer) -> None:
+        answer.connection.waiting -= 1
+        self._answers.append(answer)
 
     def _flush(self) -> None:
         """Send what this turn has answered, in one packet per client.
@@ -223,15 +292,16 @@ class Server:
         if len(connection.unsent) > MAX_UNSENT_BYTES:
             self._drop(connection)
             return
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if connection.unsent else 0)
-        if self._selector.get_key(connection.socket).events != events:
-            self._selector.modify(connection.socket, events, connection)
+        self._watch(connection)
 
     def _drop(self, connection: Connection) -> None:
         """Forget a client; a command of its own runs on."""
         if connection.open:
             connection.open = False
             connection.unsent.clear()
-            self._selector.unregister(connection.socket)
+            connection.requests.clear()
+            connection.begun = None
+            if connection.socket in self._selector.get_map():
+                self._selector.unregister(connection.socket)
             connection.socket.close()
             self._connections.discard(connection)

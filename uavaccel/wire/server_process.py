@@ -16,6 +16,7 @@ import sys
 from uavaccel.clock import MonotonicClock
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.watched import WatchedWorld
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
@@ -35,9 +36,14 @@ def main() -> None:
     server.serve()
 
 
-def ready_simulation(scene: str, profile: Profile, clock_speed: float = 1.0) -> Simulation:
-    """A settled hover on the machine's clock, with nothing left to compile, load or collect that could hold it up."""
-    world = World(scene, profile)
+def ready_simulation(
+    scene: str, profile: Profile, clock_speed: float = 1.0, furnished: bool = False
+) -> Simulation:
+    """A settled hover on the machine's clock, with nothing left to compile, load or collect that could hold it up.
+
+    `furnished` for AirSim's clients.
+    """
+    world = WatchedWorld(scene, profile, furnished) if furnished else World(scene, profile)
     world.advance(1)  # compiles the hot loop, or loads it
     world.reset()
     gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up

@@ -8,44 +8,59 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from math import floor
+from math import floor, hypot
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
 
-from uavaccel.config import Config, validate
+from uavaccel.config import validate
 from uavaccel.errors import UserError
+from uavaccel.sim.airsim_keys import AirSimKeys
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.world import MOST_VEHICLES, VEHICLE
+from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
+from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.sensors import SensorSettings
+from uavaccel.wire.types import STRONGEST_WIND_M_S
 
 COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
 PORT = 41451
+LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
 
 
-class _AirSim(Config):
-    """A mapping with AirSim's keys; others are kept beside."""
-
-    model_config = ConfigDict(extra="allow", alias_generator=to_pascal)
-
-
-class Wind(_AirSim):
+class Wind(AirSimKeys):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
 
 
-class Recording(_AirSim):
+class RecordedImage(AirSimKeys):
+    camera_name: str = ""
+    image_type: int = 0
+    pixels_as_float: bool = False
+    compress: bool = True
+
+
+class Recording(AirSimKeys):
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
+    record_on_move: bool = False
+    cameras: list[RecordedImage] = Field(default_factory=list)
     folder: str = ""
     enabled: bool = False
 
 
-class Vehicle(_AirSim):
+class OriginGeopoint(AirSimKeys):
+    latitude: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.641468
+    longitude: Annotated[float, Field(ge=-180.0, le=180.0)] = -122.140165
+    altitude: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = 122.0
+
+
+class Vehicle(AirSimKeys):
     """NED metres from the player's start, degrees."""
 
     vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
@@ -55,6 +70,8 @@ class Vehicle(_AirSim):
     y: float | None = None
     z: float | None = None
     yaw: float | None = None
+    cameras: dict[str, CameraSettings] = Field(default_factory=dict)
+    sensors: dict[str, SensorSettings] | None = None
 
     @property
     def placed(self) -> bool:
@@ -62,7 +79,7 @@ class Vehicle(_AirSim):
         return (self.x, self.y, self.z) != (None, None, None)
 
 
-class Settings(_AirSim):
+class Settings(AirSimKeys):
     """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
 
     sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
@@ -76,6 +93,12 @@ class Settings(_AirSim):
     vehicles: Annotated[dict[str, Vehicle], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
     wind: Wind = Wind()
     recording: Recording = Recording()
+    camera_defaults: CameraSettings = CameraSettings()
+    external_cameras: dict[str, CameraSettings] = Field(default_factory=dict)
+    default_sensors: dict[str, SensorSettings] | None = None
+    origin_geopoint: OriginGeopoint = OriginGeopoint()
+    sensor_seed: Annotated[int, Field(ge=0)] = 0
+    """Our own: of the sensors' noise."""
 
     @property
     def vehicle(self) -> str:
@@ -96,6 +119,12 @@ class Settings(_AirSim):
         ]
 
     @property
+    def home(self) -> GeoPoint:
+        """Where NED's origin is."""
+        origin = self.origin_geopoint
+        return GeoPoint(origin.latitude, origin.longitude, origin.altitude)
+
+    @property
     def address(self) -> str:
         """Where to listen: an IP address or a host's name."""
         return self.local_host_ip or LOOPBACK
@@ -112,6 +141,14 @@ class Settings(_AirSim):
             ticks = floor(exact(interval_s) * NS_PER_S / profile.tick_ns) + 1
         return replace(profile, recorder_ticks=ticks)
 
+    def prepare(self, world: World) -> None:
+        """Let wind and height over the sea act on a world. Raises UserError for a wind that physics cannot follow."""
+        wind = (self.wind.x, self.wind.y, self.wind.z)
+        if not hypot(*wind) <= STRONGEST_WIND_M_S:
+            raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
+        world.state["wind"] = wind
+        world.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
+
     def passed_over(self) -> list[str]:
         """Dotted names of what was given and has no meaning here."""
         return [name for name in _unknown(self, "") if name not in _NOTES]
@@ -125,9 +162,15 @@ class Settings(_AirSim):
 def read_settings(path: Path) -> Settings:
     """The settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
     try:
-        mapping = json.loads(path.read_text(encoding="utf-8-sig"))
+        with path.open("rb") as file:
+            text = file.read(LARGEST_BYTES + 1)
+        if len(text) > LARGEST_BYTES:
+            raise UserError(f"{path}: longer than {LARGEST_BYTES >> 20} MiB, so no settings")
+        mapping = json.loads(text.decode("utf-8-sig"))
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise UserError(f"{path}: not settings: nested too deeply") from None
     except ValueError as error:
         raise UserError(f"{path}: not JSON: {error}") from None
     if not isinstance(mapping, dict):
@@ -144,3 +187,6 @@ def _unknown(value: Any, prefix: str) -> Iterator[str]:
     elif isinstance(value, dict):
         for name, inner in value.items():
             yield from _unknown(inner, f"{prefix}{name}.")
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _unknown(inner, f"{prefix}{number}.")

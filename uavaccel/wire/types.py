@@ -7,11 +7,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.earth import GeoPoint
 
-HOME_LATITUDE, HOME_LONGITUDE, HOME_ALTITUDE_M = 47.641468, -122.140165, 122.0
-EARTH_RADIUS_M = 6378137.0
+STRONGEST_WIND_M_S = 100.0  # more than any storm's
+EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated time begins on AirSim's calls
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # a place that physics still resolves
+
+
+def stamp(time_ns: int) -> int:
+    """Simulated time as AirSim tells it, in nanoseconds since 1970; the same in every run."""
+    return EPOCH_NS + time_ns
 
 
 def vector_map(vector: Vector) -> dict[str, float]:
@@ -41,15 +47,9 @@ def pose_map(kinematics: Kinematics) -> dict[str, Any]:
     }
 
 
-def geo_point_map(position_m: Vector) -> dict[str, float]:
-    """GeoPoint of an NED position around AirSim's default origin, on a sphere."""
-    north, east, down = position_m
-    circle = EARTH_RADIUS_M * math.cos(math.radians(HOME_LATITUDE))
-    return {
-        "latitude": HOME_LATITUDE + math.degrees(north / EARTH_RADIUS_M),
-        "longitude": HOME_LONGITUDE + math.degrees(east / circle),
-        "altitude": HOME_ALTITUDE_M - down,
-    }
+def geo_map(point: GeoPoint) -> dict[str, float]:
+    """GeoPoint."""
+    return {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.altitude}
 
 
 def no_collision_map() -> dict[str, Any]:
@@ -89,6 +89,14 @@ def number(value: Any, name: str) -> float:
     return float(value)
 
 
+def whole(value: Any, name: str) -> int:
+    """A whole number of 32 bits; raises ValueError."""
+    wide = number(value, name)
+    if wide != int(wide) or abs(wide) >= 1 << 31:
+        raise ValueError(f"{name} must be a whole number of 32 bits, not {wide:g}")
+    return int(wide)
+
+
 def coordinate(value: Any, name: str) -> float:
     """Metres from the origin; raises ValueError."""
     metres = number(value, name)
@@ -117,6 +125,35 @@ def pose(value: Any) -> tuple[Vector, Quaternion]:
     if length in (0.0, math.inf) or any(abs(place) > FARTHEST_M for place in xyz):
         raise ValueError(f"pose must be within {FARTHEST_M:g} m, its orientation finite and not zero")
     return xyz, tuple(part / length for part in wxyz)  # type: ignore[return-value]
+
+
+def vector(value: Any, name: str) -> Vector:
+    """A Vector3r of finite numbers; raises ValueError."""
+    try:
+        x, y, z = (number(value[key], f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"{name} must be {{x_val, y_val, z_val}}") from error
+    return x, y, z
+
+
+def geo_point(value: Any) -> GeoPoint:
+    """A GeoPoint on the Earth; raises ValueError."""
+    try:
+        parts = [number(value[key], key) for key in ("latitude", "longitude", "altitude")]
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError("a point must be {latitude, longitude, altitude}") from error
+    if abs(parts[0]) > 90.0 or abs(parts[1]) > 360.0:
+        raise ValueError(
+            f"a point must have a latitude within 90 degrees and a longitude within 360, not {parts[:2]}"
+        )
+    return GeoPoint(*parts)
+
+
+def wind(value: Vector) -> Vector:
+    """A wind that physics can follow; raises ValueError."""
+    if not math.hypot(*value) <= STRONGEST_WIND_M_S:
+        raise ValueError(f"wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {math.hypot(*value):g}")
+    return value
 
 
 def flag(value: Any, name: str) -> bool:

@@ -11,11 +11,11 @@ from typing import Any
 
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import Newcomer
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
+from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.vehicles import standing
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond them a tick's drag or turn is no small change
@@ -25,8 +25,8 @@ KIND = "simpleflight"
 class VehicleApi:
     """Calls on the vehicles of a simulation, which `pilot_of` finds by name."""
 
-    def __init__(self, simulation: Simulation, pilot_of: Callable[[Any], Pilot]) -> None:
-        self._simulation, self._pilot_of = simulation, pilot_of
+    def __init__(self, scenery: Scenery, pilot_of: Callable[[Any], Pilot]) -> None:
+        self._scenery, self._simulation, self._pilot_of = scenery, scenery.simulation, pilot_of
 
     def methods(self) -> dict[str, Method]:
         return {
@@ -62,6 +62,12 @@ class VehicleApi:
         flown = self._pilot_of(vehicle).vehicle
         self._simulation.world.teleport(flown, *self._place(*types.pose(pose), vehicle))
 
+    def put(self, pose: Any, vehicle: Any) -> None:
+        """simSetObjectPose of a vehicle: the pose is the world's."""
+        position, attitude = types.pose(pose)
+        flown = self._pilot_of(vehicle).vehicle
+        self._simulation.world.teleport(flown, *self._place(flown.local(position), attitude, vehicle))
+
     def _place(self, position: Vector, attitude: Quaternion, vehicle: Any) -> tuple[Vector, Quaternion]:
         """The pose in the world; what is NaN is the vehicle's present one."""
         pilot = self._pilot_of(vehicle)
@@ -85,7 +91,8 @@ class VehicleApi:
         touches = flown.touches
         info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
         if touch := touches.latest:
-            info |= {"time_stamp": self._simulation.time_of(touch.tick), "object_name": touch.object}
+            info |= {"time_stamp": types.stamp(self._simulation.time_of(touch.tick))}
+            info |= {"object_name": self._scenery.objects.name_of(touch.object)}
             info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
             info |= {"position": types.vector_map(flown.local(touch.position_m))}
             info |= {"impact_point": types.vector_map(flown.local(touch.impact_point_m))}

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.boxes import refit_bounding_boxes
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, WALL_TEXTURES, LaneLayout
 from uavaccel.units import ned_to_mujoco
 
@@ -38,7 +39,7 @@ def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout)
     model.geom_rgba[parked, 3] = 0.0  # not drawn
     _set_materials(model, used, layout)
     _set_light(model, layout)
-    _refit_bounding_boxes(model)
+    refit_bounding_boxes(model, set(geoms.tolist()))
     mujoco.mj_kinematics(model, data)
 
 
@@ -83,20 +84,6 @@ def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
     sun.dir = ned_to_mujoco(direction)
     sun.diffuse = layout.light * DAYLIGHT
     sun.ambient = layout.light * AMBIENT
-
-
-def _refit_bounding_boxes(model: mujoco.MjModel) -> None:
-    """Refit the world body's bounding-volume tree to its geoms; nodes precede their children, so from last to first."""
-    first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
-    boxes, children = model.bvh_aabb[first:], model.bvh_child[first:]
-    for node in reversed(range(count)):
-        geom = int(model.bvh_nodeid[first + node])
-        if geom < 0:
-            low = (boxes[children[node], :3] - boxes[children[node], 3:]).min(axis=0)
-            high = (boxes[children[node], :3] + boxes[children[node], 3:]).max(axis=0)
-            boxes[node] = np.concatenate([(low + high) / 2, (high - low) / 2])
-        elif model.geom(geom).name.startswith("obstacle_"):
-            boxes[node] = np.concatenate([model.geom_pos[geom], model.geom_aabb[geom, 3:]])
 
 
 def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:

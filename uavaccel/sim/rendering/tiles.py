@@ -36,6 +36,8 @@ class Tiles:
         set_quality(model, WIDTH, HEIGHT)
         self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
+        if self.renderer.software:
+            gl.drop_stencil(self._context, WIDTH, HEIGHT)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         self._offsets = [ctypes.c_void_p(TILE_BYTES * place) for place in range(count)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import NotNegative
@@ -22,10 +22,18 @@ class EvaluateConfig(Experiment):
     offset:METRES."""
     games: Annotated[int, Field(ge=1)] = 300
     first_lane: Annotated[int, Field(ge=0)] = 0
+    environments: Annotated[int, Field(ge=1)] = 1
+    """Lanes flown side by side, with one renderer where there is a GPU; 1 with wall. Rows are the same."""
     inference_s: NotNegative = 0.0005
     """What a decision costs the simulated wall clock of `virtual`."""
     task: LaneTask = LaneTask(split="evaluation", timing="virtual")
     """Keys left out are those that the agent was trained with; those that its network cannot take are refused."""
+
+    @model_validator(mode="after")
+    def _timing_allows(self) -> EvaluateConfig:
+        if self.task.timing == "wall" and self.environments > 1:
+            raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
+        return self
 
 
 def completed(mapping: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,17 @@ from uavaccel.config import validate
 from uavaccel.draw.film import Film
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import Agent, make_agent, policy_sha256
+from uavaccel.rl.agents import make_agent, policy_sha256
 from uavaccel.suites.evaluation import report
+from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.film import best_first, film_lane
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.summary import headline
+from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import Flown, Row, Suite, Summary, choose_row
 
-Opened = tuple[ObstacleLane, Agent]
+Opened = Callable[[int], Flown]
 
 
 class Evaluation(Suite[EvaluateConfig, Case]):
@@ -41,17 +43,24 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
-        """An environment, and the agent."""
+        """What flies the game on a lane: an environment and the agent, or many of them side by side."""
+        if config.environments > 1:
+            left = [case.lane for case in cases(config) if case.id not in run.done_cases()]
+            with closing(GamesInBatch(config, left)) as batch:
+                yield batch.game
+            return
         th.set_num_threads(1)
-        environment = ObstacleLane(**config.task.model_dump(mode="json"))
-        try:
-            yield environment, make_agent(config.agent, config.task)
-        finally:
-            environment.close()
+        with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
+            agent = make_agent(config.agent, config.task)
+            yield lambda lane: Flown(fly_game(config, environment, agent, lane))
 
     def fly(self, config: EvaluateConfig, case: Case, opened: Opened) -> Flown:
-        environment, agent = opened
-        return Flown(fly_game(config, environment, agent, case.lane))
+        return opened(case.lane)
+
+    def why_serial(self, config: EvaluateConfig) -> str:
+        """A batch has processes of its own."""
+        many = config.environments
+        return f"environments = {many} flies in processes of its own" if many > 1 else ""
 
     def renders(self, config: EvaluateConfig) -> bool:
         return config.task.observation != "state"
@@ -62,14 +71,17 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def status(self, rows: Sequence[Row]) -> str:
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
+    def pace(self, run: RunDirectory) -> str:
+        return pace(run)
+
     def headline(self, summary: Summary) -> str:
         return headline(summary)
 
     def report(self, run: RunDirectory) -> Summary:
         return report.write_report(run)
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path:
-        return report.draw_evaluations(runs, runs[0].file(report.COMPARISON))
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON))]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""

@@ -43,14 +43,16 @@ class Trajectories:
         return sorted({cell["clock_speed"] for cell in self.cells if cell["clock_speed"] > 1})
 
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """STLC of the games, T_moves pooled, and rounds too unless one number of them is asked for."""
+        """STLC of the games, T_moves pooled, and rounds too unless one is asked for; KeyError if none was flown."""
         values = [
             cell["stlc"]
             for cell in self.games
             if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
             and rounds in (None, cell["rounds"])
         ]
-        return np.concatenate([np.asarray(each, float) for each in values]) if values else np.empty(0)
+        if not values:
+            raise KeyError(f"{command} at {clock_speed:g}x was not flown")
+        return np.concatenate([np.asarray(each, float) for each in values])
 
     def median(self, command: str, clock_speed: float) -> float:
         """Pooled median STLC, as in the paper's Figure 5."""
@@ -100,11 +102,17 @@ class Policies:
     """A run of the suite `rl`: evaluation games won by command and ClockSpeed of the training, seeds pooled."""
 
     cells: Sequence[Cell]
+    interchange: Sequence[Cell] = ()
+    """Policies flown with both commands, seeds pooled."""
 
     @classmethod
     def of(cls, run: RunDirectory, profile: str) -> Policies:
-        cells = run.read_json("summary.json")["cells"]
-        return cls([cell for cell in cells if cell["profile"] == profile])
+        """Of the profile's trainings on the virtual clock, those without a variant."""
+        summary = run.read_json("summary.json")
+        wanted = (profile, "virtual", "")
+        return cls(
+            *([cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange"))
+        )
 
     def counts(self, command: str, clock_speed: float) -> tuple[int, int]:
         """Successes and games; (0, 0) where nothing was trained."""
@@ -113,10 +121,27 @@ class Policies:
 
     def speedup(self, clock_speed: float) -> float | None:
         """Mean simulation-only speed-up of TCSC's trainings, on their modelled clock; None without one."""
-        values = [cell["training_speedup"] for cell in self._cells("tcsc", clock_speed)]
+        return self._mean("training_speedup", clock_speed)
+
+    def whole_speedup(self, clock_speed: float) -> float | None:
+        """The same with image processing, inference and learning."""
+        return self._mean("whole_training_speedup", clock_speed)
+
+    def accelerated(self, command: str) -> list[float]:
+        """ClockSpeeds above 1 at which the command was trained."""
+        return sorted(
+            {c["clock_speed"] for c in self.cells if c["command"] == command and c["clock_speed"] > 1}
+        )
+
+    def _mean(self, key: str, clock_speed: float) -> float | None:
+        values = [cell[key] for cell in self._cells("tcsc", clock_speed)]
         return float(np.mean(values)) if values and None not in values else None
 
     def _cells(self, command: str, clock_speed: float) -> list[Cell]:
         return [
             cell for cell in self.cells if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
         ]
+
+
+def _kind(cell: Cell) -> tuple[str, str, str]:
+    return cell["profile"], cell["timing"], cell["variant"]

@@ -36,6 +36,7 @@ class Paper(Suite[PaperConfig, Case]):
 
     name = "paper"
     config = PaperConfig
+    batch = 1
 
     def check(self, config: PaperConfig) -> None:
         read_claims(config)

@@ -70,6 +70,7 @@ class Trainer:
         """Fly and learn until another game is over. Raises KeyboardInterrupt, after a checkpoint, on Ctrl-C."""
         learner = self._learner
         while not self._finished:
+            learner.holding = self._due()
             if learner.at_rest:
                 self._save_if_due()  # every game handed out has its row by now
             self._finished.extend(self._rows.flown(game, learner.stopwatch) for game in learner.advance())
@@ -80,12 +81,15 @@ class Trainer:
 
     def _save_if_due(self) -> None:
         games = self._learner.games
-        if self._interrupted or games - self._saved >= self._config.checkpoint_games:
+        if self._due():
             save_checkpoint(self._run.path / CHECKPOINTS, self._learner)
             self._export()
             self._saved = games
         if self._interrupted:
             raise KeyboardInterrupt
+
+    def _due(self) -> bool:
+        return self._interrupted or self._learner.games - self._saved >= self._config.checkpoint_games
 
     def _export(self) -> None:
         policy = self._learner.policy
@@ -104,14 +108,16 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
-    """A trainer that Ctrl-C asks for a checkpoint."""
+    """A trainer that Ctrl-C asks for a checkpoint, unless this process is to leave Ctrl-C to another."""
     trainer = Trainer(config, run)
-    in_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, trainer.interrupt) if in_main else None
+    before = signal.getsignal(signal.SIGINT)
+    heeds = threading.current_thread() is threading.main_thread() and before is not signal.SIG_IGN
+    if heeds:
+        signal.signal(signal.SIGINT, trainer.interrupt)
     try:
         yield trainer
     finally:
-        if in_main:
+        if heeds:
             signal.signal(signal.SIGINT, before)
         trainer.close()
 

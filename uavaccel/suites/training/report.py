@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 from uavaccel.config import validate
@@ -15,13 +14,17 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
+from uavaccel.suites.host_time import over_all_starts, wall_s
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.curve import draw_runs
+from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
 from uavaccel.suites.training.summary import headline, summarise
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
+CURVES = "figures/learning_curves_compared.png"
 
 
 def write_report(run: RunDirectory) -> Summary:
@@ -31,6 +34,8 @@ def write_report(run: RunDirectory) -> Summary:
     trained = trained_with(run.path)
     over = trained.get("games") == len(rows)
     summary = summarise(config, rows, trained["weights_sha256"] if over else None)
+    if over and (run.path / REAL_TIME).is_file():
+        summary |= in_real_time(summary["commands"], run.read_json(REAL_TIME))
     run.write_json("summary.json", summary)
     path = draw_trainings([run], run.file(FIGURE))
     picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
@@ -45,6 +50,15 @@ def write_report(run: RunDirectory) -> Summary:
 def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
     """Figure 9 with a bar for each training; returns `path`."""
     return draw_phases(_told_apart(runs), path, _source(runs))
+
+
+def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
+    """Figure 9 and the learning curves of several trainings, in the first one's folder."""
+    labels = [training.label.replace("\n", ", ") for training in _told_apart(runs)]
+    return [
+        draw_trainings(runs, runs[0].file(COMPARISON)),
+        draw_runs(runs, labels, runs[0].file(CURVES)),
+    ]
 
 
 def _source(runs: Sequence[RunDirectory]) -> str:
@@ -74,20 +88,12 @@ def phase_times(run: RunDirectory) -> PhaseTimes:
         phase_s = {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES}
         return PhaseTimes(label, phase_s, sim_time_s / (sum(phase_s.values()) / config["environments"]))
     timings = run.timings()
-    flown, learned = Counter[str](), _over_all_starts([entry["learner_s"] for entry in timings])
+    flown, learned = Counter[str](), over_all_starts([entry["learner_s"] for entry in timings])
     for entry in timings:
         flown.update(entry["host_phase_s"])
-    wall_s = _over_all_starts([{"wall_s": entry["wall_s"]} for entry in timings])["wall_s"]
-    return PhaseTimes(label, {phase: flown[phase] + learned[phase] for phase in PHASES}, sim_time_s / wall_s)
-
-
-def _over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
-    """The sums of stopwatches that begin anew whenever the training is resumed."""
-    total = Counter[str](readings[-1] if readings else {})
-    for before, after in pairwise(readings):
-        if sum(after.values()) < sum(before.values()):
-            total.update(before)
-    return total
+    return PhaseTimes(
+        label, {phase: flown[phase] + learned[phase] for phase in PHASES}, sim_time_s / wall_s(run)
+    )
 
 
 def _clock(run: RunDirectory) -> str:

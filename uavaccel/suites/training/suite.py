@@ -11,10 +11,12 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import OWN, check_algorithm
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.policy import trained_with
+from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
 from uavaccel.suites.training import report
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import Case, Trainer, cases, drop_games_after_checkpoint, open_trainer
+from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
 from uavaccel.suites.training.rows import RECENT
 from uavaccel.suites.training.summary import headline
 
@@ -47,6 +49,12 @@ class Training(Suite[TrainConfig, Case]):
     def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> Flown:
         return opened.next_game()
 
+    def finish(self, config: TrainConfig, run: RunDirectory) -> None:
+        run.write_json(REAL_TIME, model_real_time(config))
+
+    def pace(self, run: RunDirectory) -> str:
+        return pace(run)
+
     def renders(self, config: TrainConfig) -> bool:
         return config.task.observation != "state"
 
@@ -69,5 +77,5 @@ class Training(Suite[TrainConfig, Case]):
     def report(self, run: RunDirectory) -> Summary:
         return report.write_report(run)
 
-    def compare(self, runs: Sequence[RunDirectory]) -> Path:
-        return report.draw_trainings(runs, runs[0].file(report.COMPARISON))
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        return report.compare_trainings(runs)

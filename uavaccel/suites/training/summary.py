@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.suites.host_time import in_words
 from uavaccel.suites.suite import Row, Summary
 from uavaccel.suites.training.config import TrainConfig
 
@@ -31,8 +32,9 @@ def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | No
 
 def headline(summary: Summary) -> str:
     """The result in a sentence."""
-    weights = summary["weights_sha256"]
+    weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
     return (
         f"{summary['successes']} of {summary['games']} training games succeeded, "
         f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
+        f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
     )

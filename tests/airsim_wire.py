@@ -1,0 +1,82 @@
+"""AirSim's calls on a furnished scene in this process, for the tests of what a vehicle senses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import msgpack
+
+from tests.scenes import BLOCKS
+from uavaccel.sim.poses import Pose as ScenePose
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.scene_objects import SceneObjects
+from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.watched import WatchedWorld
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.settings import Settings
+
+MS = 1_000_000
+
+
+@cache
+def furnished_world() -> WatchedWorld:
+    """One for all tests: each begins with a reset, and what it spawned it destroys.
+
+    Its blocks are where tests.scenes.BLOCKS has them; what is no block is out of the way.
+    """
+    world = WatchedWorld("blocks", NATIVE, furnished=True)
+    objects = SceneObjects(world)
+    for name in objects.names():
+        middle, _ = BLOCKS.get(name, ((-5000.0, 0.0, -3.0), None))
+        objects.set_pose(name, ScenePose(middle))
+    return world
+
+
+def vector(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x_val": x, "y_val": y, "z_val": z}
+
+
+def xyz(field: Mapping[str, float]) -> list[float]:
+    return [field[key] for key in ("x_val", "y_val", "z_val")]
+
+
+def level_pose(x: float, y: float, z: float) -> dict[str, Any]:
+    return {
+        "position": vector(x, y, z),
+        "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
+    }
+
+
+class AirSimWire:
+    """A settled hover 10 m up, running at 1x, API control on; replies are what a client unpacks."""
+
+    def __init__(self, settings: Mapping[str, Any] | None = None, **api: Any) -> None:
+        self.world = furnished_world()
+        self.world.state["wind"] = 0.0
+        self.world.reset()
+        self.said: list[str] = []
+        self.simulation = Simulation(self.world)
+        self.simulation.reset(0)
+        self.simulation.api_control = True
+        self.api = Api(self.simulation, Settings.model_validate(settings or {}), say=self.said.append, **api)
+        self.wall_ns = 0
+
+    def call(self, method: str, *params: Any) -> Any:
+        result = self.api.call(method, params, self.wall_ns)
+        if isinstance(result, DeferredReply):
+            return result
+        return msgpack.unpackb(rpc.pack_response(1, None, result))[3]
+
+    def fly(self, seconds: float) -> None:
+        self.wall_ns += round(seconds * 1000) * MS
+        self.simulation.advance_to(self.wall_ns)
+
+    def images(self, *requests: tuple[str, int, bool]) -> list[dict[str, Any]]:
+        """Camera, type, and whether as numbers."""
+        keys = ("camera_name", "image_type", "pixels_as_float")
+        asked = [dict(zip(keys, request, strict=True)) | {"compress": False} for request in requests]
+        answers: list[dict[str, Any]] = self.call("simGetImages", asked, "", False)
+        return answers

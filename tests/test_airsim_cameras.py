@@ -1,0 +1,219 @@
+"""AirSim's cameras and types of image, against rays cast into boxes of known measures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.airsim_wire import AirSimWire, level_pose, xyz
+from tests.scenes import BLOCKS, Pose, Seen, cast_from
+from uavaccel.wire import rpc
+from uavaccel.wire.segmentation import id_of_name
+from uavaccel.wire.types import EPOCH_NS
+
+pytestmark = pytest.mark.opengl
+
+SCENE, PLANAR, PERSPECTIVE, VIS, DISPARITY, SEGMENTATION, NORMALS, INFRARED, FLOW = range(9)
+SKY_M = 65504.0
+WIDE = BLOCKS | {"ground": ((0.0, 0.0, 1.0), (1e4, 1e4, 1.0))}
+VEHICLE = Pose((3.0, -4.0, -8.0), (8.0, -6.0, 25.0))
+SETTINGS = {
+    "CameraDefaults": {"CaptureSettings": [{"ImageType": 1, "Width": 96, "Height": 54}]},
+    "ExternalCameras": {"mast": {"X": -5, "Y": 10, "Z": -20, "Pitch": -30, "Yaw": -45}},
+    "Vehicles": {
+        "Eye": {
+            "Cameras": {
+                "tail": {"X": -1.0, "Z": -0.5, "Pitch": -20, "Yaw": 170},
+                "front_left": {
+                    "Y": -0.5,
+                    "CaptureSettings": [{"ImageType": 1, "Width": 64, "Height": 80, "FOV_Degrees": 60}],
+                    "Gimbal": {"Stabilization": 1},
+                },
+            }
+        }
+    },
+}
+MOUNTS = {  # by name: metres FRD; roll, pitch, yaw in degrees; columns, rows, degrees across
+    "front_center": ((0.46, 0.0, 0.0), (0, 0, 0), 96, 54, 90),
+    "1": ((0.46, 0.125, 0.0), (0, 0, 0), 96, 54, 90),
+    "front_left": ((0.46, -0.5, 0.0), (0, 0, 0), 64, 80, 60),
+    "3": ((0.0, 0.0, 0.12), (0, -90, 0), 96, 54, 90),
+    "back_center": ((-0.46, 0.0, 0.0), (0, 0, 180), 96, 54, 90),
+    "tail": ((-1.0, 0.0, -0.5), (0, -20, 170), 96, 54, 90),
+}
+
+
+def turned(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
+    return Pose((0.0, 0.0, 0.0), degrees).matrix()
+
+
+def seen_from(mount: Any, vehicle: Pose = VEHICLE) -> Seen:
+    place, degrees, columns, rows, fov_deg = mount
+    eye = np.array(vehicle.position_m) + vehicle.matrix() @ place
+    return cast_from(eye, vehicle.matrix() @ turned(degrees), WIDE, columns, rows, fov_deg)
+
+
+def floats(response: dict[str, Any]) -> NDArray[np.float64]:
+    return np.array(response["image_data_float"]).reshape(response["height"], response["width"])
+
+
+def pixels(response: dict[str, Any]) -> NDArray[np.uint8]:
+    flat = np.frombuffer(response["image_data_uint8"], np.uint8)
+    return flat.reshape(response["height"], response["width"], 3)
+
+
+@pytest.mark.parametrize("name", MOUNTS)
+def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
+    wire, mount = AirSimWire(SETTINGS), MOUNTS[name]
+    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    [response] = wire.images((name, PLANAR, True))
+    assert (response["width"], response["height"]) == mount[2:4]
+    seen, depth_m = seen_from(mount), floats(response)
+    clear = seen.inside() & (seen.planar_m < 500)
+    assert clear.mean() > 0.2
+    np.testing.assert_allclose(depth_m[clear], seen.planar_m[clear], rtol=4e-3)
+    assert (depth_m[seen.inside() & (seen.box < 0)] == SKY_M).all()
+    eye = np.array(VEHICLE.position_m) + VEHICLE.matrix() @ mount[0]
+    info = wire.call("simGetCameraInfo", name, "Eye", False)
+    for told in (response["camera_position"], info["pose"]["position"]):
+        np.testing.assert_allclose(xyz(told), eye, atol=1e-9)
+    assert response["camera_orientation"] == info["pose"]["orientation"]
+    w, *axis = info["pose"]["orientation"].values()
+    forward = VEHICLE.matrix() @ turned(mount[1])[:, 0]
+    x, y, z = axis
+    np.testing.assert_allclose(
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9
+    )
+    assert wire.api.settings.passed_over() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
+
+
+def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
+    wire = AirSimWire(SETTINGS)
+    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    request = {"camera_name": "mast", "image_type": PLANAR, "pixels_as_float": True}
+    [response] = wire.call("simGetImages", [request], "", True)
+    axes, eye = turned((0.0, -30.0, -45.0)), np.array([-5.0, 10.0, -20.0])
+    seen = cast_from(eye, axes, WIDE, 96, 54, 90.0)
+    near = np.abs(floats(response) / seen.planar_m - 1) < 4e-3
+    assert near[seen.inside() & (seen.planar_m < 500)].mean() > 0.98
+    forward, right, down = (np.array(VEHICLE.position_m) - eye) @ axes
+    row, column = int(27 + 48 * down / forward), int(48 + 48 * right / forward)
+    assert floats(response)[row, column] == pytest.approx(forward, abs=0.5), "the vehicle is in the way"
+    with pytest.raises(rpc.RpcError, match="no camera 'mast'"):
+        wire.images(("mast", PLANAR, True))
+
+
+def test_a_camera_is_moved_and_zoomed_for_all_types_and_nan_leaves_its_part() -> None:
+    wire = AirSimWire()
+    wire.call("simSetVehiclePose", VEHICLE.message(), True, "")
+    pose = Pose((0.2, 1.0, -0.3), (5.0, -30.0, 60.0))
+    wire.call("simSetCameraPose", "0", pose.message(), "", False)
+    wire.call("simSetCameraFov", "front_center", 50, "", False)
+    kept = level_pose(float("nan"), 0.0, 0.0)
+    kept["orientation"]["w_val"] = float("nan")
+    wire.call("simSetCameraPose", "fpv", kept, "", False)
+    seen = seen_from((pose.position_m, pose.degrees, 256, 144, 50))
+    planar, along, shares, colours = wire.images(
+        ("0", PLANAR, True), ("", PERSPECTIVE, True), ("0", VIS, True), ("0", INFRARED, False)
+    )
+    clear = seen.inside() & (seen.planar_m < 500)
+    np.testing.assert_allclose(floats(planar)[clear], seen.planar_m[clear], rtol=4e-3)
+    np.testing.assert_allclose(floats(along)[clear], seen.perspective_m[clear], rtol=4e-3)
+    np.testing.assert_allclose(floats(shares)[clear], np.minimum(seen.planar_m / 100, 1)[clear], rtol=4e-3)
+    ids = np.array([id_of_name(name) for name in WIDE])
+    assert (pixels(colours)[clear] == ids[seen.box][clear][:, None]).all()
+    assert wire.call("simGetCameraInfo", "0", "", False)["fov"] == 50
+
+
+def test_disparity_normals_and_infrared() -> None:
+    """Level, 10 m up, before block_north's south face: its normal is south, the ground's up."""
+    wire = AirSimWire()
+    seen = seen_from(((0.46, 0.0, 0.0), (0, 0, 0), 256, 144, 90), Pose((0.0, 0.0, -10.0), (0, 0, 0)))
+    clear = seen.inside() & (seen.planar_m < 500)
+    disparity, normals, infrared = wire.images(
+        ("0", DISPARITY, True), ("0", NORMALS, False), ("0", INFRARED, False)
+    )
+    np.testing.assert_allclose(floats(disparity)[clear], 0.25 / 2 / seen.planar_m[clear], rtol=4e-3)
+    names = [*WIDE]
+    faces = {"block_north": (0, 128, 128), "ground": (128, 128, 255)}
+    for name, rgb in faces.items():
+        of_it = seen.inside() & (seen.box == names.index(name))
+        assert of_it.sum() > 1000
+        assert np.abs(pixels(normals)[of_it][:, ::-1].astype(int) - rgb).max() <= 1
+        assert (pixels(infrared)[of_it] == id_of_name(name)).all()
+    sky = seen.inside() & (seen.box < 0)
+    assert not pixels(normals)[sky].any()
+    assert not pixels(infrared)[sky].any()
+
+
+def test_what_cannot_be_drawn_is_refused_alone_and_all_are_of_one_moment() -> None:
+    wire = AirSimWire()
+    wire.call("moveByVelocity", 4.0, 1.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 20.0}, "")
+    wire.fly(1.0)
+    first, flow, last = wire.images(("0", SCENE, False), ("0", FLOW, False), ("2", PLANAR, True))
+    assert flow["message"].startswith("image type 8 is not available")
+    assert (flow["width"], flow["height"], flow["image_data_uint8"], flow["image_data_float"]) == (
+        0,
+        0,
+        b"",
+        [],
+    )
+    assert (first["message"], last["message"]) == ("", "")
+    assert len(first["image_data_uint8"]) == 256 * 144 * 3
+    stamps = {response["time_stamp"] for response in (first, flow, last)}
+    assert stamps == {wire.call("getMultirotorState", "")["timestamp"]}
+    assert first["camera_orientation"] == last["camera_orientation"]
+
+
+def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() -> None:
+    wire = AirSimWire()
+    wire.call("moveByVelocity", 4.0, 1.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 20.0}, "")
+    wire.fly(1.0)
+    asked = [
+        {"camera_name": str(camera), "image_type": PLANAR, "pixels_as_float": True} for camera in range(5)
+    ]
+    at_once = wire.call("simGetImages", asked, "", False)
+    steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
+    while wire.api.go_on(steps, "simGetImages", []):
+        wire.fly(0.01)
+    for one, other in zip(steps.made, at_once, strict=True):
+        assert one["time_stamp"] == other["time_stamp"] < EPOCH_NS + wire.simulation.time_ns
+        assert one["camera_position"] == other["camera_position"]
+        np.testing.assert_array_equal(one["image_data_float"], np.float32(other["image_data_float"]))
+
+
+def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
+    wire = AirSimWire()
+    wire.call("simSetVehiclePose", level_pose(150.0, 20.0, -5.0), True, "")
+    [response] = wire.images(("0", PLANAR, True))
+    rows = (np.arange(144) + 0.5 - 72) / 128
+    below = rows > 5.0 / 900  # of the horizon, as far as the ground is drawn in whole pixels
+    expected = np.broadcast_to((5.0 / rows[below])[:, None], (below.sum(), 256))
+    np.testing.assert_allclose(floats(response)[below], expected, rtol=1e-2)
+    assert (floats(response)[rows < 0] == SKY_M).all()
+
+
+@pytest.mark.parametrize(("method", "params", "said"), [
+    ("simSetCameraPose", ["0", level_pose(0, 0, 0), "Nobody"], "there is 'Eye'"),
+    ("simGetCameraInfo", ["nose"], r"no camera 'nose'; there are front_center \(0\), .*, tail"),
+    ("simSetCameraFov", ["0", 0], "fov_degrees must be above 0"),
+    ("simGetImages", [[{"image_type": 2**70}]], "image_type must be a whole number of 32 bits"),
+    ("getImuData", [["imu"]], "a sensor's name must be a text, not list"),
+    ("simSetDistortionParam", ["0", {}, 0.1], "no distortion parameter"),
+    ("simSetDistortionParam", ["0", "K9", 0.1], "no distortion parameter 'K9'; there are K1"),
+    ("simGetFocalLength", ["0"], "simGetFocalLength is not available: cameras here are pinholes"),
+])  # fmt: skip
+def test_mistakes_are_named(method: str, params: list[Any], said: str) -> None:
+    with pytest.raises(rpc.RpcError, match=said):
+        AirSimWire(SETTINGS).call(method, *params)
+
+
+def test_distortion_is_kept_and_told_and_said_to_be_without_effect() -> None:
+    wire = AirSimWire()
+    for _ in range(2):
+        wire.call("simSetDistortionParam", "0", "K2", 0.25, "", False)
+    assert wire.call("simGetDistortionParams", "0", "", False) == [0.0, 0.25, 0.0, 0.0, 0.0]
+    assert wire.said == ["simSetDistortionParam: accepted; pictures stay undistorted"]

@@ -1,0 +1,227 @@
+"""Objects as AirSim's clients find, move, scale, spawn, destroy, colour and detect them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
+from uavaccel.resources import asset
+from uavaccel.sim.furnished import SPARES, furnished_spec, put_spares_by
+from uavaccel.sim.rays import cast
+from uavaccel.sim.scene_objects import take_over
+from uavaccel.wire import rpc
+from uavaccel.wire.segmentation import colours
+
+NORTH = np.array([[1.0, 0.0, 0.0]])
+ONE = vector(1.0, 1.0, 1.0)
+BLOCK = "block_north"
+
+
+@pytest.fixture
+def wire() -> Iterator[AirSimWire]:
+    """What a test has spawned or moved is put back."""
+    wire = AirSimWire()
+    before = {
+        name: wire.call("simGetObjectPose", name) for name in wire.call("simListSceneObjects", "block.*")
+    }
+    yield wire
+    for name in wire.call("simListSceneObjects"):
+        if name in before:
+            wire.call("simSetObjectPose", name, before[name], True)
+            wire.call("simSetObjectScale", name, ONE)
+        else:
+            wire.call("simDestroyObject", name)
+
+
+def ahead_m(wire: AirSimWire) -> float:
+    """How far the first thing north of the vehicle's middle is."""
+    place = wire.simulation.kinematics().position_m
+    return float(cast(wire.world.model, wire.world.data, place, NORTH).distance_m[0])
+
+
+def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
+    told: str = wire.call("simSpawnObject", name, asset, level_pose(*at), scale, False, False)
+    return told
+
+
+def test_objects_are_found_by_whole_names_whatever_their_case(wire: AirSimWire) -> None:
+    assert wire.call("simListSceneObjects", "BLOCK_north.*") == [
+        "block_north",
+        "block_north_east",
+        "block_north_west",
+    ]
+    assert wire.call("simListSceneObjects", "north") == []
+    assert {"ground", "SimpleFlight"} < set(wire.call("simListSceneObjects"))
+    assert xyz(wire.call("simGetObjectPose", BLOCK)["position"]) == [45.0, 0.0, -6.0]
+    assert wire.call("simGetObjectPose", "SimpleFlight") == wire.call("simGetVehiclePose", "")
+    nowhere = wire.call("simGetObjectPose", "Nowhere")
+    assert np.isnan(xyz(nowhere["position"])).all()
+    assert np.isnan(nowhere["orientation"]["w_val"])
+    assert not wire.call("simSetObjectPose", "Nowhere", nowhere, True)
+    with pytest.raises(rpc.RpcError, match="is no regular expression"):
+        wire.call("simListSceneObjects", "(")
+
+
+def test_an_object_is_where_it_is_put_and_as_large_as_it_is_made(wire: AirSimWire) -> None:
+    assert ahead_m(wire) == pytest.approx(42.0)
+    assert wire.call("simSetObjectPose", BLOCK, level_pose(20.0, 0.0, -10.0), True)
+    assert ahead_m(wire) == pytest.approx(17.0)
+    assert wire.call("simSetObjectScale", BLOCK, vector(2.0, 1.0, 1.0))
+    assert ahead_m(wire) == pytest.approx(14.0)
+    assert xyz(wire.call("simGetObjectScale", BLOCK)) == [2.0, 1.0, 1.0]
+    half = np.sqrt(0.5)
+    turned = level_pose(20.0, 0.0, -10.0) | {
+        "orientation": {"w_val": half, "x_val": 0.0, "y_val": 0.0, "z_val": half}
+    }
+    turned["position"]["x_val"] = 30.0
+    assert wire.call("simSetObjectPose", BLOCK, turned, True)  # a quarter turn: its length of 40 m lies north
+    assert ahead_m(wire) == pytest.approx(10.0)
+    for method, value in (("simSetObjectPose", level_pose(0, 0, 0)), ("simSetObjectScale", ONE)):
+        assert not wire.call(method, "ground", value)
+        assert not wire.call(method, "nothing", value)
+    with pytest.raises(rpc.RpcError, match="scale must be positive"):
+        wire.call("simSetObjectScale", BLOCK, vector(1.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(("asset", "scale", "half_m"), [
+    ("Cube", (2.0, 1.0, 3.0), 1.0),
+    ("Sphere", (1.0, 3.0, 3.0), 0.5),
+    ("Cylinder", (3.0, 3.0, 3.0), 1.5),
+    ("Plane", (4.0, 4.0, 200.0), 2.0),
+])  # fmt: skip
+def test_what_is_spawned_has_its_form_stops_the_vehicle_and_goes(
+    wire: AirSimWire, asset: str, scale: tuple[float, float, float], half_m: float
+) -> None:
+    assert asset in wire.call("simListAssets")
+    name = spawn(wire, "crate", asset, (6.0, 0.0, -10.0), vector(*scale))
+    assert name == "crate"
+    assert ahead_m(wire) == pytest.approx(6.0 - half_m)
+    assert not wire.call("simGetCollisionInfo", "")["has_collided"]
+    wire.call("moveByVelocityZ", 4.0, 0.0, -10.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+    wire.fly(3.0)
+    hit = wire.call("simGetCollisionInfo", "")
+    assert (hit["has_collided"], hit["object_name"]) == (True, "crate")
+    assert wire.call("simDestroyObject", "crate")
+    assert not wire.call("simDestroyObject", "crate")
+    wire.call("reset")
+    assert ahead_m(wire) == pytest.approx(42.0)
+    wire.simulation.api_control = True
+    wire.call("moveByVelocityZ", 4.0, 0.0, -10.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+    wire.fly(3.0)
+    assert not wire.call("simGetCollisionInfo", "")["has_collided"]
+    assert wire.simulation.kinematics().position_m[0] > 5.5
+
+
+def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
+    assert [spawn(wire, "box", "Cube", (30.0, 30.0, -20.0)) for _ in range(3)] == ["box", "box1", "box2"]
+    with pytest.raises(rpc.RpcError, match="no objects with name Tree found in the Registry; there are Cube"):
+        spawn(wire, "tree", "Tree", (0.0, 0.0, 0.0))
+    for _ in range(SPARES - 3):
+        spawn(wire, "box", "Cube", (30.0, 30.0, -20.0))
+    with pytest.raises(rpc.RpcError, match="there is no room for another object"):
+        spawn(wire, "box", "Cube", (30.0, 30.0, -20.0))
+    assert wire.call("simDestroyObject", "box1")
+    assert spawn(wire, "late", "Cube", (30.0, 30.0, -20.0)) == "late"
+
+
+@pytest.mark.opengl
+def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> None:
+    letters = sum(map(ord, "blocknorth"))
+    assert wire.call("simGetSegmentationObjectID", BLOCK) == (5 + letters) % 256
+    assert wire.call("simSetSegmentationObjectID", "block_[a-z_]*", 21, True)
+    assert not wire.call("simSetSegmentationObjectID", "tree.*", 3, True)
+    assert wire.call("simSetSegmentationObjectID", BLOCK, 42, False)
+    assert wire.call("simGetSegmentationObjectID", "BLOCK_NORTH") == 42
+    assert wire.call("simGetSegmentationObjectID", "block_east") == 21
+    assert wire.call("simGetSegmentationObjectID", "tree") == -1
+    assert (
+        wire.call("simGetSegmentationObjectID", "SimpleFlight") == (5 + sum(map(ord, "simpleflight"))) % 256
+    )
+    assert wire.call("simSetSegmentationObjectID", "simpleflight", 7, False)
+    assert wire.call("simGetSegmentationObjectID", "SimpleFlight") == 7
+
+    def middle() -> list[int]:
+        [picture] = wire.images(("0", 5, False))
+        pixels = np.frombuffer(picture["image_data_uint8"], np.uint8).reshape(144, 256, 3)
+        return [int(part) for part in pixels[78, 128, ::-1]]
+
+    assert middle() == colours()[42].tolist() == [92, 31, 106]
+    assert wire.call("simSetSegmentationObjectID", BLOCK, -1, False)
+    assert middle() == [0, 0, 0]
+    with pytest.raises(rpc.RpcError, match="object_id must be -1 to 255, not 256"):
+        wire.call("simSetSegmentationObjectID", BLOCK, 256, False)
+
+
+def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWire) -> None:
+    """As a world makes a new model that has others attached."""
+    spawn(wire, "post", "Cylinder", (10.0, 0.0, -10.0), vector(1.0, 1.0, 30.0))
+    spec = furnished_spec(asset("mjcf/blocks.xml"))
+    other = mujoco.MjSpec.from_file(str(asset("mjcf/quadrotor.xml")))
+    spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
+    new = spec.compile()
+    put_spares_by(new)
+    take_over(wire.world.model, new)
+    data = mujoco.MjData(new)
+    assert cast(new, data, (0.0, 0.0, -10.0), NORTH).distance_m[0] == pytest.approx(9.5)
+    data.qpos[:3] = 9.4, 0.0, 10.0
+    mujoco.mj_forward(new, data)
+    assert data.ncon > 0
+
+
+def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire) -> None:
+    spawn(wire, "Car_1", "Cube", (10.46, 2.0, -9.0))
+    spawn(wire, "Car_far", "Cube", (80.0, 0.0, -30.0))
+    spawn(wire, "Car_hidden", "Cube", (60.0, 0.0, -5.0))  # behind block_north
+    spawn(wire, "Car_behind", "Cube", (-20.0, 0.0, -10.0))
+    assert wire.call("simGetDetections", "0", 0, "", False) == []
+    wire.call("simAddDetectionFilterMeshName", "0", 0, "car_*", "", False)
+    assert [found["name"] for found in wire.call("simGetDetections", "0", 0, "", False)] == [
+        "Car_1",
+        "Car_far",
+    ]
+    wire.call("simSetDetectionFilterRadius", "front_center", 0, 5000.0, "", False)
+    [car] = wire.call("simGetDetections", "0", 0, "", False)
+    box = car["box2D"]
+    near, far = 9.5, 10.5  # of its faces; 128 pixels are one metre at one metre
+    assert box["min"] == pytest.approx({"x_val": 128 + 128 * 1.5 / far, "y_val": 72 + 128 * 0.5 / far})
+    assert box["max"] == pytest.approx({"x_val": 128 + 128 * 2.5 / near, "y_val": 72 + 128 * 1.5 / near})
+    assert xyz(car["relative_pose"]["position"]) == pytest.approx([10.0, 2.0, 1.0])
+    assert xyz(car["box3D"]["min"]) == pytest.approx([9.5, 1.5, 0.5])
+    assert car["geo_point"]["altitude"] == pytest.approx(122.0 + 9.0)
+    assert wire.call("simGetDetections", "0", 1, "", False) == [], "each type has filters of its own"
+    wire.call("simClearDetectionMeshNames", "0", 0, "", False)
+    assert wire.call("simGetDetections", "0", 0, "", False) == []
+
+
+def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
+    """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
+    from uavaccel.sim.profile import NATIVE
+    from uavaccel.sim.scene_objects import SceneObjects
+    from uavaccel.sim.world import World
+
+    world = World("blocks", NATIVE, furnished=True)
+    corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        way = end - start
+        length_m = float(np.linalg.norm(way))
+        beside = np.array([-way[1], way[0], 0.0]) / length_m
+        for aside_m in (-5.0, 0.0, 5.0):
+            place = start + aside_m * beside
+            assert cast(world.model, world.data, place, way[None] / length_m, length_m).geoms[0] == -1
+    assert {"OrangeBall", "PulsingCone", "Cylinder5_2"} < set(SceneObjects(world).names())
+    low = SceneObjects(world).corners("PulsingCone")[:, 2].max()
+    assert low == pytest.approx(0.0, abs=1e-6), "it stands on the ground"
+
+
+def test_a_plain_scene_can_be_moved_but_has_no_room() -> None:
+    from tests.simulating import simulate
+    from uavaccel.wire.api import Api
+
+    api = Api(simulate())
+    with pytest.raises(rpc.RpcError, match="no room for another object"):
+        api.call("simSpawnObject", ["box", "Cube", level_pose(0, 0, -50), ONE, False, False], 0)

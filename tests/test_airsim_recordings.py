@@ -1,0 +1,87 @@
+"""Recordings with images: each sample's files are of its tick, and two runs write the same bytes."""
+
+from __future__ import annotations
+
+from itertools import chain
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.airsim_wire import AirSimWire
+from uavaccel.wire import rpc
+from uavaccel.wire.types import EPOCH_NS
+
+pytestmark = pytest.mark.opengl
+
+CAMERAS = [
+    {"CameraName": "0", "ImageType": 0},
+    {"CameraName": "bottom_center", "ImageType": 1, "PixelsAsFloat": True},
+    {"CameraName": "0", "ImageType": 5, "Compress": False},
+]
+
+
+def recorder(folder: Path, **recording: object) -> AirSimWire:
+    return AirSimWire(
+        {"Vehicles": {"Up/down 1": {}}, "Recording": {"Cameras": CAMERAS, **recording}}, recordings=folder
+    )
+
+
+def flown(folder: Path) -> tuple[AirSimWire, Path]:
+    wire = recorder(folder)
+    wire.fly(0.01)
+    wire.call("startRecording")
+    wire.fly(0.02)
+    wire.call("moveByVelocity", 3.0, 0.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+    wire.fly(0.28)
+    wire.call("stopRecording")
+    [made] = folder.iterdir()
+    return wire, made
+
+
+def test_each_sample_has_its_images(tmp_path: Path) -> None:
+    wire, made = flown(tmp_path)
+    header, *rows = [line.split("\t") for line in (made / "airsim_rec.txt").read_text().splitlines()]
+    assert [int(row[1]) - EPOCH_NS // 1_000_000 for row in rows] == [*range(10, 320, 50)]
+    assert wire.said == [f"recording to {made / 'airsim_rec.txt'}"]
+    names = [row[header.index("ImageFile")].split(";") for row in rows]
+    assert names[1][0] == f"img_Up_down_1_front_center_0_{EPOCH_NS + 60_000_000}.png"
+    assert sorted(path.name for path in (made / "images").iterdir()) == sorted(chain(*names))
+    scene, depth, segments = (
+        made / "images" / name for name in names[-1]
+    )  # at the last tick: it still stands there
+    wire.call("simPause", True)
+    shown, below, ids = wire.images(("0", 0, False), ("3", 1, True), ("0", 5, False))
+    for path, response in ((scene, shown), (segments, ids)):
+        pixels = np.frombuffer(response["image_data_uint8"], np.uint8).reshape(144, 256, 3)
+        np.testing.assert_array_equal(cv2.imread(str(path)), pixels)
+    depth_m = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)  # a portable float map
+    np.testing.assert_allclose(depth_m.ravel(), below["image_data_float"])
+
+
+def test_two_runs_write_the_same_bytes(tmp_path: Path) -> None:
+    made = []
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        made.append(flown(tmp_path / name)[1])
+    files = [{path.relative_to(run): path.read_bytes() for path in run.rglob("*.*")} for run in made]
+    assert len(files[0]) == 1 + 3 * 7
+    assert files[0] == files[1]
+
+
+def test_on_move_what_stands_still_is_left_out(tmp_path: Path) -> None:
+    wire = recorder(tmp_path, Cameras=[], RecordOnMove=True)
+    wire.call("simPause", True)
+    wire.call("startRecording")
+    wire.call("stopRecording")
+    [file] = tmp_path.glob("*/airsim_rec.txt")
+    assert len(file.read_text().splitlines()) == 2
+    assert not (file.parent / "images").exists()
+
+
+def test_a_camera_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> None:
+    wire = recorder(tmp_path, Cameras=[{"CameraName": "nose"}])
+    with pytest.raises(rpc.RpcError, match="no camera 'nose'"):
+        wire.call("startRecording")
+    assert not wire.call("isRecording")

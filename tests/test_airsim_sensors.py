@@ -1,0 +1,239 @@
+"""AirSim's sensors against formulas written here and rays whose ends are known; and the world at large."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
+from tests.scenes import Pose
+from uavaccel.sim.earth import GeoPoint, geographic, local, magnetic_field_gauss
+from uavaccel.wire import rpc
+from uavaccel.wire.types import EPOCH_NS
+from uavaccel.wire.world_api import ACCEPTED, REFUSED
+
+HOME = {"latitude": 47.641468, "longitude": -122.140165, "altitude": 122.0}
+QUIET = {"UncorrelatedNoiseSigma": 0.0}
+LIDAR = {"SensorType": 6, "NumberOfChannels": 8, "PointsPerSecond": 8000, "Range": 60.0}
+SENSORS = {
+    "Imu": {"SensorType": 2},
+    "Down": {"SensorType": 5, "Pitch": -90, **QUIET},
+    "Ahead": {"SensorType": 5, **QUIET},
+    "Off": {"SensorType": 5, "Enabled": False},
+    "Lidar": LIDAR,
+    "Local": LIDAR | {"DataFrame": "SensorLocalFrame", "X": 0.5, "Yaw": 90, "DrawDebugPoints": True},
+    "Half": LIDAR
+    | {"HorizontalFOVStart": -30, "HorizontalFOVEnd": 30, "VerticalFOVUpper": 0, "VerticalFOVLower": 0},
+}
+TILTED = Pose((2.0, -3.0, -9.0), (10.0, -15.0, 40.0))
+
+
+def with_sensors(**sensors: Any) -> AirSimWire:
+    return AirSimWire({"Vehicles": {"Drone": {"Sensors": sensors or SENSORS}}})
+
+
+def test_an_imu_feels_the_specific_force_and_the_body_rate_with_the_noise_of_its_kind() -> None:
+    wire = AirSimWire()
+    readings = []
+    for _ in range(400):
+        wire.fly(0.002)
+        readings.append(wire.call("getImuData", "", ""))
+    force = np.array([xyz(reading["linear_acceleration"]) for reading in readings])
+    rate = np.array([xyz(reading["angular_velocity"]) for reading in readings])
+    sigma = 0.24 * 9.80665e-3 / math.sqrt(0.002)  # MPU 6000's, ImuSimpleParams.hpp
+    assert force.mean(axis=0) == pytest.approx([0.0, 0.0, -9.80665], abs=4 * sigma / 20)
+    np.testing.assert_allclose(force.std(axis=0), sigma, rtol=0.2)
+    np.testing.assert_allclose(rate.std(axis=0), math.radians(0.3) / 60 / math.sqrt(0.002), rtol=0.2)
+    assert (
+        readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
+    )
+
+
+@pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
+def test_noise_is_that_of_the_tick_and_the_seed_whoever_asks_how_often(method: str) -> None:
+    def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
+        wire = AirSimWire({"SensorSeed": seed})
+        for _ in range(10):
+            wire.fly(0.1)
+            if asking_before:
+                wire.call(method, "", "")
+        return wire
+
+    told = after_a_second().call(method, "", "")
+    assert after_a_second(asking_before=True).call(method, "", "") == told
+    assert after_a_second(seed=1).call(method, "", "") != told
+    later = after_a_second()
+    later.fly(0.002)
+    assert later.call(method, "", "") != told
+
+
+def test_the_air_and_the_field_are_those_of_the_place() -> None:
+    """Barometer and magnetometer within their noise; AirSim's own numbers of its dipole (EarthUtils.hpp)."""
+    assert magnetic_field_gauss(GeoPoint(47.637, -122.147, 622.0)) == pytest.approx(
+        (0.250394, 0.0340771, 0.36567), rel=1e-5
+    )
+    wire = with_sensors(
+        Quiet={"SensorType": 1, "PressureFactorSigma": 0.0, **QUIET},
+        Field={"SensorType": 4, "NoiseSigma": 0.0},
+    )
+    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    altitude = 122.0 + 9.0
+    told = wire.call("getBarometerData", "Quiet", "")
+    geopotential = 6_378_137 * altitude / (6_378_137 + altitude)
+    pressure = 101_325 * (1 - 0.0065 * geopotential / 288.15) ** 5.255877
+    assert told["pressure"] == pytest.approx(pressure, rel=1e-6)
+    assert told["altitude"] == pytest.approx(altitude, abs=0.5)
+    air = wire.call("simGetGroundTruthEnvironment", "")
+    assert (air["air_pressure"], air["temperature"]) == pytest.approx(
+        (pressure, 288.15 - 0.0065 * geopotential)
+    )
+    assert air["air_density"] == pytest.approx(pressure / 287.053 / air["temperature"])
+    assert xyz(air["gravity"]) == [0.0, 0.0, 9.80665]
+    assert xyz(air["position"]) == pytest.approx(TILTED.position_m)
+    field = np.array(xyz(wire.call("getMagnetometerData", "", "Drone")["magnetic_field_body"]))
+    north, east, down = TILTED.matrix() @ field
+    assert (north, east, down) == pytest.approx(magnetic_field_gauss(GeoPoint(**air["geo_point"])), abs=1e-6)
+
+
+def test_a_receiver_is_late_and_finds_its_satellites_after_a_while() -> None:
+    wire = AirSimWire({"OriginGeopoint": {"Latitude": 10, "Longitude": 20, "Altitude": 300}})
+    assert wire.call("getHomeGeoPoint", "") == {"latitude": 10.0, "longitude": 20.0, "altitude": 300.0}
+    wire.call("moveByVelocity", 5.0, 0.0, 0.0, 20.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+    fixes, places = [], []
+    for _ in range(60):
+        wire.fly(0.1)
+        told = wire.call("getGpsData", "", "")
+        fixes.append(told["gnss"]["fix_type"])
+        places.append(wire.simulation.kinematics().position_m)
+        assert told["gnss"]["time_utc"] * 1000 == told["time_stamp"]
+    found = fixes.index(3)
+    assert found * 0.1 + 0.1 == pytest.approx(0.9 * math.log(99.9 / 2.9), abs=0.11)
+    assert set(fixes[:found]) <= {0, 2}
+    then = geographic(places[-3], GeoPoint(10.0, 20.0, 300.0))  # 0.2 s ago
+    assert list(told["gnss"]["geo_point"].values()) == pytest.approx(list(then), abs=1e-6)
+    assert xyz(told["gnss"]["velocity"])[0] == pytest.approx(5.0, abs=0.2)
+
+
+def test_places_on_the_earth_and_around_home_turn_into_each_other() -> None:
+    home = GeoPoint(*HOME.values())
+    for place in ((0.0, 0.0, 0.0), (1234.0, -5678.0, 90.0), (-2e5, 3e5, -1e4)):
+        assert local(geographic(place, home), home) == pytest.approx(place, abs=1e-5)
+
+
+def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
+    wire = with_sensors()
+    told = wire.call("getDistanceSensorData", "Down", "")
+    assert told["distance"] == pytest.approx(10.0)
+    assert (told["min_distance"], told["max_distance"]) == (0.2, 40.0)
+    assert wire.call("getDistanceSensorData", "Ahead", "")["distance"] == 40.0, "the block is 42 m away"
+    wire.call("simSetVehiclePose", level_pose(22.0, 0.0, -5.0), True, "")
+    assert wire.call("getDistanceSensorData", "Ahead", "")["distance"] == pytest.approx(20.0)
+    for name in ("Off", "Sideways"):
+        with pytest.raises(
+            rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"
+        ):
+            wire.call("getDistanceSensorData", name, "")
+    with pytest.raises(
+        rpc.RpcError, match="No lidar with name  exist on vehicle; the settings' Sensors give none"
+    ):
+        AirSimWire().call("getLidarData", "", "")
+
+
+def test_a_lidar_scans_its_channels_around_and_tells_points_in_its_frame() -> None:
+    wire = with_sensors()
+    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    told = wire.call("getLidarData", "Lidar", "")
+    points = np.array(told["point_cloud"]).reshape(-1, 3)
+    assert 300 < len(points) <= 800
+    assert len(told["segmentation"]) == len(points)
+    ground = np.array(told["segmentation"]) == wire.call("simGetSegmentationObjectID", "ground")
+    assert ground.any()
+    np.testing.assert_allclose(points[ground, 2], 0.0, atol=1e-4)
+    rays = (points - TILTED.position_m) @ TILTED.matrix()
+    assert (np.linalg.norm(rays, axis=1) <= 60.0).all()
+    down_deg = np.degrees(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
+    channels = np.linspace(15, 45, 8)
+    assert np.abs(down_deg[:, None] - channels).min(axis=1).max() < 1e-3
+    local_points = np.array(wire.call("getLidarData", "Local", "")["point_cloud"]).reshape(-1, 3)
+    sensor = wire.call("getLidarData", "Local", "")["pose"]
+    mount = TILTED.matrix() @ Pose((0, 0, 0), (0, 0, 90)).matrix()
+    np.testing.assert_allclose(
+        xyz(sensor["position"]), np.array(TILTED.position_m) + 0.5 * TILTED.matrix()[:, 0]
+    )
+    world = local_points @ mount.T + xyz(sensor["position"])
+    assert (np.abs(world[:, 2]) < 1e-4).sum() > 100
+    assert wire.api.settings.passed_over() == ["Vehicles.Drone.Sensors.Local.DrawDebugPoints"]
+
+
+def test_a_lidar_looks_within_its_field_of_view_and_says_nothing_of_nothing() -> None:
+    wire = with_sensors()
+    wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -6.0), True, "")
+    points = np.array(wire.call("getLidarData", "Half", "")["point_cloud"]).reshape(-1, 3)
+    assert np.abs(np.degrees(np.arctan2(points[:, 1], points[:, 0]))).max() <= 30.0
+    assert {round(float(x)) for x in points[:, 0]} >= {42}
+    wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -500.0), True, "")
+    assert wire.call("getLidarData", "Half", "")["point_cloud"] == [0.0]
+
+
+def test_wind_blows_the_vehicle_and_absurd_wind_is_refused() -> None:
+    wire = AirSimWire()
+    wire.call("simSetWind", vector(0.0, 6.0, 0.0))
+    wire.fly(1.0)
+    assert wire.simulation.kinematics().position_m[1] > 0.05
+    with pytest.raises(rpc.RpcError, match="wind must be at most 100 m/s, not 1000"):
+        wire.call("simSetWind", vector(1000.0, 0.0, 0.0))
+    with pytest.raises(rpc.RpcError, match=r"wind\.x_val must be finite"):
+        wire.call("simSetWind", vector(math.nan, 0.0, 0.0))
+
+
+def test_lines_of_sight_and_extents_are_geographic() -> None:
+    wire = AirSimWire()
+    home = GeoPoint(*HOME.values())
+
+    def point(x: float, y: float, z: float) -> dict[str, float]:
+        return geographic((x, y, z), home)._asdict()
+
+    assert wire.call("simTestLineOfSightToPoint", point(40.0, 0.0, -5.0), "")
+    assert not wire.call("simTestLineOfSightToPoint", point(60.0, 0.0, -5.0), "")
+    assert wire.call("simTestLineOfSightBetweenPoints", point(60.0, 0.0, -5.0), point(60.0, 30.0, -5.0))
+    assert not wire.call("simTestLineOfSightBetweenPoints", point(0.0, 0.0, -5.0), point(0.0, 0.0, 5.0))
+    low, high = (local(GeoPoint(**end), home) for end in wire.call("simGetWorldExtents"))
+    assert low == pytest.approx((-1e4, -1e4, 0.0), abs=1e-3)
+    assert high == pytest.approx((1e4, 1e4, -16.0), abs=1e-3)
+
+
+def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
+    wire = AirSimWire()
+    for name, answer in ACCEPTED.items():
+        for _ in range(2):
+            assert wire.call(name, 1, 2, 3) == answer
+    assert wire.said == [f"{name}: accepted, without effect" for name in ACCEPTED]
+    for name, reason in REFUSED.items():
+        with pytest.raises(rpc.RpcError, match=f"{name} is not available: {reason}"):
+            wire.call(name, "")
+    assert len(wire.said) == len(ACCEPTED) + len(REFUSED)
+    assert wire.call("simLoadLevel", "blocks")
+    with pytest.raises(rpc.RpcError, match="the scene is 'blocks' and stays"):
+        wire.call("simLoadLevel", "City")
+
+
+def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
+    """Six times: dive, ask once, reset."""
+    wire = AirSimWire()
+    for _ in range(6):
+        wire.simulation.api_control = True
+        wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -2.0), True, "")
+        wire.call("moveByVelocity", 0.0, 0.0, 5.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+        wire.fly(2.0)
+        told = wire.call("simGetCollisionInfo", "")
+        assert (told["has_collided"], told["object_name"]) == (True, "ground")
+        assert xyz(told["normal"]) == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+        assert xyz(told["impact_point"])[2] == pytest.approx(0.0, abs=0.05)
+        assert xyz(told["position"])[2] == pytest.approx(-0.045, abs=0.05)
+        assert EPOCH_NS < told["time_stamp"] <= EPOCH_NS + wire.simulation.time_ns
+        assert not wire.call("simGetCollisionInfo", "")["has_collided"]
+        wire.call("reset")
+        assert not wire.call("simGetCollisionInfo", "")["has_collided"]

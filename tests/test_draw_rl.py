@@ -1,0 +1,67 @@
+"""Figures of the RL experiment: each number where it belongs, the paper's beside it, rows of obstacles marked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.drawing import headline, labelled, points
+from uavaccel.draw.distances import plot_distances
+from uavaccel.draw.success import SuccessLine, plot_success
+from uavaccel.draw.training_time import TrainingTime, plot_training_time
+
+PHASES = {
+    "simulation (with rendering)": 5400.0,
+    "image processing": 36.0,
+    "inference": 72.0,
+    "learning": 144.0,
+}
+
+
+def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() -> None:
+    line = SuccessLine(
+        "TCSC", "tcsc", [1.0, 100.0], [0.5, 0.25], [0.4, 0.2], [0.6, 0.35], [[0.4, 0.6], [0.25]]
+    )
+    figure = plot_success([line], "Success", "modelled")
+    assert headline(figure) == ("Success", "modelled")
+    axes: Any = figure.axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["1x", "100x"]
+    ratio, *seeds = [each for each in axes.lines if each.get_marker() in ("o", ".")]
+    assert points(ratio) == [(0.0, 0.5), (1.0, 0.25)]
+    assert [y for each in seeds for _, y in points(each)] == [0.4, 0.6, 0.25]
+    bars = axes.collections[0].get_segments()
+    assert [bar[:, 1].tolist() for bar in bars] == [pytest.approx([0.4, 0.6]), pytest.approx([0.2, 0.35])]
+
+
+def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:
+    panels = {"ADSC": {1.0: [9.0, 150.0, 29.0, 29.5]}, "TCSC": {1.0: [150.0, 150.0]}}
+    figure = plot_distances(panels, [10.0, 30.0], "modelled")
+    upper: Any = figure.axes[0]
+    curve = labelled(upper)["1x, 4 games"]
+    reached = dict(points(curve))  # the share from each distance on
+    assert [reached[metres] for metres in (0.0, 9.0, 29.0, 29.5)] == [1.0, 0.75, 0.5, 0.25]
+    rows = [line for line in upper.lines if line.get_linestyle() == ":"]
+    assert [line.get_xdata()[0] for line in rows] == [10.0, 30.0]
+    ended: Any = figure.axes[2].patches[0]
+    values, edges = ended.get_data()[:2]
+    found = {float(edge): float(share) for edge, share in zip(edges, values, strict=False) if share}
+    assert found == {8.0: 0.25, 28.0: 0.5}
+
+
+def test_training_time_is_bars_by_phase_and_speed_ups_beside_the_papers() -> None:
+    slow = TrainingTime(1.0, PHASES, 1.0, 1.0)
+    fast = TrainingTime(5.0, {phase: spent_s / 4 for phase, spent_s in PHASES.items()}, 4.1, 3.9, 4.0, 3.6)
+    figure = plot_training_time({"TCSC": [slow, fast]}, "modelled")
+    bars, speeds = figure.axes
+    hours = np.array([[bar.get_height() for bar in container] for container in bars.containers])
+    np.testing.assert_allclose(hours[:, 0], np.array(list(PHASES.values())) / 3600)
+    np.testing.assert_allclose(hours[:, 1], hours[:, 0] / 4)
+    shown = {name: [y for _, y in points(line) if np.isfinite(y)] for name, line in labelled(speeds).items()}
+    assert shown == {
+        "speed-up, simulation alone (right)": [1.0, 4.1],
+        "speed-up, whole training (right)": [1.0, 3.9],
+        "the paper's, simulation alone": [4.0],
+        "the paper's, whole training": [3.6],
+    }

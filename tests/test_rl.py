@@ -1,0 +1,431 @@
+"""The RL experiment: cells that a kill does not change, Table I's numbers by hand, runs put together, claims."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, fisher_exact
+
+from tests.opengl import needs_opengl
+from tests.running import configured, run_into
+from tests.test_training import side_by_side
+from uavaccel.config import to_yaml
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.paper import claims
+from uavaccel.suites.paper.evidence import Policies
+from uavaccel.suites.rl import gpu
+from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.suite import Rl
+from uavaccel.suites.rl.summary import summarise
+from uavaccel.suites.training import flights as training
+
+# No pictures, hence no OpenGL; games of a dozen commands; the interchange test once.
+SMALL = (
+    "games=3",
+    "cells=[{profile: airsim, command: [tcsc, adsc], clock_speed: [1, 5]}, {profile: native, command: [tcsc], "
+    "clock_speed: [100]}, {profile: native, timing: lockstep, command: [tcsc], clock_speed: [1]}]",
+    "evaluation.keys={games: 2, task.max_commands: 12}",
+    "training.keys={checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, task.observation: state, "
+    "task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
+)
+# Runs as the command line does, but dies without a word at the so-manieth row that any part writes.
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from uavaccel.config import validate
+from uavaccel.records import RunDirectory
+from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.suite import Rl
+from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.training import flights
+from uavaccel.yaml_io import load_yaml
+from tests.test_training import side_by_side
+
+flights.make_lanes = side_by_side
+append, left = RunDirectory.append_row, [int(sys.argv[3])]
+
+def append_and_die(run, row):
+    append(run, row)
+    left[0] -= 1
+    if not left[0]:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+RunDirectory.append_row = append_and_die
+config = validate(RlConfig, load_yaml(sys.argv[1]), sys.argv[1])
+run_suite(Rl(), config, begin_run(Rl(), config, Path(sys.argv[2]), {}))
+"""
+
+
+def small(*overrides: str, **options: Any) -> RlConfig:
+    config = configured("rl_smoke", *SMALL, *overrides, **options)
+    assert isinstance(config, RlConfig)
+    return config
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_processes() -> Iterator[None]:
+    """Lanes fly in this process: `test_training` has them in others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "make_lanes", side_by_side)
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """A run of six cells."""
+    out = tmp_path_factory.mktemp("rl") / "whole"
+    run_into(out, Rl(), small())
+    return RunDirectory(out)
+
+
+# --- cells ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
+    tmp_path: Path, whole: RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of a cell: three of its training, two of each evaluation, its own; TCSC at 1x is flown twice."""
+    config = small(clock_speed=[1.0], profile="airsim")
+    (tmp_path / "config.yaml").write_text(to_yaml(config))
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "10"]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    second = tmp_path / "killed/parts/airsim-virtual-adsc-1x-seed0"
+    assert len(RunDirectory(tmp_path / "killed").rows()) == 1
+    assert len(RunDirectory(second / "training").rows()) == 2
+    assert [each.name for each in (second / "training/checkpoints").iterdir()] == ["0000001"]
+
+    with monkeypatch.context() as patch:
+        interrupt_at_row(patch, "lane-000001")
+        with pytest.raises(KeyboardInterrupt):
+            run_into(tmp_path / "killed", Rl(), config, resume=True)
+    assert len(RunDirectory(second / "evaluation-adsc").rows()) == 1
+    # The evaluation names its policy by where it was.
+    moved = (tmp_path / "killed").rename(tmp_path / "moved")
+    run_into(moved, Rl(), config, resume=True)
+
+    assert RunDirectory(moved).rows() == whole.rows()[:2]
+    for row in whole.rows()[:2]:
+        for name in (row["arrays"], *(f"parts/{row['case']}/{part}" for part in PARTS[row["command"]])):
+            assert (moved / name).read_bytes() == (whole.path / name).read_bytes()
+    assert not list(moved.glob("parts/*/training/checkpoints"))
+
+
+PARTS = {
+    "tcsc": (
+        "training/rows.jsonl",
+        "training/policy.pt",
+        "evaluation-tcsc/rows.jsonl",
+        "evaluation-adsc/rows.jsonl",
+    ),
+    "adsc": ("training/rows.jsonl", "training/policy.pt", "evaluation-adsc/rows.jsonl"),
+}
+
+
+def interrupt_at_row(patch: pytest.MonkeyPatch, case: str) -> None:
+    append = RunDirectory.append_row
+
+    def interrupted(run: RunDirectory, row: Any) -> None:
+        if row["case"] == case:
+            raise KeyboardInterrupt
+        append(run, row)
+
+    patch.setattr(RunDirectory, "append_row", interrupted)
+
+
+@pytest.mark.slow
+def test_native_tcsc_learns_at_100x_what_it_does_in_lockstep(whole: RunDirectory) -> None:
+    weights = {row["case"]: row["training"]["weights_sha256"] for row in whole.rows()}
+    assert weights["native-virtual-tcsc-100x-seed0"] == weights["native-lockstep-tcsc-1x-seed0"]
+    assert weights["airsim-virtual-adsc-1x-seed0"] != weights["airsim-virtual-adsc-5x-seed0"]
+
+
+@pytest.mark.slow
+@needs_opengl
+def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
+    config = configured("rl_smoke", "games=2", "evaluation.keys.games=1", clock_speed=[5.0], command=["tcsc"])
+    cell = run_into(tmp_path / "run", Rl(), config)["cells"][0]
+    assert cell["phase_s"]["rendering"] > 0
+    assert cell["training_speedup"] is None  # without the same at 1x
+
+
+def test_seeds_are_outermost_and_options_choose_cells() -> None:
+    def names(**options: Any) -> list[str]:
+        return [case.id for case in Rl().cases(small(**options))]
+
+    some = names(command=["adsc"], seeds=2)
+    assert some == [f"airsim-virtual-adsc-{k}x-seed{seed}" for seed in (0, 1) for k in (1, 5)]
+    assert names(timing="lockstep", seed=3) == ["native-lockstep-tcsc-1x-seed3"]
+    assert len(names()) == 6
+
+
+def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
+    def disk_bytes(config: Any) -> float:
+        return sum(Rl().cost(config, case).disk_bytes for case in Rl().cases(config))
+
+    config = configured("rl_session", seeds=1, clock_speed=[1.0], profile="airsim")
+    assert [Rl().games(config, case) for case in Rl().cases(config)] == [
+        1600,
+        1300,
+    ]  # TCSC's policy flies twice
+    often = configured(
+        "rl_session", "training.keys.checkpoint_games=500", seeds=1, clock_speed=[1.0], profile="airsim"
+    )
+    assert (
+        disk_bytes(often) - disk_bytes(config) == 2 * 150_000 * 3 * 36 * 64
+    )  # both observations of a transition
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"clock_speed": [7.0]}, r"clock_speed = 7.0 is in no cell; there are 1.0, 5.0, 100.0"),
+        ({"profile": "native", "command": ["adsc"]}, "together select no cell"),
+        ({"timing": "wall"}, "should be 'virtual' or 'lockstep'"),
+    ],
+)
+def test_a_choice_that_cannot_be_is_one_clear_line(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        small(**options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("evaluation.keys.gamess=1", "evaluate.yaml: unknown key 'gamess'"),
+        ("training.keys.environment=2", "train.yaml: unknown key 'environment'"),
+        (
+            "cells.2={profile: airsim, clock_speed: [5]}",
+            "airsim virtual tcsc at 5x twice; give one a `variant`",
+        ),
+    ],
+)
+def test_a_part_that_cannot_be_is_refused_before_anything_is_flown(override: str, said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        small(override)
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------
+
+LANES = 40
+
+
+def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) -> list[dict[str, Any]]:
+    """A row for each seed that won those lanes; `wall_s` of simulation, a quarter of it rendering, for a command."""
+    return [
+        {
+            "variant": "",
+            "profile": "airsim",
+            "timing": "virtual",
+            "command": command,
+            "clock_speed": clock_speed,
+            "seed": seed,
+            "case": f"{command}-{clock_speed:g}-{seed}",
+            "training": {
+                "games": 10,
+                "successes": 4,
+                "commands": 100 * (seed + 1),
+                "sim_time_s": 100.0 * (seed + 1),
+                "weights_sha256": "f00",
+                "phase_s": {
+                    phase: 100 * (seed + 1) * spent_s
+                    for phase, spent_s in {
+                        "simulation": 0.75 * wall_s,
+                        "rendering": 0.25 * wall_s,
+                        "image_processing": 0.001,
+                        "inference": 0.002,
+                        "learning": 0.007,
+                    }.items()
+                },
+            },
+            "evaluations": [flight(command, 1.0, len(lanes))],
+            "lanes": lanes,
+        }
+        for seed, lanes in enumerate(won)
+    ]
+
+
+def flight(command: str, clock_speed: float, successes: int) -> dict[str, Any]:
+    name = f"{command}-{clock_speed:g}x"
+    return {
+        "name": name,
+        "command": command,
+        "clock_speed": clock_speed,
+        "successes": successes,
+        "games": LANES,
+    }
+
+
+def load(row: Any) -> dict[str, np.ndarray]:
+    lane = np.arange(LANES)
+    won = np.isin(lane, row["lanes"])
+    outcomes = {"lane": lane, "is_success": won, "distance_m": np.where(won, 150.0, 10.0 + lane)}
+    return {f"{row['command']}_{name}": each for name, each in outcomes.items()}
+
+
+def test_every_number_of_table_i_and_figure_9() -> None:
+    rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 1.0)
+    rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 0.25)
+    summary = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)
+    assert [cell["successes"] for cell in summary["cells"]] == [30, 20, 10, 12]
+    assert summary["cells"][2]["distance_m_median"] == float(
+        np.median([10.0 + n for n in range(40) if not 25 <= n < 35] + [150.0] * 10)
+    )
+    real_time, fast = summary["pooled"]
+    assert (fast["successes"], fast["games"], fast["successes_by_seed"]) == (22, 80, [10, 12])
+    wilson = binomtest(22, 80).proportion_ci(method="wilson")
+    assert (fast["wilson_low"], fast["wilson_high"]) == (wilson.low, wilson.high)
+    assert fast["fisher_p"] == pytest.approx(fisher_exact(np.array([[22, 58], [50, 30]])).pvalue)
+    # Lanes 0 to 24 of seed 0 and 12 to 19 of seed 1 were won at 1x alone, 30 to 34 of seed 0 at 5x alone.
+    assert fast["mcnemar_p"] == pytest.approx(binomtest(5, 5 + 25 + 8).pvalue)
+    assert (fast["paper_successes"], real_time["paper_successes"]) == (30, 21)
+    assert fast["training_speedup"] == pytest.approx(4.0)
+    assert fast["whole_training_speedup"] == pytest.approx(1.01 / 0.26)
+    assert fast["training_wall_s"] == pytest.approx(300 * 0.26)
+    assert fast["real_time_s"] == pytest.approx(300 * 1.01)
+    assert (fast["paper_training_speedup"], fast["paper_whole_training_speedup"]) == (4.0, 3.6)
+    assert real_time["training_speedup"] == 1.0
+    assert real_time["fisher_p"] is None
+
+
+def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
+    (row,) = made("tcsc", 1.0, [list(range(30))], 1.0)
+    row["evaluations"].append(flight("adsc", 1.0, 24))
+
+    def both(row: Any) -> dict[str, np.ndarray]:
+        adsc = load({"command": "adsc", "lanes": range(10, 34)})
+        return load(row) | adsc
+
+    summary = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, [row], both)
+    (test,) = summary["interchange"]
+    assert [flown["successes"] for flown in test["flown_with"]] == [30, 24]
+    assert (test["only_first"], test["only_second"]) == (10, 4)
+    assert test["mcnemar_p"] == pytest.approx(binomtest(4, 14).pvalue)
+
+
+def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> None:
+    plain, told = (made("adsc", 5.0, [list(range(count))], 0.25)[0] for count in (20, 32))
+    told |= {"variant": "told"}
+    for row, count in ((plain, 4), (told, 15)):
+        row["evaluations"].append(flight("adsc", 5.0, count))
+
+    def both(row: Any) -> dict[str, np.ndarray]:
+        fast = load({"command": "adsc", "lanes": range(row["evaluations"][1]["successes"])})
+        return load(row) | {name.replace("adsc", "adsc-5x"): each for name, each in fast.items()}
+
+    config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
+    without, within = summarise(config, [plain, told], both)["as_trained"]
+    assert without["as_trained"]["mcnemar_p"] is None
+    assert (within["real_time"]["successes"], within["as_trained"]["successes"]) == (32, 15)
+    assert within["real_time"]["mcnemar_p"] == pytest.approx(binomtest(0, 12).pvalue)
+    assert within["as_trained"]["mcnemar_p"] == pytest.approx(binomtest(0, 11).pvalue)
+    assert within["as_trained"]["fisher_p"] == pytest.approx(
+        fisher_exact(np.array([[15, 25], [4, 36]])).pvalue
+    )
+
+
+# --- reports ----------------------------------------------------------------------------------------------------
+
+
+def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
+    """What a run of some of the cells alone would have left."""
+    run, names = (
+        RunDirectory.create(path, small(**options), {}),
+        [case.id for case in Rl().cases(small(**options))],
+    )
+    for row in whole.rows():
+        if row["case"] in names:
+            run.save_arrays(row["case"], whole.load_arrays(row["arrays"]))
+            run.append_row(row)
+    return run
+
+
+@pytest.mark.slow
+def test_two_runs_put_together_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
+    runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
+    assert Rl().compare(runs) == [tmp_path / "adsc/together/report.html"]
+    together, one = (
+        run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/together"), whole)
+    )
+    for name in ("cells", "pooled", "interchange"):
+        assert sorted(together[name], key=str) == sorted(one[name], key=str)
+    with pytest.raises(UserError, match=r"has airsim-virtual-adsc-1x-seed0, which .* has too"):
+        Rl().compare([runs[0], runs[0]])
+    other = RunDirectory.create(tmp_path / "other", small("games=4"), {})
+    with pytest.raises(UserError, match="other: games differs"):
+        Rl().compare([runs[0], other])
+
+
+@pytest.mark.slow
+def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
+    airsim, native = (Policies.of(whole, profile) for profile in ("airsim", "native"))
+    for claim in (
+        "adsc_collapses_at_5x",
+        "tcsc_improves_at_5x",
+        "commands_interchange_at_1x",
+    ):
+        finding = getattr(claims, claim)(airsim)
+        assert finding is not None
+        assert " of 2 (" in finding.value
+    assert claims.tcsc_preserved_at_10x(airsim) is None  # not trained
+    cells = whole.read_json("summary.json")["pooled"]
+    speedup = next(
+        cell["training_speedup"]
+        for cell in cells
+        if (cell["profile"], cell["command"], cell["clock_speed"]) == ("airsim", "tcsc", 5.0)
+    )
+    found = claims.training_speedup_5x(airsim)
+    assert found is not None
+    assert found.value == f"{speedup:.3g}x"
+    assert native.counts("tcsc", 100.0)[1] == 2
+    assert native.counts("tcsc", 1.0)[1] == 0  # the lockstep training is none of them
+
+
+# --- GPUs -------------------------------------------------------------------------------------------------------
+
+
+def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place is a lock, which another opening of the file in this process meets as another process would."""
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    held: list[TextIO] = []
+    cores: list[set[int]] = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
+
+    def taken() -> tuple[str, str]:
+        for name in (gpu.VISIBLE, gpu.EGL_DEVICE):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setattr(gpu, "_place", None)
+        gpu.take_gpu("cuda")
+        assert gpu._place is not None
+        held.append(gpu._place)
+        return os.environ[gpu.VISIBLE], os.environ[gpu.EGL_DEVICE]
+
+    assert [taken() for _ in range(4)] == [("0", "0"), ("1", "1"), ("0", "0"), ("1", "1")]
+    assert cores == [{0, 1}, {2, 3}, {0, 1}, {2, 3}]
+    held[1].close()  # as at its process's end
+    assert taken() == ("1", "1")
+    for file in held:
+        file.close()
+
+
+@pytest.mark.parametrize(("device", "count"), [("cpu", 2), ("cuda:1", 2), ("cuda", 1)])
+def test_without_a_choice_of_gpus_nothing_is_touched(
+    device: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.device_count", lambda: count)
+    monkeypatch.setattr(gpu, "_place", None)
+    monkeypatch.delenv(gpu.VISIBLE, raising=False)
+    gpu.take_gpu(device)
+    assert gpu.VISIBLE not in os.environ

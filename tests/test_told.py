@@ -1,0 +1,123 @@
+"""What an agent is told beside its pictures: planes that a mirror turns, ages, and pictures as they were."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.learning import tiny_config
+from tests.opengl import needs_opengl
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.told import Told
+from uavaccel.errors import UserError
+from uavaccel.rl.agents import make_agent, trained_keys
+from uavaccel.rl.double_dqn import DoubleDQN, mirrored_actions
+from uavaccel.rl.replay import Batch
+
+KNOWS = ("last_action", "frame_age")
+MS = 1_000_000
+
+
+def action_plane(headings: list[float], action: int) -> np.ndarray:
+    told = Told(["last_action"], headings, 1)
+    told.flown(action, [0], 0, 0)
+    return told.seen()[0]
+
+
+@given(st.lists(st.integers(1, 180), min_size=0, max_size=12, unique=True), st.booleans(), st.randoms())
+def test_the_last_action_turns_with_the_mirror(sides: list[int], ahead: bool, random: Any) -> None:
+    """Whatever the headings' number and order; each has columns of its own, those of the western ones on the left."""
+    headings = [float(sign * side) for side in sides for sign in (-1, 1)] + [0.0] * ahead
+    if not headings:
+        return
+    random.shuffle(headings)
+    planes = [action_plane(headings, action) for action in range(len(headings))]
+    for action, heading in enumerate(headings):
+        np.testing.assert_array_equal(planes[action][:, ::-1], planes[headings.index(-heading)])
+    lit = np.array([(plane == 255).all(axis=0) for plane in planes])
+    assert (lit.sum(axis=0) == 1).all()
+    west_to_east = [lit[action].argmax() for action in np.argsort(headings)]
+    assert west_to_east == sorted(west_to_east)
+
+
+def test_a_learner_mirrors_the_plane_with_the_action() -> None:
+    config = tiny_config({"knows": list(KNOWS)})
+    learner = DoubleDQN.__new__(DoubleDQN)
+    learner.mirror = th.tensor(mirrored_actions(config))
+    headings = list(config.task.headings_deg)
+    last = [0, 1, 3, 4]
+    planes = th.tensor(np.stack([action_plane(headings, action) for action in last]))[:, None]
+    actions, one = th.tensor(last).reshape(-1, 1), th.ones(4, 1)
+    turned = learner._half_mirrored(Batch(planes, actions, planes, one, one, one))
+    for image, action in zip(turned.observations, turned.actions.ravel().tolist(), strict=True):
+        np.testing.assert_array_equal(image[0], action_plane(headings, action))
+
+
+def test_ages_are_bands_a_level_for_20_ms() -> None:
+    told = Told(["frame_age"], [0.0], 3)
+    assert (told.seen() == 128).all()
+    told.flown(0, [100 * MS, 500 * MS], 1, 3000 * MS)
+    bands = told.seen()[0].reshape(3, 12, 64)
+    # 2.9 s is more than a byte holds; 2.5 s; the missing frame is of now.
+    assert [np.unique(band).tolist() for band in bands] == [[255], [128 + 125], [128]]
+
+
+@needs_opengl
+@pytest.mark.parametrize(
+    "flown", [{"command": "tcsc"}, {"command": "adsc", "timing": "virtual", "profile": "airsim"}]
+)
+def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
+    plain, told = (ObstacleLane(clock_speed=10.0, knows=knows, **flown) for knows in ((), KNOWS))
+    for each in (plain, told):
+        each.reset(seed=3)
+    for action in (2, 0, 4):
+        before, after = plain.step(action), told.step(action)
+        assert (before[0].shape, after[0].shape) == ((3, 36, 64), (5, 36, 64))
+        np.testing.assert_array_equal(after[0][:3], before[0])
+        assert before[1:] == after[1:]
+        np.testing.assert_array_equal(after[0][3], action_plane([-60, -30, 0, 30, 60], action))
+        assert told.observation_space.contains(after[0])
+    bands = [int(level) - 128 for level in after[0][4].reshape(3, 12, 64)[:, 0, 0]]
+    if flown["command"] == "tcsc":  # samples at 0.33, 0.66 and 1 s
+        assert bands == [33, 17, 0]
+    else:  # the last one came after a callback of some 28 ms, ten times as long in simulated time
+        assert bands[0] - bands[1] == pytest.approx(16, abs=4)
+        assert bands[1] > 17 + 5
+    plain.close()
+    told.close()
+
+
+@needs_opengl
+def test_it_travels_with_a_saved_game() -> None:
+    first, second = (ObstacleLane(knows=KNOWS, command="adsc", timing="virtual") for _ in range(2))
+    first.reset(seed=1)
+    seen = first.step(1)[0]
+    np.testing.assert_array_equal(second.set_state(first.get_state()), seen)
+    np.testing.assert_array_equal(second.step(3)[0], first.step(3)[0])
+    first.close()
+    second.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"observation": "state"}, "knows needs pictures"),
+        ({"knows": ["last_action", "last_action"]}, "must not name one thing twice"),
+        ({"knows": ["last_acton"]}, "last_acton"),
+    ],
+)
+def test_what_cannot_be_told_is_one_clear_line(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        ObstacleLane(**{"knows": list(KNOWS), **keys})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_that_was_not_told_does_not_fly_a_task_that_tells() -> None:
+    assert trained_keys("default")["knows"] == []
+    with pytest.raises(UserError, match=r"task.knows = \('last_action',\): default was trained with \(\)"):
+        make_agent("default", LaneTask(knows=("last_action",)))

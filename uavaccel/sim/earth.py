@@ -1,0 +1,99 @@
+"""The Earth that AirSim's sensors feel: geographic coordinates on a sphere, standard atmosphere, dipole field.
+
+Source: AirSim v1.8.1, EarthUtils.hpp.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from uavaccel.kinematics import Vector
+
+RADIUS_M = 6_378_137.0
+SEA_LEVEL_PA = 101_325.0
+GAS_CONSTANT = 287.053  # J/(kg K), of air
+GRAVITY_M_S2 = 9.80665
+POLE_LATITUDE, POLE_LONGITUDE = math.radians(80.31), math.radians(-72.62)  # of the geomagnetic north
+MEAN_FIELD_GAUSS = 0.312
+
+
+class GeoPoint(NamedTuple):
+    """Degrees, and metres over the sea."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+
+class Atmosphere(NamedTuple):
+    """Kelvin, pascals, kg/m³."""
+
+    temperature_k: float
+    pressure_pa: float
+    density: float
+
+
+def geographic(position_m: Vector, home: GeoPoint) -> GeoPoint:
+    """Where an NED position around `home` is: along the great circle that leaves it (nedToGeodetic)."""
+    north, east, down = position_m
+    arc = math.hypot(north, east) / RADIUS_M
+    if arc < 1e-12:
+        return GeoPoint(home.latitude, home.longitude, home.altitude - down)
+    bearing, latitude = math.atan2(east, north), math.radians(home.latitude)
+    there = math.asin(
+        math.cos(arc) * math.sin(latitude) + math.sin(arc) * math.cos(latitude) * math.cos(bearing)
+    )
+    turned = math.atan2(
+        math.sin(bearing) * math.sin(arc),
+        math.cos(latitude) * math.cos(arc) - math.sin(latitude) * math.sin(arc) * math.cos(bearing),
+    )
+    return GeoPoint(math.degrees(there), home.longitude + math.degrees(turned), home.altitude - down)
+
+
+def local(point: GeoPoint, home: GeoPoint) -> Vector:
+    """The NED position of a point around `home`: the inverse of `geographic`."""
+    here, there = math.radians(home.latitude), math.radians(point.latitude)
+    turned = math.radians(point.longitude - home.longitude)
+    north = math.cos(here) * math.sin(there) - math.sin(here) * math.cos(there) * math.cos(turned)
+    east = math.cos(there) * math.sin(turned)
+    along = math.sin(here) * math.sin(there) + math.cos(here) * math.cos(there) * math.cos(turned)
+    level = math.hypot(north, east)
+    scale = RADIUS_M * (math.atan2(level, along) / level if level else 1.0)
+    return north * scale, east * scale, home.altitude - point.altitude
+
+
+def atmosphere(altitude_m: float) -> Atmosphere:
+    """The standard atmosphere, up to 20 km (getStandardTemperature, getStandardPressure)."""
+    height_km = RADIUS_M * altitude_m / (RADIUS_M + altitude_m) / 1000
+    if height_km <= 11:
+        temperature = 288.15 - 6.5 * height_km
+        pressure = SEA_LEVEL_PA * (288.15 / temperature) ** -5.255877
+    else:
+        temperature = 216.65
+        pressure = 22632.06 * math.exp(-0.1577 * (height_km - 11))
+    return Atmosphere(temperature, pressure, pressure / GAS_CONSTANT / temperature)
+
+
+def pressure_altitude_m(pressure_pa: float) -> float:
+    """What an altimeter shows (BarometerSimple.hpp)."""
+    return (1 - (pressure_pa / SEA_LEVEL_PA) ** 0.190284) * 145366.45 * 0.3048
+
+
+def magnetic_field_gauss(point: GeoPoint) -> Vector:
+    """North, east and down of the dipole's field (getMagField, whose pole has latitude and colatitude exchanged)."""
+    latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
+    turned = longitude - POLE_LONGITUDE
+    colatitude = math.acos(
+        math.cos(latitude) * math.cos(POLE_LATITUDE)
+        + math.sin(latitude) * math.sin(POLE_LATITUDE) * math.cos(turned)
+    )
+    strength = MEAN_FIELD_GAUSS * (RADIUS_M / (RADIUS_M + point.altitude)) ** 3
+    strength *= math.sqrt(1 + 3 * math.cos(colatitude) ** 2)
+    nearer = math.cos(colatitude) > math.sin(POLE_LATITUDE) * math.sin(latitude)
+    share = (
+        (math.sin(turned) if nearer else math.cos(turned)) * math.cos(POLE_LATITUDE) / math.sin(colatitude)
+    )
+    declination, inclination = math.asin(share), math.atan(2 / math.tan(colatitude))
+    level = strength * math.cos(inclination)
+    return level * math.cos(declination), level * math.sin(declination), strength * math.sin(inclination)

@@ -1,0 +1,74 @@
+"""Cameras of any place, size and field of view, drawn by one OpenGL context: AirSim's cameras of a vehicle."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.camera import Camera
+from uavaccel.sim.poses import Pose
+from uavaccel.sim.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
+
+SKY_M = 65504.0  # AirSim's depth of what has none: the largest half-precision number
+FRONT_CENTER = Pose((0.46, 0.0, 0.0))  # quadrotor.xml's own camera
+
+
+class Lens(NamedTuple):
+    """What a picture is taken through: pixels, and degrees from its left to its right edge."""
+
+    width: int = WIDTH
+    height: int = HEIGHT
+    fov_deg: float = FOV_DEG
+
+
+class MountedCamera(Camera):
+    """A camera that is pointed anew for each picture, at most `width` x `height` pixels large.
+
+    The vehicle that carries it is in the picture if it is in view. Raises UserError where OpenGL is missing.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int = WIDTH, height: int = HEIGHT) -> None:
+        super().__init__(model, width, height)
+        self.width_most, self.height_most = width, height
+        self._lens = Lens(width, height)
+        self._view.show_everything()
+        self._rays: dict[Lens, DepthImage] = {}
+
+    def point(self, eye: Pose | None, lens: Lens) -> None:
+        """Let the next pictures be taken from `eye`, NED, None for the model's own camera, through `lens`."""
+        self._view.look_from(eye, lens.width, lens.height, lens.fov_deg)
+        if lens != self._lens:
+            self._lens = lens
+            self.width, self.height = lens.width, lens.height
+            self._rectangle = mujoco.MjrRect(0, 0, lens.width, lens.height)
+            self._pixels: Image = np.empty((lens.height, lens.width, 4), np.uint8)
+            self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
+
+    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """Metres along the optical axis, SKY_M for the sky; (height, width) float32."""
+        self._draw(data, as_ids=True)
+        picture = np.empty((self.height, self.width), np.float32)
+        mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
+        sky = picture[::-1] == 0.0
+        depth = to_metres(self.model, picture[::-1])
+        depth[sky] = SKY_M
+        return _into(depth, out)
+
+    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """Metres along each pixel's ray, SKY_M for the sky; (height, width) float32."""
+        depth = self.depth(data, out)
+        if self._lens not in self._rays:
+            half_width = float(np.tan(np.radians(self._lens.fov_deg) / 2))
+            self._rays[self._lens] = ray_lengths(self.width, self.height, half_width)
+        return np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
+
+
+def _into(picture: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:
+    if out is None:
+        return picture
+    np.copyto(out, picture)
+    return out

@@ -1,0 +1,225 @@
+"""The objects of a scene as AirSim's clients move them: found by name, placed, scaled, spawned and destroyed.
+
+An object is a geom of the world body, moved in place: neither the model nor a GL context is made anew. Places are NED,
+of the object's middle. Spawned objects take spare geoms (uavaccel.sim.furnished); they stand still.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.boxes import refit_bounding_boxes
+from uavaccel.sim.furnished import PARKED_M, SPARE
+from uavaccel.sim.poses import Pose
+from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
+
+if TYPE_CHECKING:
+    from uavaccel.sim.world import World
+
+Scale = tuple[float, float, float]
+
+BOX, SPHERE, CYLINDER = (
+    int(kind)
+    for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+)
+ELLIPSOID, PLANE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_PLANE)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+# Unreal's basic shapes: one metre across; kind, half sizes along x, y, z.
+ASSETS: dict[str, tuple[int, Scale]] = {
+    "Cube": (BOX, (0.5, 0.5, 0.5)),
+    "1M_Cube_Chamfer": (BOX, (0.5, 0.5, 0.5)),
+    "1M_Cube": (BOX, (0.5, 0.5, 0.5)),
+    "Sphere": (ELLIPSOID, (0.5, 0.5, 0.5)),
+    "Cylinder": (CYLINDER, (0.5, 0.5, 0.5)),
+    "Plane": (BOX, (0.5, 0.5, 0.005)),
+}
+LARGEST_HALF_M = 1e4
+_FIELDS = (
+    "pos",
+    "quat",
+    "size",
+    "type",
+    "aabb",
+    "rbound",
+    "rgba",
+    "matid",
+    "contype",
+    "conaffinity",
+    "sameframe",
+)
+
+
+class SceneObjects:
+    """The objects of one world. What is refused raises ValueError."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
+        self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
+        self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
+        self._kinds = {geom: int(self._model.geom_type[geom]) for geom in self._geoms.values()}
+        self._full_size = {geom: _half_sizes(self._model, geom) for geom in self._geoms.values()}
+        self._scales: dict[int, Scale] = {}
+
+    @property
+    def _model(self) -> mujoco.MjModel:
+        return self._world.model
+
+    def _still_geoms(self) -> list[int]:
+        return [int(geom) for geom in np.flatnonzero(self._model.geom_bodyid == 0)]
+
+    def names(self) -> list[str]:
+        """All objects that are there, sorted."""
+        return sorted(name for name, geom in self._geoms.items() if self._is_there(geom))
+
+    def matching(self, pattern: str) -> list[str]:
+        """Those whose whole name a regular expression matches, whatever its case (std::regex_match with icase)."""
+        try:
+            expression = re.compile(pattern, re.IGNORECASE)
+        except re.error as error:
+            raise ValueError(f"{pattern!r} is no regular expression: {error}") from None
+        return [name for name in self.names() if expression.fullmatch(name)]
+
+    def geom(self, name: str) -> int | None:
+        """The geom that an object of that name is; None without one."""
+        geom = self._geoms.get(name)
+        return geom if geom is not None and self._is_there(geom) else None
+
+    def name_of(self, geom_name: str) -> str:
+        """What clients call the object whose geom the model calls so: its own name, unless it was spawned."""
+        if not geom_name.startswith(SPARE):
+            return geom_name
+        return next(
+            (name for name, geom in self._geoms.items() if self._model.geom(geom).name == geom_name), ""
+        )
+
+    def _is_there(self, geom: int) -> bool:
+        return bool(self._model.geom_rgba[geom, 3] > 0.0)
+
+    def pose(self, name: str) -> Pose | None:
+        """An object's pose, NED; None without one of that name."""
+        if (geom := self.geom(name)) is None:
+            return None
+        x, y, z = mujoco_to_ned(self._model.geom_pos[geom]).tolist()
+        w, i, j, k = quaternion_mujoco_to_ned(self._model.geom_quat[geom]).tolist()
+        return Pose((x, y, z), (w, i, j, k))
+
+    def set_pose(self, name: str, pose: Pose) -> bool:
+        """Whether there is one of that name that can be moved: the ground cannot."""
+        geom = self.geom(name)
+        if geom is None or self._kinds[geom] == PLANE:
+            return False
+        self._place(geom, pose)
+        self._moved(geom)
+        return True
+
+    def scale(self, name: str) -> Scale | None:
+        """An object's size as a multiple of its first one."""
+        return None if (geom := self.geom(name)) is None else self._scales.get(geom, (1.0, 1.0, 1.0))
+
+    def set_scale(self, name: str, scale: Scale) -> bool:
+        """Whether there is one of that name that can be scaled: neither the ground nor a mesh can."""
+        geom = self.geom(name)
+        if geom is None or self._kinds[geom] in (PLANE, MESH):
+            return False
+        self._resize(geom, scale)
+        self._moved(geom)
+        return True
+
+    def spawn(self, name: str, asset: str, pose: Pose, scale: Scale) -> str:
+        """A new object of an asset's form; returns its name, numbered if it is taken (WorldSimApi::spawnObject)."""
+        if asset not in ASSETS:
+            raise ValueError(
+                f"There were no objects with name {asset} found in the Registry; there are {', '.join(ASSETS)}"
+            )
+        if not self._spares:
+            raise ValueError("there is no room for another object; destroy one with simDestroyObject first")
+        name = self._free_name(name)
+        geom = self._spares[0]
+        self._kinds[geom], self._full_size[geom] = ASSETS[asset]
+        self._resize(geom, scale)
+        self._place(geom, pose)
+        del self._spares[0]
+        self._geoms[name] = geom
+        self._set_there(geom, True)
+        self._moved(geom)
+        return name
+
+    def destroy(self, name: str) -> bool:
+        """Whether there was one of that name that can go: the ground cannot."""
+        geom = self.geom(name)
+        if geom is None or self._kinds[geom] == PLANE:
+            return False
+        del self._geoms[name]
+        self._set_there(geom, False)
+        self._place(geom, Pose(tuple(mujoco_to_ned(PARKED_M).tolist())))
+        if self._model.geom(geom).name.startswith(SPARE):
+            self._spares.append(geom)
+        self._moved(geom)
+        return True
+
+    def corners(self, name: str) -> NDArray[np.float64]:
+        """Corners (8, 3) of an object's box, in its own axes turned into NED; raises KeyError."""
+        geom = self._geoms[name]
+        half, middle = _half_sizes(self._model, geom), mujoco_to_ned(self._model.geom_aabb[geom, :3])
+        if self._kinds[geom] == PLANE:  # whose box has no end below
+            half, middle = (*self._model.geom_size[geom, :2], 0.0), np.zeros(3)
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        pose = self.pose(name) or Pose()
+        return np.asarray((signs * np.array(half) + middle) @ pose.matrix().T + np.array(pose.position_m))
+
+    def _free_name(self, name: str) -> str:
+        taken = [other for other in self.names() if name in other]
+        if not taken:
+            return name
+        numbers = [int(found[0]) for other in taken if (found := re.findall(r"\d+$", other))]
+        return f"{name}{max(numbers, default=0) + 1}"
+
+    def _place(self, geom: int, pose: Pose) -> None:
+        self._model.geom_pos[geom] = ned_to_mujoco(pose.position_m)
+        self._model.geom_quat[geom] = quaternion_ned_to_mujoco(pose.orientation_wxyz)
+        self._model.geom_sameframe[geom] = (
+            mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        )  # else its turn goes unnoticed
+
+    def _resize(self, geom: int, scale: Scale) -> None:
+        half = np.array(self._full_size[geom]) * scale
+        kind = self._kinds[geom]
+        if not (np.isfinite(half).all() and half.min() > 0.0 and half.max() <= LARGEST_HALF_M):
+            raise ValueError(f"scale must be positive and at most {2 * LARGEST_HALF_M:g} m, not {scale}")
+        if kind == CYLINDER and half[0] != half[1]:
+            raise ValueError(f"the scale of a cylinder must be the same along x and y, not {scale}")
+        model = self._model
+        model.geom_type[geom] = ELLIPSOID if kind == SPHERE else kind
+        model.geom_size[geom] = (half[0], half[2], 0.0) if kind == CYLINDER else half
+        model.geom_aabb[geom] = (0.0, 0.0, 0.0, *half)
+        model.geom_rbound[geom] = float(np.linalg.norm(half))
+        self._scales[geom] = scale
+
+    def _set_there(self, geom: int, there: bool) -> None:
+        """Seen and touched, or neither."""
+        self._model.geom_rgba[geom, 3] = float(there)
+        self._model.geom_matid[geom] = self._model.geom_matid[geom] if there else -1
+        self._model.geom_contype[geom] = self._model.geom_conaffinity[geom] = int(there)
+
+    def _moved(self, geom: int) -> None:
+        refit_bounding_boxes(self._model, {geom})
+        self._world.surroundings_changed()
+
+
+def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:
+    x, y, z = (float(half) for half in model.geom_aabb[geom, 3:])
+    return x, y, z
+
+
+def take_over(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
+    """Let the objects of a model that has got more vehicles be as they were: the world's geoms are its first ones."""
+    geoms = np.flatnonzero(old.geom_bodyid == 0)
+    for name in _FIELDS:
+        getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]
+    refit_bounding_boxes(new, set(geoms.tolist()))

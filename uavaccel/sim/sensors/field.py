@@ -1,0 +1,144 @@
+"""Barometer, magnetometer and satellite receiver.
+
+Sources: AirSim v1.8.1, BarometerSimple, MagnetometerSimple, GpsSimple and their Params.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from uavaccel.kinematics import Vector
+from uavaccel.sim.airsim_keys import AirSimKeys
+from uavaccel.sim.earth import (
+    SEA_LEVEL_PA,
+    GeoPoint,
+    atmosphere,
+    geographic,
+    magnetic_field_gauss,
+    pressure_altitude_m,
+)
+from uavaccel.sim.sensors.inertial import NotNegative, Positive
+from uavaccel.sim.sensors.noise import Drift, White
+from uavaccel.sim.sensors.state import Truth
+
+NO_FIX, FIX_2D, FIX_3D = 0, 2, 3
+
+
+class BarometerSettings(AirSimKeys):
+    """Shares of the pressure, seconds, pascals."""
+
+    sensor_type: Literal[1] = 1
+    enabled: bool = True
+    pressure_factor_sigma: NotNegative = 0.0365 / 20
+    pressure_factor_tau: Positive = 3600.0
+    uncorrelated_noise_sigma: NotNegative = 2.7
+
+
+class BarometerReading(NamedTuple):
+    """Metres by the altimeter's formula, pascals, and hectopascals at sea level."""
+
+    altitude_m: float
+    pressure_pa: float
+    qnh_hpa: float = SEA_LEVEL_PA / 100
+
+
+class Barometer:
+    """The standard atmosphere's pressure, its drift as a Gauss-Markov process, and white noise."""
+
+    def __init__(self, settings: BarometerSettings, seed: int, name: str) -> None:
+        self._white, self._sigma_pa = White(seed, name, 1), settings.uncorrelated_noise_sigma
+        drift = White(seed, f"{name} drift", 1)
+        self._drift = Drift(
+            drift, settings.pressure_factor_sigma, settings.pressure_factor_tau, at_rest=False
+        )
+
+    def read(self, truth: Truth) -> BarometerReading:
+        pressure = atmosphere(truth.place.altitude).pressure_pa
+        pressure *= 1.0 + float(self._drift.at(truth.time_s)[0])
+        pressure += float(self._white.at(truth.sample)[0]) * self._sigma_pa
+        return BarometerReading(pressure_altitude_m(pressure), pressure)
+
+
+class MagnetometerSettings(AirSimKeys):
+    """Gauss."""
+
+    sensor_type: Literal[4] = 4
+    enabled: bool = True
+    noise_sigma: NotNegative = 0.005
+    scale_factor: float = 1.0
+    noise_bias: NotNegative = 0.0
+
+
+class Magnetometer:
+    """The dipole's field where the vehicle is."""
+
+    def __init__(self, settings: MagnetometerSettings, seed: int, name: str) -> None:
+        self._settings = settings
+        self._white = White(seed, name, 3)
+        within = settings.noise_bias
+        self._bias = np.random.default_rng([seed, len(name)]).uniform(-within, within, 3)
+
+    def read(self, truth: Truth) -> Vector:
+        """Gauss, FRD."""
+        field = (
+            np.array(magnetic_field_gauss(truth.place)) @ truth.pose.matrix() * self._settings.scale_factor
+        )
+        field += self._white.at(truth.sample) * self._settings.noise_sigma + self._bias
+        x, y, z = field.tolist()
+        return x, y, z
+
+
+class GpsSettings(AirSimKeys):
+    """Metres and seconds."""
+
+    sensor_type: Literal[3] = 3
+    enabled: bool = True
+    eph_time_constant: Annotated[float, Field(alias="EPH_TimeConstant", gt=0.0)] = 0.9
+    epv_time_constant: Annotated[float, Field(alias="EPV_TimeConstant", gt=0.0)] = 0.9
+    eph_initial: float = 100.0
+    epv_initial: float = 100.0
+    eph_final: float = 0.1
+    epv_final: float = 0.1
+    eph_min3d: float = 3.0
+    eph_min2d: float = 4.0
+    update_latency: NotNegative = 0.2
+
+
+class GpsReading(NamedTuple):
+    """Where, how exact in metres, m/s NED, and the kind of fix."""
+
+    place: GeoPoint
+    eph_m: float
+    epv_m: float
+    velocity_m_s: Vector
+    fix: int
+
+
+class Gps:
+    """The true position some time ago, and dilutions that fall after a reset; AirSim's has no noise.
+
+    What was some time ago is gone by: it is reckoned back from the present velocity and acceleration.
+    """
+
+    def __init__(self, settings: GpsSettings) -> None:
+        self._settings = settings
+
+    def read(self, truth: Truth) -> GpsReading:
+        own, kinematics = self._settings, truth.kinematics
+        ago_s = min(own.update_latency, truth.since_reset_s)
+        acceleration = np.array(kinematics.linear_acceleration_m_s2)
+        velocity = np.array(kinematics.linear_velocity_m_s)
+        position = np.array(kinematics.position_m) - velocity * ago_s + acceleration * ago_s**2 / 2
+        eph = own.eph_final + (own.eph_initial - own.eph_final) * math.exp(
+            -truth.since_reset_s / own.eph_time_constant
+        )
+        epv = own.epv_final + (own.epv_initial - own.epv_final) * math.exp(
+            -truth.since_reset_s / own.epv_time_constant
+        )
+        fix = FIX_3D if eph <= own.eph_min3d else FIX_2D if eph <= own.eph_min2d else NO_FIX
+        place = geographic(tuple(position.tolist()), truth.home)
+        return GpsReading(place, eph, epv, tuple((velocity - acceleration * ago_s).tolist()), fix)

@@ -1,0 +1,121 @@
+"""Distance sensor and LiDAR, by rays.
+
+Sources: AirSim v1.8.1, DistanceSimple, LidarSimple, their Params, UnrealDistanceSensor.cpp, UnrealLidarSensor.cpp.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from uavaccel.sim.airsim_keys import AirSimKeys
+from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.rays import cast
+from uavaccel.sim.sensors.inertial import NotNegative, Positive
+from uavaccel.sim.sensors.noise import White
+from uavaccel.sim.sensors.state import Truth
+
+MOST_POINTS = 100_000  # of one scan, as in AirSim
+NOISE_M = 0.2  # of a distance, DistanceSimpleParams's uncorrelated_noise_sigma
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+
+
+class _Mounted(AirSimKeys):
+    """A sensor somewhere on the vehicle: metres and degrees, FRD."""
+
+    enabled: bool = True
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+
+    @property
+    def mount(self) -> Pose:
+        return Pose((self.x, self.y, self.z), from_degrees(self.roll, self.pitch, self.yaw))
+
+
+class DistanceSettings(_Mounted):
+    sensor_type: Literal[5] = 5
+    min_distance: NotNegative = 0.2
+    max_distance: Positive = 40.0
+    uncorrelated_noise_sigma: NotNegative = NOISE_M
+
+
+class DistanceSensor:
+    """How far the first thing ahead of the sensor is; the largest distance where there is none."""
+
+    def __init__(self, settings: DistanceSettings, seed: int, name: str) -> None:
+        self.settings = settings
+        self._white = White(seed, name, 1)
+
+    def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> float:
+        """Metres, with AirSim's noise."""
+        eye, longest_m = truth.pose.of(self.settings.mount), self.settings.max_distance
+        hits = cast(model, data, eye.position_m, eye.matrix()[:, :1].T, longest_m)
+        true_m = min(float(hits.distance_m[0]), longest_m)
+        return true_m + float(self._white.at(truth.sample)[0]) * self.settings.uncorrelated_noise_sigma
+
+
+class LidarSettings(_Mounted):
+    sensor_type: Literal[6] = 6
+    number_of_channels: Annotated[int, Field(ge=1, le=1024)] = 16
+    range: Positive = 100.0
+    points_per_second: Annotated[int, Field(ge=1)] = 100_000
+    rotations_per_second: Annotated[int, Field(ge=0)] = 10
+    horizontal_fov_start: Annotated[Degrees, Field(alias="HorizontalFOVStart")] = 0.0
+    horizontal_fov_end: Annotated[Degrees, Field(alias="HorizontalFOVEnd")] = 359.0
+    vertical_fov_upper: Annotated[Degrees, Field(alias="VerticalFOVUpper")] = -15.0
+    vertical_fov_lower: Annotated[Degrees, Field(alias="VerticalFOVLower")] = -45.0
+    data_frame: Literal["VehicleInertialFrame", "SensorLocalFrame"] = "VehicleInertialFrame"
+    update_frequency: Positive = 10.0
+
+
+class Scan(NamedTuple):
+    """Points (n, 3) in metres, the geoms hit (n,), and the sensor's pose, NED."""
+
+    points_m: NDArray[np.float64]
+    geoms: NDArray[np.int32]
+    pose: Pose
+
+
+class Lidar:
+    """The points of one period of the sensor, seen from where the vehicle is when it is asked."""
+
+    def __init__(self, settings: LidarSettings) -> None:
+        self.settings = settings
+
+    def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> Scan:
+        own, eye = self.settings, truth.pose.of(self.settings.mount)
+        scan = int(truth.time_s * own.update_frequency)
+        seen = directions(own, scan * 360.0 * own.rotations_per_second / own.update_frequency)
+        hits = cast(model, data, eye.position_m, seen @ eye.matrix().T, own.range)
+        met = hits.geoms >= 0
+        points_m = seen[met] * hits.distance_m[met, None]
+        if own.data_frame == "VehicleInertialFrame":
+            points_m = points_m @ eye.matrix().T + np.array(eye.position_m)
+        return Scan(points_m, hits.geoms[met], eye)
+
+
+def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
+    """Unit vectors (n, 3) of a scan's rays in the sensor's frame, channel by channel from the upmost, turning right.
+
+    The scan begins at `start_deg`; rays outside of the horizontal field of view are left out.
+    """
+    period_s = 1.0 / settings.update_frequency
+    count = min(round(settings.points_per_second * period_s), MOST_POINTS)
+    of_one = max(round(count / settings.number_of_channels), 1)
+    number = np.arange(count)
+    step_deg = settings.rotations_per_second * 360.0 * period_s / of_one
+    yaw_deg = (start_deg + step_deg * number) % 360.0
+    upper, lower = settings.vertical_fov_upper, settings.vertical_fov_lower
+    pitch_deg = np.linspace(upper, lower, settings.number_of_channels)[number % settings.number_of_channels]
+    first, last = settings.horizontal_fov_start % 360.0, settings.horizontal_fov_end % 360.0
+    inside = (yaw_deg - first) % 360.0 <= (last - first) % 360.0
+    yaw, pitch = np.radians(yaw_deg[inside]), np.radians(pitch_deg[inside])
+    return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)

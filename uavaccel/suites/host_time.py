@@ -1,0 +1,46 @@
+"""What a run took on the machine's own clock, from its timing.jsonl: never the same twice, so in no summary."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
+from uavaccel.records import RunDirectory
+
+
+def wall_s(run: RunDirectory) -> float:
+    """Seconds of wall clock from the first command to the last, of all starts together; 0 where nobody measured."""
+    return (running_s(run) or [0.0])[-1]
+
+
+def running_s(run: RunDirectory) -> list[float]:
+    """Seconds of wall clock up to each entry that has them, the starts one after another."""
+    readings = [entry["wall_s"] for entry in run.timings() if "wall_s" in entry]
+    steps = [after - before if after >= before else after for before, after in pairwise([0.0, *readings])]
+    return list(accumulate(steps))
+
+
+def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
+    """The sums of stopwatches that begin anew whenever a run is resumed."""
+    total = Counter[str](readings[-1] if readings else {})
+    for before, after in pairwise(readings):
+        if sum(after.values()) < sum(before.values()):
+            total.update(before)
+    return total
+
+
+def pace(run: RunDirectory) -> str:
+    """How long all its games took, and how fast that was; nothing where nobody measured."""
+    took_s = wall_s(run)
+    if not took_s:
+        return ""
+    simulated_s = sum(row["sim_time_s"] for row in run.rows())
+    return f"{in_words(took_s)} of wall clock, start-up not counted: {simulated_s / took_s:.0f} simulated s per wall s"
+
+
+def in_words(seconds: float) -> str:
+    """A duration in the unit of its size."""
+    if seconds < 600:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,114 @@
+"""A cell of the experiment: a training, and the evaluations of its policy, each a run directory of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from uavaccel.rl.agents import FLIGHT, SENSES
+from uavaccel.suites.experiment import CommandName, ProfileName
+from uavaccel.suites.parts import Part
+from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
+
+EVALUATION_SEED = 0  # the same lanes and latencies for every policy
+INTERCHANGED = ("", "virtual", "tcsc", 1.0)  # variant, clock, command and ClockSpeed of the interchange test
+
+
+class Size(NamedTuple):
+    """About how much a cell is."""
+
+    games: int = 0
+    simulated_s: float = 0.0
+    wall_s: float = 0.0
+    disk_bytes: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training of a command at a ClockSpeed, by its seed, and what is flown with it."""
+
+    variant: str
+    profile: ProfileName
+    clock: SimulatedTiming
+    command: CommandName
+    clock_speed: float
+    seed: int
+    timing: str = "virtual"  # all cells run side by side, whichever simulated clock they have
+    task: dict[str, Any] = field(default_factory=dict, compare=False)
+    size: Size = field(default=Size(), compare=False)
+
+    @property
+    def id(self) -> str:
+        names = [self.variant, self.profile, self.clock, self.command, f"{self.clock_speed:g}x"]
+        return "-".join([name for name in names if name] + [f"seed{self.seed}"])
+
+    def simulated_s(self) -> float:
+        return self.size.simulated_s
+
+
+def cells(config: RlConfig) -> Iterator[Cell]:
+    """Seed by seed, so that a run that is stopped has whole tables; in each the blocks in order, slow clocks first."""
+    for seed in range(config.seed, config.seed + config.seeds):
+        for block in config.cells:
+            for clock_speed, command in pairs(block):
+                if config.selects(block, (clock_speed, command)):
+                    yield Cell(
+                        block.variant,
+                        block.profile,
+                        block.timing,
+                        command,
+                        clock_speed,
+                        seed,
+                        task={f"task.{key}": value for key, value in block.task.items()},
+                    )
+
+
+def training_part(config: RlConfig, cell: Cell) -> Part:
+    """The cell's training."""
+    keys = {
+        **config.training.keys,
+        "games": config.games,
+        "task.command": cell.command,
+        "task.clock_speed": cell.clock_speed,
+        "task.timing": cell.clock,
+        "task.profile": cell.profile,
+        **cell.task,
+    }
+    return Part(experiment=config.training.experiment, keys=keys)
+
+
+class Flight(NamedTuple):
+    """How a policy is evaluated."""
+
+    command: CommandName
+    clock_speed: float
+    name: str
+    """Of its folder, and before the names of its arrays."""
+
+
+def flights(config: RlConfig, cell: Cell) -> list[Flight]:
+    """In real time with the cell's own command first; of the interchange test with the other; as it was trained."""
+    real_time = config.evaluation_clock_speed
+    flown = [Flight(cell.command, real_time, cell.command)]
+    if config.interchange and (cell.variant, cell.clock, cell.command, cell.clock_speed) == INTERCHANGED:
+        flown.append(Flight("adsc", real_time, "adsc"))
+    if config.as_trained and cell.clock_speed != real_time:
+        flown.append(Flight(cell.command, cell.clock_speed, f"{cell.command}-{cell.clock_speed:g}x"))
+    return flown
+
+
+def evaluation_part(config: RlConfig, cell: Cell, flight: Flight, agent: str | Path) -> Part:
+    """A flight of the cell's policy, on the clock that it was trained by; what it sees is the policy's own affair."""
+    own = {key: value for key, value in cell.task.items() if key.split(".")[1] not in SENSES + FLIGHT}
+    keys = {
+        **config.evaluation.keys,
+        "agent": str(agent),
+        "task.command": flight.command,
+        "task.clock_speed": flight.clock_speed,
+        "task.timing": cell.clock,
+        "task.profile": cell.profile,
+        **own,
+    }
+    return Part(experiment=config.evaluation.experiment, keys=keys)

@@ -1,0 +1,104 @@
+"""Configuration of the RL experiment: which trainings, how they are evaluated, and which of them a run does."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from uavaccel.config import Config
+from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, positive
+from uavaccel.suites.parts import Part
+
+SimulatedTiming = Literal["virtual", "lockstep"]
+
+
+class Block(Config):
+    """Trainings that differ in command and ClockSpeed."""
+
+    profile: ProfileName
+    timing: SimulatedTiming = "virtual"
+    command: tuple[CommandName, ...] = ("adsc", "tcsc")
+    clock_speed: tuple[float, ...]
+    variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
+    """What sets these trainings apart from others of the same command and ClockSpeed; claims look at those without."""
+    task: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the task, dotted, in training and evaluation."""
+
+    @field_validator("clock_speed")
+    @classmethod
+    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
+        return positive(speeds)
+
+    @field_validator("command")
+    @classmethod
+    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
+        return distinct(commands)
+
+
+class RlConfig(Experiment):
+    """`suite: rl`."""
+
+    suite: Literal["rl"]
+    seeds: Annotated[int, Field(ge=1)] = 1
+    """Trainings of each cell, with seeds `seed`, `seed` + 1 and so on; evaluations have seed 0, or their keys'."""
+    games: Annotated[int, Field(ge=1)] = 5000
+    """Of a training."""
+    cells: Annotated[tuple[Block, ...], Field(min_length=1)]
+    training: Part = Part(experiment="train")
+    evaluation: Part = Part(experiment="evaluate", keys={"games": 100})
+    evaluation_clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
+    """1: in real time, as the paper's (IV-D), of a simulated wall clock."""
+    interchange: bool = True
+    """Whether policies that TCSC trained at 1x on the virtual clock are flown with ADSC too (section III-C3)."""
+
+    as_trained: bool = False
+    """Whether policies are flown at the ClockSpeed of their training too."""
+
+    command: tuple[CommandName, ...] = ()
+    """Of the cells only those; all where nothing is said, as with the next three."""
+    clock_speed: tuple[float, ...] = ()
+    profile: ProfileName | None = None
+    timing: SimulatedTiming | None = None
+
+    @model_validator(mode="after")
+    def _has_what_it_selects(self) -> RlConfig:
+        for name in ("command", "clock_speed"):
+            known = {value for block in self.cells for value in getattr(block, name)}
+            for value in getattr(self, name):
+                if value not in known:
+                    there_are = ", ".join(str(each) for each in sorted(known))
+                    raise ValueError(f"{name} = {value} is in no cell; there are {there_are}")
+        if not any(self.selects(block, each) for block in self.cells for each in pairs(block)):
+            raise ValueError("command, clock_speed, profile and timing together select no cell")
+        return self
+
+    @model_validator(mode="after")
+    def _names_each_cell_once(self) -> RlConfig:
+        names = [
+            (block.variant, block.profile, block.timing, *each)
+            for block in self.cells
+            for each in pairs(block)
+        ]
+        for name in names:
+            if names.count(name) > 1:
+                _, profile, timing, clock_speed, command = name
+                raise ValueError(
+                    f"cells has {profile} {timing} {command} at {clock_speed:g}x twice; give one a `variant`"
+                )
+        return self
+
+    def selects(self, block: Block, pair: tuple[float, CommandName]) -> bool:
+        """Whether a run does this cell of a block."""
+        clock_speed, command = pair
+        return (
+            clock_speed in (self.clock_speed or (clock_speed,))
+            and command in (self.command or (command,))
+            and block.profile == (self.profile or block.profile)
+            and block.timing == (self.timing or block.timing)
+        )
+
+
+def pairs(block: Block) -> list[tuple[float, CommandName]]:
+    """ClockSpeed and command of each of its cells."""
+    return [(clock_speed, command) for clock_speed in block.clock_speed for command in block.command]

@@ -1,0 +1,147 @@
+"""The figures of the RL experiment, out of its summary and the lanes' outcomes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.draw import style
+from uavaccel.draw.distances import draw_distances
+from uavaccel.draw.document import Picture
+from uavaccel.draw.style import command_name
+from uavaccel.draw.success import SuccessLine, draw_success
+from uavaccel.draw.training_time import TrainingTime, draw_training_time
+from uavaccel.metrics.intervals import wilson_interval
+from uavaccel.records import RunDirectory
+from uavaccel.sim.lane.layout import Difficulty, draw_layout
+from uavaccel.suites.pages import listed
+from uavaccel.suites.rl import paper
+from uavaccel.suites.suite import Row
+
+Cells = Sequence[Mapping[str, Any]]
+TABLE_I, FIGURE_8, FIGURE_9 = (
+    "figures/table1_success.png",
+    "figures/figure8_distances.png",
+    "figures/figure9_training_time.png",
+)
+
+
+def panel_name(cell: Mapping[str, Any]) -> str:
+    """TCSC, airsim; where it says more, its clock and variant."""
+    clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
+    variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
+    return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
+
+
+def is_papers(cell: Mapping[str, Any]) -> bool:
+    """Whether the paper has trained so: under AirSim, and nothing else changed."""
+    return cell["profile"] == "airsim" and cell["timing"] == "virtual" and not cell["variant"]
+
+
+def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
+    """Table I, Figure 8 and Figure 9 as pictures with their captions."""
+    pooled = summary["pooled"]
+    seeds = listed(sorted({seed for cell in pooled for seed in cell["seeds"]}))
+    source = f"modelled · {summary['training_games']} training games each · seed {seeds}"
+    table = draw_success(success_lines(pooled), "Success by training", run.file(TABLE_I), source)
+    distances = _by_panel(pooled, lambda cell: distances_m(run, rows, cell))
+    rows_m = np.unique(draw_layout(0, Difficulty()).x_m).tolist()
+    figure8 = draw_distances(distances, rows_m, run.file(FIGURE_8), source)
+    pictures = [
+        Picture(
+            table, f"Table I as a picture: bars are 95 % Wilson intervals, dots are seeds. Source: {source}."
+        ),
+        Picture(figure8, f"Figure 8. How far the evaluated policies got, seeds pooled. Source: {source}."),
+    ]
+    timed = [cell for cell in pooled if cell["timing"] == "virtual"]
+    if timed:
+        times = {name: list(panel.values()) for name, panel in _by_panel(timed, training_time).items()}
+        figure9 = draw_training_time(times, run.file(FIGURE_9), source)
+        pictures.append(
+            Picture(
+                figure9,
+                f"Figure 9. Modelled time of a training by phase, mean of its seeds. Source: {source}.",
+            )
+        )
+    return pictures
+
+
+def success_lines(pooled: Cells) -> list[SuccessLine]:
+    """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
+    lines: list[SuccessLine] = []
+    others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
+    for name, panel in _by_panel(pooled, lambda cell: cell).items():
+        members = list(panel.values())
+        lines.append(
+            SuccessLine(
+                name,
+                members[0]["command"],
+                list(panel),
+                [cell["success_ratio"] for cell in members],
+                [cell["wilson_low"] for cell in members],
+                [cell["wilson_high"] for cell in members],
+                by_seed=[
+                    [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
+                    for cell in members
+                ],
+                colour=None if is_papers(members[0]) else next(others),
+            )
+        )
+        known = [cell for cell in members if cell["paper_successes"] is not None]
+        if known:
+            lines.append(_papers(known))
+    return lines
+
+
+def _papers(cells: Cells) -> SuccessLine:
+    counts = [cell["paper_successes"] for cell in cells]
+    low, high = zip(*(wilson_interval(count, paper.GAMES) for count in counts), strict=True)
+    command = cells[0]["command"]
+    clocks = [cell["clock_speed"] for cell in cells]
+    ratios = [count / paper.GAMES for count in counts]
+    return SuccessLine(
+        f"{command_name(command)}, the paper's", command, clocks, ratios, low, high, dashed=True
+    )
+
+
+def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Metres north in all evaluation games of a cell, its seeds together."""
+    keys = ("variant", "profile", "timing", "command", "clock_speed")
+    arrays = [
+        run.load_arrays(str(row["arrays"]))[f"{row['command']}_distance_m"]
+        for row in rows
+        if all(row[key] == cell[key] for key in keys)
+    ]
+    return np.concatenate(arrays)
+
+
+def training_time(cell: Mapping[str, Any]) -> TrainingTime:
+    """Of one training: the mean of the seeds; rendering is part of the paper's simulation."""
+    mean_s = {phase: spent / len(cell["seeds"]) for phase, spent in cell["phase_s"].items()}
+    phases = {
+        "simulation (with rendering)": mean_s["simulation"] + mean_s["rendering"],
+        "image processing": mean_s["image_processing"],
+        "inference": mean_s["inference"],
+        "learning": mean_s["learning"],
+    }
+    return TrainingTime(
+        cell["clock_speed"],
+        phases,
+        cell["training_speedup"],
+        cell["whole_training_speedup"],
+        cell["paper_training_speedup"],
+        cell["paper_whole_training_speedup"],
+    )
+
+
+def _by_panel(
+    pooled: Iterable[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], Any]
+) -> dict[str, dict[float, Any]]:
+    panels: dict[str, dict[float, Any]] = {}
+    for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):
+        panels.setdefault(panel_name(cell), {})[cell["clock_speed"]] = value(cell)
+    return dict(sorted(panels.items()))

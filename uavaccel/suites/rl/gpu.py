@@ -1,0 +1,70 @@
+"""Several GPUs: each process that trains takes one, and its share of the cores, whoever started it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+import torch as th
+
+VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
+MOST_PROCESSES = 256
+
+_place: TextIO | None = None  # held as long as this process lives
+
+
+def take_gpu(device: str) -> None:
+    """Let `cuda` be one of several GPUs in this process and those that it starts: that of the first free place.
+
+    Places are files locked in the temporary folder, so processes of different runs share them, and a place is free
+    again however its process ended. Nothing happens where there is one GPU, or the device names one. It has to be
+    before CUDA's first use, which fixes what this process sees.
+    """
+    if device != "cuda" or _place is not None or th.cuda.is_initialized():
+        return
+    visible = visible_gpus()
+    if len(visible) < 2:
+        return
+    place = _take_place() % len(visible)
+    gpu = visible[place]
+    os.environ[VISIBLE] = gpu
+    _stay_on_cores(place, len(visible))
+    if gpu.isdigit():
+        os.environ.setdefault(EGL_DEVICE, gpu)
+
+
+def _stay_on_cores(share: int, shares: int) -> None:
+    """As many as every GPU's process has: its lanes fly on them, and do not crowd out its neighbours'."""
+    if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) >= 2 * shares:
+        size = len(cores) // shares
+        os.sched_setaffinity(0, cores[share * size : (share + 1) * size])
+
+
+def visible_gpus() -> list[str]:
+    """The GPUs of this process, as CUDA_VISIBLE_DEVICES names them."""
+    if named := os.environ.get(VISIBLE):
+        return [name.strip() for name in named.split(",") if name.strip()]
+    return [str(number) for number in range(th.cuda.device_count())]
+
+
+def _take_place() -> int:
+    """The first place that no other process holds."""
+    import fcntl  # not on Windows
+
+    global _place
+    folder = Path(tempfile.gettempdir()) / f"uavaccel-gpus-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for number in range(MOST_PROCESSES):
+        _place = (folder / str(number)).open("a")
+        with suppress(BlockingIOError):
+            fcntl.flock(_place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return number
+        _place.close()
+    _place = None
+    return 0

@@ -1,0 +1,60 @@
+"""How large a cell is, before it is flown, and whether its parts can be configured at all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uavaccel.rl.agents import DEFAULT
+from uavaccel.rl.algorithms import OWN
+from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.suites.parts import Part, part_cost, part_suite
+from uavaccel.suites.rl.cells import (
+    EVALUATION_SEED,
+    Cell,
+    Size,
+    evaluation_part,
+    flights,
+    training_part,
+)
+from uavaccel.suites.rl.config import RlConfig
+
+GPU_RATE = 1_500.0  # simulated seconds per wall second of many lanes on one GPU, about
+CELL_BYTES = 2e6  # of policy, figures and curves
+
+
+def _parts(config: RlConfig, cell: Cell) -> list[tuple[Part, int]]:
+    """Training and evaluations with their seeds; the policy that ships stands for the cell's own."""
+    flown = [evaluation_part(config, cell, flight, DEFAULT) for flight in flights(config, cell)]
+    return [(training_part(config, cell), cell.seed), *((part, EVALUATION_SEED) for part in flown)]
+
+
+def part_configs(config: RlConfig, cell: Cell) -> list[Any]:
+    """Configurations of the cell's training and evaluations. Raises UserError for what cannot be."""
+    return [part_suite(part, seed)[1] for part, seed in _parts(config, cell)]
+
+
+def size_of(config: RlConfig, cell: Cell) -> Size:
+    """Games, simulated and wall seconds, and bytes on disk of a cell, about."""
+    configs = part_configs(config, cell)
+    costs = [part_cost(part, seed) for part, seed in _parts(config, cell)]
+    simulated_s = sum(part_s for part_s, _ in costs)
+    on_gpu = str(getattr(configs[0], "device", "cpu")).startswith("cuda")
+    return Size(
+        sum(part.games for part in configs),
+        simulated_s,
+        simulated_s / GPU_RATE if on_gpu else sum(cost.wall_s for _, cost in costs),
+        sum(cost.disk_bytes for _, cost in costs) + CELL_BYTES,
+    )
+
+
+def checkpoint_bytes(config: RlConfig, cell: Cell) -> float:
+    """What a training's checkpoint holds at most: the replay buffer, which each process writes for its own training."""
+    training = part_configs(config, cell)[0]
+    if getattr(training, "algorithm", "") != OWN or training.games <= training.checkpoint_games:
+        return 0.0
+    space = training.task.observation_space()
+    flown = training.games * training.task.typical_s / training.task.t_move_s
+    kept = min(DqnOptions.of(training).buffer_size, flown)
+    return float(2 * kept * np.prod(space.shape) * space.dtype.itemsize)

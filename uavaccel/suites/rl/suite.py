@@ -1,0 +1,86 @@
+"""The RL experiment as a suite: each case trains a policy and evaluates it, in folders of its own below the run's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from uavaccel.records import RunDirectory
+from uavaccel.suites.parts import part_suite
+from uavaccel.suites.rl import report
+from uavaccel.suites.rl.cells import (
+    Cell,
+    Size,
+    cells,
+    training_part,
+)
+from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.flights import fly_cell
+from uavaccel.suites.rl.gpu import take_gpu
+from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
+from uavaccel.suites.rl.together import put_together
+from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
+
+
+class Rl(Suite[RlConfig, Cell]):
+    """`uavaccel run rl`."""
+
+    name = "rl"
+    config = RlConfig
+    batch = 1
+
+    def check(self, config: RlConfig) -> None:
+        """Training and evaluation of each cell can be configured; its policy need not exist yet."""
+        for cell in cells(config.model_copy(update={"seeds": 1})):
+            part_configs(config, cell)
+
+    def cases(self, config: RlConfig) -> Iterator[Cell]:
+        known: dict[str, Size] = {}  # trainings that differ in their seed alone are of one size
+        for number, cell in enumerate(cells(config)):
+            kind = replace(cell, seed=0).id
+            if kind not in known:
+                known[kind] = size_of(config, cell)
+            # A checkpoint goes when its training is over: the first cell's stands for all.
+            kept = 0.0 if number else checkpoint_bytes(config, cell)
+            yield replace(cell, size=known[kind]._replace(disk_bytes=known[kind].disk_bytes + kept))
+
+    def games(self, config: RlConfig, case: Cell) -> int:
+        return case.size.games
+
+    def cost(self, config: RlConfig, case: Cell) -> Cost:
+        return Cost(case.size.wall_s, case.size.disk_bytes)
+
+    def renders(self, config: RlConfig) -> bool:
+        parts = [training_part(config, cell) for cell in cells(config.model_copy(update={"seeds": 1}))]
+        return any(suite.renders(training) for suite, training in [part_suite(part, 0) for part in parts])
+
+    @contextmanager
+    def open(self, config: RlConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
+        """The run; this process has a GPU of its own from now on, where there are several."""
+        part = training_part(config, next(cells(config)))
+        take_gpu(str(getattr(part_suite(part, config.seed)[1], "device", "cpu")))
+        yield run
+
+    def fly(self, config: RlConfig, case: Cell, opened: RunDirectory) -> Flown:
+        return fly_cell(config, case, opened)
+
+    def status(self, rows: Sequence[Row]) -> str:
+        flown = rows[-1]["evaluations"][0]
+        return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
+
+    def headline(self, summary: Summary) -> str:
+        return report.headline(summary)
+
+    def overview(self, summary: Summary) -> SummaryTable:
+        return SummaryTable(report.SHORT_HEADER, report.overview(summary))
+
+    def report(self, run: RunDirectory) -> Summary:
+        return report.write_report(run)
+
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        """One report of several runs' cells, in the first one's folder `together`."""
+        together = put_together(runs)
+        report.write_report(together)
+        return [together.path / "report.html"]

@@ -1,0 +1,44 @@
+"""Configuration of a robustness map: who flies, and the axes of the map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from uavaccel.rl.agents import DEFAULT
+from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, positive
+from uavaccel.suites.parts import Part
+
+
+class RobustnessConfig(Experiment):
+    """`suite: robustness`."""
+
+    suite: Literal["robustness"]
+    agent: str = DEFAULT
+    """As `uavaccel evaluate` takes it."""
+    profile: ProfileName = "airsim"
+    command: tuple[CommandName, ...] = ("tcsc", "adsc")
+    clock_speed: tuple[float, ...]
+    latency_scale: tuple[float, ...]
+    """Times the latencies of the profile's model; flown in this order, so begin with what matters most."""
+    games: Annotated[int, Field(ge=1)] = 100
+    """Evaluation lanes of each cell, the same ones in all."""
+    evaluation: Part = Part(experiment="evaluate")
+
+    @field_validator("clock_speed")
+    @classmethod
+    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
+        return positive(speeds)
+
+    @field_validator("latency_scale")
+    @classmethod
+    def _not_negative(cls, scales: tuple[float, ...]) -> tuple[float, ...]:
+        if any(scale < 0 for scale in scales):
+            raise ValueError("must be 0 or more")
+        return distinct(scales)
+
+    @field_validator("command")
+    @classmethod
+    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
+        return distinct(commands)

@@ -1,0 +1,115 @@
+"""The robustness map as a suite: a cell is an evaluation, a run directory of its own below the run's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import policy_sha256
+from uavaccel.suites.evaluation.outcomes import outcomes
+from uavaccel.suites.experiment import CommandName
+from uavaccel.suites.parts import Part, fly_part, part_cost, part_suite
+from uavaccel.suites.rl.gpu import take_gpu
+from uavaccel.suites.robustness import report
+from uavaccel.suites.robustness.config import RobustnessConfig
+from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One point of the map."""
+
+    command: CommandName
+    clock_speed: float
+    latency_scale: float
+    simulated: float = field(default=0.0, compare=False)
+    timing: str = "virtual"
+
+    @property
+    def id(self) -> str:
+        return f"latency{self.latency_scale:g}-{self.command}-{self.clock_speed:g}x"
+
+    def simulated_s(self) -> float:
+        return self.simulated
+
+
+class Robustness(Suite[RobustnessConfig, Cell]):
+    """`uavaccel run robustness`."""
+
+    name = "robustness"
+    config = RobustnessConfig
+    batch = 1
+
+    def check(self, config: RobustnessConfig) -> None:
+        cell = Cell(config.command[0], config.clock_speed[0], config.latency_scale[0])
+        part_suite(part_of(config, cell), config.seed)
+
+    def cases(self, config: RobustnessConfig) -> Iterator[Cell]:
+        """Latency by latency, so that a run that is stopped has whole rows of the map."""
+        part = part_of(config, Cell(config.command[0], config.clock_speed[0], config.latency_scale[0]))
+        simulated_s, _ = part_cost(part, config.seed)
+        for scale in config.latency_scale:
+            for clock_speed in config.clock_speed:
+                for command in config.command:
+                    yield Cell(command, clock_speed, scale, simulated_s)
+
+    def games(self, config: RobustnessConfig, case: Cell) -> int:
+        return config.games
+
+    def cost(self, config: RobustnessConfig, case: Cell) -> Cost:
+        return part_cost(part_of(config, case), config.seed)[1]
+
+    def renders(self, config: RobustnessConfig) -> bool:
+        suite, evaluation = part_suite(part_of(config, next(self.cases(config))), config.seed)
+        return suite.renders(evaluation)
+
+    def provenance(self, config: RobustnessConfig) -> Mapping[str, Any]:
+        return {"policy_sha256": policy_sha256(config.agent)}
+
+    @contextmanager
+    def open(self, config: RobustnessConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
+        """The run; this process draws on a GPU of its own from now on, where there are several."""
+        take_gpu("cuda")
+        yield run
+
+    def fly(self, config: RobustnessConfig, case: Cell, opened: RunDirectory) -> Flown:
+        folder = opened.path / "parts" / case.id
+        manifest = {key: value for key, value in opened.manifest().items() if key != "resumed"}
+        summary = fly_part(folder, part_of(config, case), config.seed, manifest)
+        row = {
+            "suite": self.name,
+            "case": case.id,
+            **{name: getattr(case, name) for name in ("command", "clock_speed", "latency_scale")},
+            **{name: summary[name] for name in ("games", "successes", "distance_m_median", "sim_time_s")},
+        }
+        return Flown(row, outcomes(RunDirectory(folder)))
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+
+    def headline(self, summary: Summary) -> str:
+        return report.headline(summary)
+
+    def overview(self, summary: Summary) -> SummaryTable:
+        return SummaryTable(report.header(summary), report.table(summary))
+
+    def report(self, run: RunDirectory) -> Summary:
+        return report.write_report(run)
+
+
+def part_of(config: RobustnessConfig, cell: Cell) -> Part:
+    """The evaluation that a cell is."""
+    keys = {
+        **config.evaluation.keys,
+        "agent": config.agent,
+        "games": config.games,
+        "task.profile": config.profile,
+        "task.timing": "virtual",
+        "task.command": cell.command,
+        "task.clock_speed": cell.clock_speed,
+        "task.latency.scale": cell.latency_scale,
+    }
+    return Part(experiment=config.evaluation.experiment, keys=keys)

@@ -1,0 +1,162 @@
+"""AirSim's types of image, drawn for one camera at the moment of the call.
+
+Sources: AirSim v1.8.1, docs/image_apis.md (what the numbers of each type mean), ImageCaptureBase.hpp (types),
+Examples/DataCollection/StereoImageGenerator.hpp (disparity).
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import TypeAlias, Union
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.mounted_camera import FRONT_CENTER, Lens, MountedCamera
+from uavaccel.sim.rays import cast
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.view import vehicle_pose
+from uavaccel.wire.cameras import MountedAs
+from uavaccel.wire.segmentation import Segmentation, colours
+
+
+class ImageType(IntEnum):
+    """AirSim's numbers."""
+
+    SCENE = 0
+    DEPTH_PLANAR = 1
+    DEPTH_PERSPECTIVE = 2
+    DEPTH_VIS = 3
+    DISPARITY_NORMALIZED = 4
+    SEGMENTATION = 5
+    SURFACE_NORMALS = 6
+    INFRARED = 7
+
+
+Scene: TypeAlias = Union["mujoco.MjData", None]
+DEPTH_VIS_FAR_M = 100.0
+BASELINE_M = 0.25  # between AirSim's front_left and front_right
+_DEPTHS = (
+    ImageType.DEPTH_PLANAR,
+    ImageType.DEPTH_PERSPECTIVE,
+    ImageType.DEPTH_VIS,
+    ImageType.DISPARITY_NORMALIZED,
+)
+
+
+class Pictures:
+    """Images of one simulation. `render` False refuses them all, and costs nothing."""
+
+    def __init__(
+        self, simulation: Simulation, largest: tuple[int, int], segmentation: Segmentation, render: bool
+    ) -> None:
+        self._simulation = simulation
+        self._largest = largest
+        self._segmentation = segmentation
+        self.render = render
+
+    def floats(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
+        """One number per pixel (height, width): metres, shares, or the first channel of another image from 0 to 1.
+
+        Of the present, or of a `scene` that was kept.
+        """
+        kind, shown = known_type(image_type), self._shown(scene)
+        if kind in _DEPTHS:
+            return self._depth(camera, kind, shown)
+        return (self.bgr(camera, kind, shown)[..., 2] / np.float32(255)).astype(np.float32)
+
+    def bgr(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
+        """Blue, green, red (height, width, 3); of the present, or of a `scene` that was kept."""
+        kind, shown = known_type(image_type), self._shown(scene)
+        if kind == ImageType.SCENE:
+            return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
+        if kind == ImageType.SEGMENTATION:
+            return np.ascontiguousarray(colours()[self._object_ids(camera, kind, shown)][..., ::-1])
+        if kind == ImageType.INFRARED:
+            return _gray(self._object_ids(camera, kind, shown).astype(np.uint8))
+        if kind == ImageType.SURFACE_NORMALS:
+            return self._normals(camera, shown)
+        share = self._depth(camera, kind, shown)
+        if kind in (ImageType.DEPTH_PLANAR, ImageType.DEPTH_PERSPECTIVE):
+            share = np.minimum(share / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
+        return _gray(np.rint(share * 255).astype(np.uint8))
+
+    def kept(self) -> mujoco.MjData:
+        """What there is to see now, to be drawn later."""
+        shown = self._shown(None)
+        kept = mujoco.MjData(self._simulation.world.model)
+        kept.qpos[:] = shown.qpos
+        return kept
+
+    def warm_up(self) -> None:
+        """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
+        front = MountedAs("front_center", FRONT_CENTER, {})
+        for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
+            self.bgr(front, image_type)
+
+    def _depth(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
+        """Metres, or for the two that are shares from 0 to 1."""
+        pointed = self._pointed(camera, kind, scene)
+        if kind == ImageType.DEPTH_PERSPECTIVE:
+            return pointed.depth_perspective(scene)
+        depth_m = pointed.depth(scene)
+        if kind == ImageType.DEPTH_VIS:
+            return np.minimum(depth_m / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
+        if kind == ImageType.DISPARITY_NORMALIZED:
+            half_width = math.tan(math.radians(camera.lens(kind).fov_deg) / 2)
+            return np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
+        return depth_m
+
+    def _object_ids(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
+        return self._segmentation.ids(self._pointed(camera, kind, scene).segmentation(scene))
+
+    def _normals(self, camera: MountedAs, scene: mujoco.MjData) -> NDArray[np.uint8]:
+        """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
+        self._check_rendering()
+        lens = camera.lens(ImageType.SURFACE_NORMALS)
+        eye = camera.eye(vehicle_pose(scene))
+        directions = pixel_rays(lens) @ eye.matrix().T
+        hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
+        rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
+        rgb[hits.geoms < 0] = 0
+        return np.ascontiguousarray(rgb.reshape(lens.height, lens.width, 3)[..., ::-1])
+
+    def _pointed(self, camera: MountedAs, image_type: int, scene: mujoco.MjData) -> MountedCamera:
+        """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
+        self._check_rendering()
+        pointed = self._simulation.world.mounted_camera(*self._largest)
+        own = camera.mount == FRONT_CENTER and not camera.external
+        pointed.point(None if own else camera.eye(vehicle_pose(scene)), camera.lens(image_type))
+        return pointed
+
+    def _check_rendering(self) -> None:
+        if not self.render:
+            raise ValueError("rendering is switched off")
+
+    def _shown(self, scene: Scene) -> mujoco.MjData:
+        """What there is to see: what was kept, the present, or what a modelled renderer shows."""
+        return scene or self._simulation.frames.scene(self._simulation.world.data)
+
+
+def known_type(image_type: int) -> ImageType:
+    """Raises ValueError for a type that is not drawn here."""
+    try:
+        return ImageType(image_type)
+    except ValueError:
+        known = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in ImageType)
+        raise ValueError(f"image type {image_type} is not available; there are {known}") from None
+
+
+def pixel_rays(lens: Lens) -> NDArray[np.float64]:
+    """Unit vectors (height, width, 3), FRD, through the middles of the pixels."""
+    pixel = 2 * math.tan(math.radians(lens.fov_deg) / 2) / lens.width
+    right = (np.arange(lens.width) + 0.5 - lens.width / 2) * pixel
+    down = (np.arange(lens.height) + 0.5 - lens.height / 2) * pixel
+    rays = np.stack(np.broadcast_arrays(1.0, right[None, :], down[:, None]), axis=-1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.repeat(image[..., None], 3, axis=2)

@@ -1,0 +1,95 @@
+"""Which segmentation ID each object has, and its colour: AirSim's, by the letters of its name until a client sets it.
+
+Sources: AirSim v1.8.1, AirBlueprintLib.cpp (IDs of names), docs/seg_rgbs.txt (colours).
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.resources import asset
+from uavaccel.sim.lane.scene import object_name
+from uavaccel.sim.scene_objects import SceneObjects
+from uavaccel.sim.view import GeomImage
+from uavaccel.sim.world import World
+
+BODY = "quadrotor"
+NOT_DRAWN, NO_OBJECT = -1, 0
+HIGHEST_ID = 255
+
+
+class Segmentation:
+    """The IDs of one world's objects, and of its `vehicle`."""
+
+    def __init__(self, world: World, objects: SceneObjects, vehicle: str) -> None:
+        self._world, self._objects, self._vehicle = world, objects, vehicle
+        self._given: dict[int, int] = {}  # by geom
+        self._table = np.zeros(0, np.int64)
+
+    def ids(self, geoms: GeomImage) -> NDArray[np.int64]:
+        """The ID of each geom of an image of geoms; 0 for the sky and for what is not to be drawn."""
+        return np.asarray(np.maximum(self._all(), NO_OBJECT)[geoms])
+
+    def _all(self) -> NDArray[np.int64]:
+        """The ID of each geom, and last the sky's, which is geom -1."""
+        model = self._world.model
+        if len(self._table) != model.ngeom + 1:  # the first time, or there are more vehicles
+            of_vehicle = model.geom_bodyid == model.body(BODY).id
+            names = [
+                self._vehicle if own else object_name(model, geom) for geom, own in enumerate(of_vehicle)
+            ]
+            self._table = np.array([*map(id_of_name, names), NO_OBJECT])
+            for geom, number in self._given.items():
+                self._table[geom] = number
+        return self._table
+
+    def _give(self, geoms: list[int], number: int) -> None:
+        self._all()[geoms] = number
+        self._given |= dict.fromkeys(geoms, number)
+
+    def set_id(self, name: str, number: int, is_pattern: bool) -> bool:
+        """Whether an object of that name, or any that a regular expression matches, has got the ID."""
+        if not NOT_DRAWN <= number <= HIGHEST_ID:
+            raise ValueError(f"object_id must be {NOT_DRAWN} to {HIGHEST_ID}, not {number}")
+        geoms = [geom for found in self._matching(name, is_pattern) for geom in self._geoms(found)]
+        self._give(geoms, number)
+        return bool(geoms)
+
+    def id(self, name: str) -> int:
+        """An object's ID; -1 without one of that name."""
+        geoms = [geom for found in self._matching(name, False) for geom in self._geoms(found)]
+        return int(self._all()[geoms[0]]) if geoms else NOT_DRAWN
+
+    def spawned(self, name: str) -> None:
+        """A new object has the ID of its name."""
+        self._give(self._geoms(name), id_of_name(name))
+
+    def _matching(self, name: str, is_pattern: bool) -> list[str]:
+        pattern = name if is_pattern else re.escape(name)
+        vehicles = [self._vehicle] if re.fullmatch(pattern, self._vehicle, re.IGNORECASE) else []
+        return self._objects.matching(pattern) + vehicles
+
+    def _geoms(self, name: str) -> list[int]:
+        geom = self._objects.geom(name)
+        if geom is None and name == self._vehicle:
+            model = self._world.model
+            return [int(own) for own in np.flatnonzero(model.geom_bodyid == model.body(BODY).id)]
+        return [] if geom is None else [geom]
+
+
+def id_of_name(name: str) -> int:
+    """AirSim's ID of an object at the start: the sum of its name's letters."""
+    return (5 + sum(ord(letter) for letter in name.lower() if ord(letter) >= ord("a"))) % (HIGHEST_ID + 1)
+
+
+@cache
+def colours() -> NDArray[np.uint8]:
+    """Red, green and blue (256, 3) of each ID."""
+    with asset("airsim/segmentation_colours.csv").open(encoding="ascii", newline="") as file:
+        rows = [list(map(int, row.values())) for row in csv.DictReader(file)]
+    return np.array(rows, np.uint8)

@@ -1,0 +1,73 @@
+"""Which sensors a vehicle has: those of its settings, else those of DefaultSensors, else AirSim's four.
+
+Source: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings); a list that is given stands alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field
+
+from uavaccel.sim.sensors.field import (
+    Barometer,
+    BarometerSettings,
+    Gps,
+    GpsSettings,
+    Magnetometer,
+    MagnetometerSettings,
+)
+from uavaccel.sim.sensors.inertial import Imu, ImuSettings
+from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
+
+SensorSettings = Annotated[
+    BarometerSettings | ImuSettings | GpsSettings | MagnetometerSettings | DistanceSettings | LidarSettings,
+    Field(discriminator="sensor_type"),
+]
+Kind = TypeVar("Kind")
+DEFAULTS: dict[str, Any] = {
+    "imu": ImuSettings(),
+    "magnetometer": MagnetometerSettings(),
+    "gps": GpsSettings(),
+    "barometer": BarometerSettings(),
+}
+
+
+class Sensors:
+    """A vehicle's sensors by name; `seed` is that of their noise."""
+
+    def __init__(
+        self, given: Mapping[str, Any] | None, defaults: Mapping[str, Any] | None, seed: int
+    ) -> None:
+        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
+        self._sensors = {
+            name: _sensor(settings, name, seed) for name, settings in chosen.items() if settings.enabled
+        }
+
+    def named(self, kind: type[Kind], word: str, name: Any) -> Kind:
+        """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
+        if not isinstance(name, str):
+            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
+        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
+        found = next(iter(known.values()), None) if name == "" else known.get(name)
+        if found is None:
+            there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
+            raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
+        return found
+
+
+def _sensor(settings: Any, name: str, seed: int) -> Any:
+    match settings:
+        case ImuSettings():
+            return Imu(settings, seed, name)
+        case BarometerSettings():
+            return Barometer(settings, seed, name)
+        case MagnetometerSettings():
+            return Magnetometer(settings, seed, name)
+        case GpsSettings():
+            return Gps(settings)
+        case DistanceSettings():
+            return DistanceSensor(settings, seed, name)
+        case _:
+            return Lidar(settings)
