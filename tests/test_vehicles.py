@@ -255,6 +255,47 @@ def test_in_computer_vision_mode_a_vehicle_is_a_camera_that_stays() -> None:
             call(api, method, *ARGUMENTS[method])
 
 
+def test_each_senses_for_itself() -> None:
+    """Every number is the vehicle's own, in its own frame: none is the leading one's."""
+    lidar = {"Sensors": {"eye": {"SensorType": 6, "Enabled": True, "DrawDebugPoints": False}}}
+    api = fleet(A={}, B={"X": 20, "Y": 10, "Z": -1} | lidar)
+    call(api, "simSetVehiclePose", pose(1.0, 2.0, -4.0, z_val=1.0), True, "B")
+    in_world = np.array([21.0, 12.0, -5.045])
+    state = call(api, "getMultirotorState", "B")["gps_location"]
+    environment = call(api, "simGetGroundTruthEnvironment", "B")
+    assert environment["geo_point"] == state
+    assert list(environment["position"].values()) == pytest.approx([1.0, 2.0, -4.0])
+    assert state["altitude"] == pytest.approx(122.0 + 5.045, abs=1e-3)
+    assert call(api, "getHomeGeoPoint", "B")["latitude"] > call(api, "getHomeGeoPoint", "A")["latitude"]
+    camera = call(api, "simGetCameraInfo", "front_center", "B")["pose"]["position"]
+    assert list(camera.values()) == pytest.approx([1.0, 2.46, -4.0], abs=1e-6), "it looks east"
+    seen = list(call(api, "simGetObjectPose", "B")["position"].values())
+    assert seen == pytest.approx(in_world.tolist()), "objects are told in the world's frame"
+    assert call(api, "simListSceneObjects", "[AB]") == ["A", "B"]
+    assert call(api, "simSetObjectPose", "B", pose(21.0, 12.0, -6.045), True) is True
+    assert place(api, "B") == pytest.approx([1.0, 2.0, -5.0])
+    points = np.reshape(call(api, "getLidarData", "eye", "B")["point_cloud"], (-1, 3))
+    assert np.linalg.norm(points, axis=1).min() > 1.0, "it does not see itself"
+    with pytest.raises(rpc.RpcError, match="No lidar with name eye exist on vehicle"):
+        call(api, "getLidarData", "eye", "A")
+    for method, params in SENSES.items():
+        with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'C' is not available.*there is 'A', 'B'"):
+            call(api, method, *params, "C")
+
+
+SENSES: dict[str, list[Any]] = {
+    "simGetImages": [[]],
+    "simGetImage": ["0", 0],
+    "simGetCameraInfo": ["0"],
+    "getImuData": [""],
+    "getGpsData": [""],
+    "getLidarData": [""],
+    "simGetGroundTruthEnvironment": [],
+    "getHomeGeoPoint": [],
+    "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
+}
+
+
 # --- poses and winds ------------------------------------------------------------------------------
 
 

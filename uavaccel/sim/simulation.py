@@ -263,10 +263,6 @@ class Simulation(Commanded):
         """The state at the present tick, stamped with `time_ns`."""
         return self.world.kinematics(self.time0_ns)
 
-    def truth(self) -> Kinematics:
-        """The leading vehicle's state in the world's frame, which is its own unless the settings place it."""
-        return self.world.lead.kinematics(self.time0_ns, in_world=True)
-
     def record(self) -> None:
         """Start the recorder anew: nobody else does."""
         self.world.start_recording()

@@ -106,10 +106,11 @@ class View:
             eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
 
 
-def vehicle_pose(data: mujoco.MjData) -> Pose:
-    """The quadrotor's pose in `data.qpos`, NED."""
-    x, y, z = mujoco_to_ned(data.qpos[:3]).tolist()
-    w, i, j, k = quaternion_mujoco_to_ned(data.qpos[3:7]).tolist()
+def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
+    """The pose in `data.qpos` of the vehicle of that number, NED."""
+    place, attitude = np.split(data.qpos[7 * vehicle : 7 * vehicle + 7], [3])
+    x, y, z = mujoco_to_ned(place).tolist()
+    w, i, j, k = quaternion_mujoco_to_ned(attitude).tolist()
     return Pose((x, y, z), (w, i, j, k))
 
 

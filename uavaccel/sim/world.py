@@ -75,13 +75,13 @@ class World(Led):
         self.warnings = self.data.warning.number
         self.clearance = Clearance(self.model, self.data)
         for vehicle in self.vehicles:
-            vehicle.bind(self.model, self.data, self._name_of)
+            vehicle.bind(self.model, self.data, self.name_of)
         self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
         rows = [vehicle.handles for vehicle in self.vehicles]
         self._handles = np.concatenate([[len(rows)], *rows]).astype(np.int64)
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
-    def _name_of(self, geom: int) -> str:
+    def name_of(self, geom: int) -> str:
         """The object, or the other vehicle, that a geom belongs to."""
         return self._bodies.get(int(self.model.geom_bodyid[geom])) or object_name(self.model, geom)
 
@@ -247,7 +247,7 @@ class World(Led):
         depth_m, geom = deepest_contact(self.model, self.data, vehicle.body_id)
         self.set_physics(before)
         if depth_m > DEEPEST_M:
-            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self._name_of(geom)}")
+            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
 
     # --- time -------------------------------------------------------------------------------------
 

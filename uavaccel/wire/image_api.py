@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.kinematics import Kinematics
+from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
@@ -73,8 +73,8 @@ class ImageApi:
         cameras = self._cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE:
-            return [self._response(request, self.simulation.truth()) for request in asked]
-        scene, kinematics = self._scenery.pictures.kept(), self.simulation.truth()
+            return [self._response(request, self._scenery.truth(vehicle)) for request in asked]
+        scene, kinematics = self._scenery.pictures.kept(), self._scenery.truth(vehicle)
         return Steps(self._response(request, kinematics, scene) for request in asked)
 
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
@@ -94,7 +94,7 @@ class ImageApi:
         return {
             "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
-            "camera_position": types.vector_map(self.simulation.world.lead.local(eye.position_m)),
+            "camera_position": types.vector_map(self._local(request.camera, eye.position_m)),
             "camera_name": request.camera_name,
             "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
             "time_stamp": types.stamp(kinematics.time_ns),
@@ -105,6 +105,9 @@ class ImageApi:
             "height": image.shape[0],
             "image_type": request.image_type,
         }
+
+    def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
+        return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
         """The picture; or an empty one, and why."""
