@@ -12,9 +12,11 @@ import pytest
 from tests.simulating import answer, simulate
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.earth import geographic
+from uavaccel.sim.flight.goal import Goal, of_velocity
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.wire import rpc, types
-from uavaccel.wire.api import Api, facing
+from uavaccel.wire.api import Api
+from uavaccel.wire.flight_api import facing
 from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
@@ -129,17 +131,17 @@ def test_yaw_follows_the_direction_of_travel_if_asked_to(
 def test_forward_only_reaches_the_goal_and_the_vehicle_turns(
     method: str, third: float, goal: VelocityGoal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    api, goals = new_api(), []
-    fly = api.simulation.fly_velocity
+    api, flown = new_api(), []
+    fly = api.simulation.lead.fly
 
-    def noting(goal: VelocityGoal, duration_s: float, wall_ns: int) -> Any:
-        goals.append((goal, duration_s, wall_ns))
-        return fly(goal, duration_s, wall_ns)
+    def noting(goal: Goal, ticks: int, wall_ns: int) -> Any:
+        flown.append((goal, ticks, wall_ns))
+        return fly(goal, ticks, wall_ns)
 
-    monkeypatch.setattr(api.simulation, "fly_velocity", noting)
+    monkeypatch.setattr(api.simulation.lead, "fly", noting)
     mode = {"is_rate": False, "yaw_or_rate": 0.0}
     result_of(api, method, [0.0, 2.0, third, 4.0, FORWARD_ONLY, mode, ""], 2 * MS)
-    assert goals == [(goal, 4.0, 2 * MS)]
+    assert flown == [(of_velocity(goal), 2000, 2 * MS)]
     api.simulation.advance_to(4000 * MS)
     state = api.simulation.kinematics()
     w, _, _, z = state.orientation_wxyz
@@ -167,7 +169,7 @@ def test_a_command_of_no_duration_ends_the_one_that_runs(method: str, answered: 
 
 
 @pytest.mark.parametrize(("method", "params", "told", "controlled"), [
-    ("hover", [], True, True),
+    ("hover", [], False, True),
     ("cancelLastTask", [], None, True),
     ("enableApiControl", [False], None, False),
     ("reset", [], None, False),
@@ -231,7 +233,7 @@ def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds
 
 def test_a_game_begins_paused_controlled_recording_at_its_height_and_speed() -> None:
     api = flown()
-    running = api.simulation.running.command
+    running = api.simulation.lead.command
     assert running is not None
     told = result_of(api, "uavaccelStartGame", [2.5, -4.0], 800 * MS)
     simulation = api.simulation

@@ -46,7 +46,7 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
 @pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=lambda profile: profile.name)
 def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str, profile: object) -> None:
     worlds = [World(scene, profile), World(scene, profile)]  # type: ignore[arg-type]
-    worlds[1]._clearance = Touchy(worlds[1].model, worlds[1].data)
+    worlds[1].clearance = Touchy(worlds[1].model, worlds[1].data)
     collisions = []
     for seed in range(6):
         if scene == "lane":
@@ -98,10 +98,10 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
     world = lane_world()
     world.set_lane(layout_from(POSTS, "test"))
     place, direction = (np.array(vector) for vector in TARGETS[target])
-    usual, touchy = world._clearance, Touchy(world.model, world.data)
+    usual, touchy = world.clearance, Touchy(world.model, world.data)
     for distance_m in (0.4, 0.5, 0.7, 1.0, 1.5, 2.2, 3.0, 4.0):
         ends = []
-        for world._clearance in (usual, touchy):
+        for world.clearance in (usual, touchy):
             world.reset()
             rocket(world)
             world.state["wind"] = wind_m_s * direction
@@ -110,7 +110,7 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
             for _ in range(400):
                 world.advance(1)
             ends.append((world.collision_tick, world.collision_object, world.kinematics()))
-        world._clearance = usual
+        world.clearance = usual
         assert ends[0] == ends[1]
         assert ends[0][0] is not None
 
@@ -172,7 +172,7 @@ def test_the_free_time_is_that_to_the_nearest_of_ground_walls_and_posts(
     world.set_lane(layout_from(POSTS, "test"))
     world.place((north_m, east_m, -height_m), velocity_m_s=velocity_m_s)
     world.state["wind"] = wind_m_s
-    free_s = world._clearance.free_s(world.parameters, world.state)
+    free_s = world.clearance.free_s(world.parameters, world.state)
     centres = np.array([[75.0, 5.1, 10.0], [75.0, -5.1, 10.0], [20.0, 0.3, 10.0], [40.0, 0.0, 10.0]])
     halves = np.array([[85.0, 0.1, 10.0], [85.0, 0.1, 10.0], [0.5, 0.5, 10.0], [0.5, 0.5, 10.0]])
     outside = np.maximum(np.abs(np.array([north_m, east_m, height_m]) - centres) - halves, 0.0)
@@ -198,7 +198,7 @@ def test_among_things_that_move_by_themselves_nothing_is_ever_free() -> None:
     world = lane_world()
     world.reset()
     assert Clearance(model, data).free_s(world.parameters, world.state) == 0.0
-    assert world._clearance.free_s(world.parameters, world.state) > 0.1
+    assert world.clearance.free_s(world.parameters, world.state) > 0.1
 
 
 @pytest.mark.parametrize("poison", [math.nan, math.inf])
@@ -206,7 +206,7 @@ def test_a_flight_that_diverged_is_never_free(poison: float) -> None:
     world = lane_world()
     world.reset()
     world.state["velocity"] = (poison, 0.0, 0.0)
-    assert world._clearance.free_s(world.parameters, world.state) == 0.0
+    assert world.clearance.free_s(world.parameters, world.state) == 0.0
     world.reset()
 
 
@@ -233,8 +233,8 @@ def lane_world() -> World:
     """One for all examples, as made: it takes long to make."""
     if not _worlds:
         _worlds.append(World("lane", NATIVE))
-        _as_made.append(_worlds[0]._parameters.copy())
-    _worlds[0]._parameters[:] = _as_made[0]
+        _as_made.append(_worlds[0].lead._parameters.copy())
+    _worlds[0].lead._parameters[:] = _as_made[0]
     _worlds[0].state["wind"] = 0.0
     return _worlds[0]
 

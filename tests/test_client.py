@@ -135,8 +135,8 @@ def test_goals_become_airsims_arguments() -> None:
         {"is_rate": False, "yaw_or_rate": math.degrees(-0.5)},
     ]
     assert transport.sent == [
-        ("moveByVelocity", (1.0, 2.0, 3.0, 0.5, 0, yaws[0], ""), False, False),
-        ("moveByVelocityZ", (1.0, 2.0, -7.0, 2.0, 0, yaws[1], ""), False, False),
+        ("moveByVelocity", (1.0, 2.0, 3.0, 0.5, 0, yaws[0], "", True), False, False),
+        ("moveByVelocityZ", (1.0, 2.0, -7.0, 2.0, 0, yaws[1], "", True), False, False),
     ]
 
 

@@ -41,7 +41,6 @@ def test_what_is_honoured(tmp_path: Path) -> None:
 
 def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
     assert sorted(read(tmp_path, USUAL).passed_over()) == [
-        "Vehicles.Drone1.X",
         "ViewMode",
     ]
 
@@ -60,7 +59,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("content", "text"), [
-    ({"SimMode": "Car"}, "SimMode = 'Car': should be 'Multirotor' or ''"),
+    ({"SimMode": "Car"}, "SimMode = 'Car': should be 'Multirotor', 'ComputerVision' or ''"),
     ({"ClockType": "ScalableClock"}, "ClockType = 'ScalableClock'"),
     ({"ClockSpeed": 0}, "ClockSpeed = 0: should be greater than 0"),
     ({"ClockSpeed": "10"}, "ClockSpeed = '10'"),
@@ -68,7 +67,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"EnableRpc": False}, "EnableRpc = False"),
     ({"PhysicsEngineName": "ExternalPhysicsEngine"}, "PhysicsEngineName"),
     ({"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}}, "Vehicles.A.VehicleType = 'PX4Multirotor'"),
-    ({"Vehicles": {"A": {}, "B": {}}}, "Vehicles = "),
+    ({"Vehicles": {"A": {"X": "near"}}}, "Vehicles.A.X = 'near'"),
     ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
     ({"Wind": {"X": "strong"}}, "Wind.X = 'strong'"),
     ([1], "settings should be a mapping in braces, not list"),

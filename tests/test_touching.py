@@ -96,14 +96,18 @@ def test_another_object_is_another_touch_even_while_the_first_is_still_touched()
     assert simulation.world.touches.first.object == "ground"
 
 
-def test_a_teleport_forgets_what_was_touched() -> None:
+def test_a_teleport_keeps_the_velocity_and_what_was_touched_and_is_ready_for_more() -> None:
+    """As AirSim's setPose: only reading sets has_collided back."""
     simulation, api = dropped(NATIVE, 0.1)
     go_to(simulation, 300)
+    simulation.world.data.qvel[:3] = 0.7, 0.0, 0.0
     pose = {
         "position": {"x_val": 0.0, "y_val": 0.0, "z_val": -0.1},
         "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
     }
     api.call("simSetVehiclePose", [pose, True], simulation.wall_ns)
+    assert simulation.kinematics().linear_velocity_m_s[0] == pytest.approx(0.7, abs=0.01)
+    assert collision(simulation, api)["has_collided"]
     assert not collision(simulation, api)["has_collided"]
     go_to(simulation, 600)
     info = collision(simulation, api)

@@ -45,7 +45,7 @@ def serve(options: ServeOptions) -> None:
     settings = read_settings(options.settings) if options.settings else Settings()
     host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
     simulation = simulation_of(options, settings, clock_speed)
-    api = Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
+    api = api_of(simulation, options, settings)
     draw_once(api)
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
@@ -96,6 +96,14 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
     return simulation
 
 
+def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) -> Api:
+    """The calls, and the vehicles that the settings ask for. Raises UserError that names the file and the key."""
+    try:
+        return Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
+    except UserError as error:
+        raise UserError(f"{options.settings}: {error}") from None
+
+
 def draw_once(api: Api) -> None:
     """So that no client's first image holds up the clock; where nothing can draw, say so."""
     try:
@@ -125,13 +133,20 @@ def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     host, port = server.address
     speed = float(server.api.simulation.clock_speed)
     say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
-    say(
-        f"{settings.vehicle} hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops"
-    )
+    say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
     if passed_over := settings.passed_over():
         say(f"{options.settings}: without meaning here: {', '.join(passed_over)}")
+
+
+def waiting(server: Server) -> str:
+    """How the vehicles begin."""
+    vehicles = server.api.simulation.world.vehicles
+    lead = vehicles[0]
+    how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
+    others = f", {len(vehicles) - 1} more beside it" if len(vehicles) > 1 else ""
+    return f"{lead.name} {'is a camera' if server.api.settings.flightless else how}{others}"
 
 
 @contextmanager

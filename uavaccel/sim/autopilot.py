@@ -4,6 +4,9 @@ Sources: AirSim v1.8.1, simple_flight/firmware: CascadeController, PositionContr
 AngleLevelController, AngleRateController, PidController, OffboardApi (goal timeout), Mixer. All gains are
 proportional but for the vertical velocity's leaky integrator, which starts anew whenever the mode of z changes.
 
+`goal` holds x, y, z and yaw. In the modes TILT and TILT_RATE its first two are roll and pitch, in MOTORS all four are
+motors; in THROTTLE the third is a throttle. What they mean otherwise is a velocity or a place.
+
 Two peculiarities are AirSim's own and kept: velocities are regulated along the *body's* axes, so a tilted drone
 climbs; and in `moveByVelocityZ` the height goal takes part in the rotation of the horizontal velocity goal.
 """
@@ -16,11 +19,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.sim.quadrotor import Record, density_ratio, world_to_body
+from uavaccel.sim.quadrotor import PID_LEVELS, Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z
+TILT, TILT_RATE, MOTORS = (
+    2,
+    3,
+    4,
+)  # modes of x, y alone: roll and pitch, their rates, the motors' own commands
+THROTTLE = 2  # mode of z alone
 RATE, ANGLE = 0, 1  # modes of yaw
 UNSET = -1
+POSITION_LEVEL, VELOCITY_LEVEL, ANGLE_LEVEL = range(PID_LEVELS)
+YAW_SLOT = 3 * ANGLE_LEVEL + 2
+NEW = 100  # more than a mode: a controller that has not been updated yet
+IDLE_THROTTLE = 0.1 / 1.5  # what an armed vehicle's motors turn with while nobody flies it (Params.hpp)
 
 
 @njit
@@ -44,10 +57,49 @@ def hold_position(state: Record) -> None:
 
 
 @njit
+def renew(state: Record) -> None:
+    """Begin anew what belongs to controllers of another mode: AirSim makes new ones (CascadeController.hpp)."""
+    for group in range(4):
+        mode = (state.xy_mode, state.xy_mode, state.z_mode, state.yaw_mode)[group]
+        if state.pid_mode[group] == mode + NEW:
+            state.pid_mode[group] = mode
+        elif state.pid_mode[group] != mode:
+            state.pid_mode[group] = mode + NEW
+            for slot in range(3 * PID_LEVELS):
+                if pid_group(slot) == group:
+                    state.pid_integral[slot] = state.pid_error[slot] = 0.0
+
+
+@njit
+def pid_group(slot: int) -> int:
+    """Whose mode a controller goes by: x or roll, y or pitch, z, yaw."""
+    return 3 if slot == YAW_SLOT else slot % 3
+
+
+@njit
+def correction(parameters: Record, state: Record, level: int, axis: int, error: float) -> float:
+    """What integral and derivative add to a proportional output (PidController.hpp).
+
+    A new controller's first update sees no time pass. The integral of the vertical velocity is another's, `vertical`.
+    """
+    slot = 3 * level + axis
+    if state.pid_mode[pid_group(slot)] >= NEW:
+        return 0.0
+    gathered = parameters.tick_s * error * parameters.integral_gain[slot]
+    state.pid_integral[slot] = clip(state.pid_integral[slot] + gathered, 1.0)
+    change = (error - state.pid_error[slot]) / parameters.tick_s
+    state.pid_error[slot] = error
+    return state.pid_integral[slot] + parameters.derivative_gain[slot] * change
+
+
+@njit
 def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
     """Velocity that the position controller of one axis asks for, in m/s along that world axis."""
     error = state.goal[axis] - state.position[axis]
-    return clip(parameters.position_gain[axis] * error, 1.0) * parameters.velocity_limit_m_s
+    output = parameters.position_gain[axis] * error
+    if parameters.full_pid != 0:
+        output += correction(parameters, state, POSITION_LEVEL, axis, error)
+    return clip(output, 1.0) * parameters.velocity_limit_m_s
 
 
 @njit
@@ -75,14 +127,28 @@ def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
     else:
         gathered = parameters.tick_s * error_m_s * parameters.z_integral_gain
         state.z_integral = clip(state.z_integral * parameters.z_integral_keep + gathered, 1.0)
-    output = clip(parameters.velocity_gain[2] * error_m_s + state.z_integral, 1.0)
-    return max((1.0 - output) / 2, parameters.min_throttle)
+    output = parameters.velocity_gain[2] * error_m_s + state.z_integral
+    if parameters.full_pid != 0:
+        output += correction(parameters, state, VELOCITY_LEVEL, 2, error_m_s)
+    return max((1.0 - clip(output, 1.0)) / 2, parameters.min_throttle)
 
 
 @njit
-def rate_goal(parameters: Record, axis: int, error_rad: float) -> float:
+def tilt_goal(parameters: Record, state: Record, axis: int, error_m_s: float) -> float:
+    """Velocity controller: rad to tilt by so as to close a velocity error along a body axis, 0 or 1."""
+    output = parameters.velocity_gain[axis] * error_m_s
+    if parameters.full_pid != 0:
+        output += correction(parameters, state, VELOCITY_LEVEL, axis, error_m_s)
+    return clip(output, 1.0) * parameters.tilt_limit_rad
+
+
+@njit
+def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) -> float:
     """Angle controller: rad/s to turn with so as to close an angle error."""
-    return clip(parameters.angle_gain[axis] * error_rad, 1.0) * parameters.rate_limit_rad_s
+    output = parameters.angle_gain[axis] * error_rad
+    if parameters.full_pid != 0:
+        output += correction(parameters, state, ANGLE_LEVEL, axis, error_rad)
+    return clip(output, 1.0) * parameters.rate_limit_rad_s
 
 
 @njit
@@ -112,23 +178,42 @@ def control(parameters: Record, state: Record) -> None:
         state.rotor_input[:] = 0.0
         return
 
+    if state.xy_mode == MOTORS:
+        state.z_integral_mode = THROTTLE
+        for rotor in range(4):
+            state.rotor_input[rotor] = min(max(state.goal[rotor], 0.0), 1.0)
+        return
+
+    if parameters.full_pid != 0:
+        renew(state)
     velocity = (state.velocity[0], state.velocity[1], state.velocity[2])
     vx, vy, vz = world_to_body(state.quaternion, velocity)
     gx, gy, gz = body_velocity_goal(parameters, state)
     w, x, y, z = state.quaternion[0], state.quaternion[1], state.quaternion[2], state.quaternion[3]
 
-    throttle = vertical(parameters, state, gz - vz)
-    pitch_goal = -clip(parameters.velocity_gain[0] * (gx - vx), 1.0) * parameters.tilt_limit_rad
-    roll_goal = clip(parameters.velocity_gain[1] * (gy - vy), 1.0) * parameters.tilt_limit_rad
+    if state.z_mode == THROTTLE:
+        throttle = state.goal[2]
+        state.z_integral_mode = THROTTLE  # the next vertical controller is a new one
+    else:
+        throttle = vertical(parameters, state, gz - vz)
+
+    if state.xy_mode == TILT:
+        roll_goal, pitch_goal = state.goal[0], state.goal[1]
+    else:
+        pitch_goal = -tilt_goal(parameters, state, 0, gx - vx)
+        roll_goal = tilt_goal(parameters, state, 1, gy - vy)
     pitch = math.asin(clip(2 * (w * y - z * x), 1.0))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
 
-    p_goal = rate_goal(parameters, 0, shortest_turn(roll_goal, roll))
-    q_goal = rate_goal(parameters, 1, shortest_turn(pitch_goal, pitch))
+    if state.xy_mode == TILT_RATE:
+        p_goal, q_goal = state.goal[0], state.goal[1]
+    else:
+        p_goal = rate_goal(parameters, state, 0, shortest_turn(roll_goal, roll))
+        q_goal = rate_goal(parameters, state, 1, shortest_turn(pitch_goal, pitch))
     r_goal = state.goal[3]
     if state.yaw_mode == ANGLE:
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        r_goal = rate_goal(parameters, 2, shortest_turn(state.goal[3], yaw))
+        r_goal = rate_goal(parameters, state, 2, shortest_turn(state.goal[3], yaw))
 
     gain = parameters.rate_gain
     mix(

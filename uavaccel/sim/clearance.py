@@ -37,8 +37,10 @@ class Clearance:
         self._radius_m = float((np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound)[own].max())
         self._model = model
         # views, which MuJoCo makes anew whenever they are asked for
-        places = (data.geom_xpos, data.geom_xmat, model.geom_aabb)
-        self._surroundings = (data.qpos, self._still, model.geom_type, *places)
+        self._qpos, self._places = (
+            data.qpos,
+            (model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb),
+        )
         self.alone = model.nbody == 2  # the world and the vehicle: nothing else moves
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -87,7 +89,7 @@ class Clearance:
         """Seconds of flight, 0 or more, in which nothing can be touched, whatever the autopilot does."""
         if not self.alone:
             return 0.0
-        distance_m = _distance(*self._surroundings)
+        distance_m = _distance(self._qpos, self._still, *self._places)
         speed = math.hypot(*state["velocity"].tolist())
         strongest = _strongest_acceleration(parameters, speed + math.hypot(*state["wind"].tolist()))
         return _time_to(distance_m - self._radius_m - MARGIN_M, speed, strongest)

@@ -157,24 +157,72 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
 
 
 @njit
-def views(handles: Any) -> Any:
-    """What the entry points work on. `handles` are int64 addresses, the last one a count of rows.
+def pass_ticks(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> None:
+    """Record this tick if it is due, and let `ticks` pass."""
+    record(recorder, samples, state)
+    for _ in range(ticks):
+        state.tick += 1
+        record(recorder, samples, state)
+
+
+@njit
+def after_step(
+    parameters: Record,
+    state: Record,
+    recorder: Record,
+    qpos: NDArray[np.float64],
+    qvel: NDArray[np.float64],
+    force: NDArray[np.float64],
+    contact: NDArray[np.float64],
+    push: NDArray[np.float64],
+    samples: NDArray[np.float64],
+) -> bool:
+    """What one vehicle's tick is beside MuJoCo's step; whether its contacts have begun or ended."""
+    # the contact sensor speaks of the pose at which the step began: the tick before
+    changed = note_contacts(state, contact)
+    kick(parameters, state, qvel, force)
+    feel_contacts(parameters, state, contact, push)
+    turn_rotors(parameters, state)
+    read_pose(state, qpos)
+    state.tick += 1
+    control(parameters, state)
+    record(recorder, samples, state)
+    return changed
+
+
+HANDLES = 13  # of one vehicle
+
+
+@njit
+def views(handles: Any, first: int) -> Any:
+    """What the entry points work on. `handles` are int64 addresses from `first` on, the last one a count of rows.
 
     In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor, qfrc_constraint; parameters, flight,
     recorder, samples. Records come as arrays of one: numba returns no records.
     Plain addresses, since numba's own dispatch of a dozen arrays costs more than three ticks of flight.
     """
     return (
-        carray(pointer(handles[3]), 7, np.float64),
-        carray(pointer(handles[4]), 6, np.float64),
-        carray(pointer(handles[5]), 6, np.float64),
-        carray(pointer(handles[6]), 1, np.float64),
-        carray(pointer(handles[7]), 6, np.float64),
-        carray(pointer(handles[8]), 1, PARAMETERS_DTYPE),
-        carray(pointer(handles[9]), 1, FLIGHT_DTYPE),
-        carray(pointer(handles[10]), 1, RECORDER_DTYPE),
-        carray(pointer(handles[11]), (handles[12], SAMPLE_COLUMNS), np.float64),
+        carray(pointer(handles[first + 3]), 7, np.float64),
+        carray(pointer(handles[first + 4]), 6, np.float64),
+        carray(pointer(handles[first + 5]), 6, np.float64),
+        carray(pointer(handles[first + 6]), 1, np.float64),
+        carray(pointer(handles[first + 7]), 6, np.float64),
+        carray(pointer(handles[first + 8]), 1, PARAMETERS_DTYPE),
+        carray(pointer(handles[first + 9]), 1, FLIGHT_DTYPE),
+        carray(pointer(handles[first + 10]), 1, RECORDER_DTYPE),
+        carray(pointer(handles[first + 11]), (handles[first + 12], SAMPLE_COLUMNS), np.float64),
     )
+
+
+@njit
+def after_step_of_all(handles: Any) -> bool:
+    """`after_step` of every vehicle; `handles` as fly_all's."""
+    changed = False
+    for vehicle in range(handles[0]):
+        seen = views(handles, 1 + HANDLES * vehicle)
+        qpos, qvel, force, contact, push, parameters, state, recorder, samples = seen
+        changed |= after_step(parameters[0], state[0], recorder[0], qpos, qvel, force, contact, push, samples)
+    return changed
 
 
 class EntryPoints(NamedTuple):
@@ -182,6 +230,8 @@ class EntryPoints(NamedTuple):
 
     fly: Any
     """Fly up to `ticks` ticks; returns how many: fewer where contacts begin or end."""
+    fly_all: Any
+    """`fly` for several vehicles of one model: `handles` are their count, and then those of each."""
     stand_still: Any
     """Let `ticks` ticks pass without moving; the recorder takes this tick, if it is due, and goes on."""
     look: Any
@@ -197,42 +247,37 @@ def _compile(sources: int) -> EntryPoints:
 
     @entry_point
     def fly(handles: Any, ticks: int) -> int:
-        qpos, qvel, force, contact, push, of_parameters, of_flight, of_recorder, samples = views(handles)
+        qpos, qvel, force, contact, push, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
         parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
         for flown in range(ticks if sources else 0):
             call_mj_step(handles[0], handles[1], handles[2])
-            # the contact sensor speaks of the pose at which the step began: the tick before
-            changed = note_contacts(state, contact)
-            kick(parameters, state, qvel, force)
-            feel_contacts(parameters, state, contact, push)
-            turn_rotors(parameters, state)
-            read_pose(state, qpos)
-            state.tick += 1
-            control(parameters, state)
-            record(recorder, samples, state)
-            if changed:
+            if after_step(parameters, state, recorder, qpos, qvel, force, contact, push, samples):
+                return flown + 1
+        return ticks
+
+    @entry_point
+    def fly_all(handles: Any, ticks: int) -> int:
+        for flown in range(ticks * (sources != 0)):
+            call_mj_step(handles[1], handles[2], handles[3])
+            if after_step_of_all(handles):
                 return flown + 1
         return ticks
 
     @entry_point
     def stand_still(handles: Any, ticks: int) -> int:
-        _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles)
-        state, recorder = of_flight[0], of_recorder[0]
-        record(recorder, samples, state)
-        for _ in range(ticks if sources else 0):
-            state.tick += 1
-            record(recorder, samples, state)
+        _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles, 0)
+        if sources:
+            pass_ticks(of_flight[0], of_recorder[0], samples, ticks)
         return ticks
 
     @entry_point
     def look(handles: Any, ticks: int) -> int:
-        qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles)
-        if sources:
-            read_pose(of_flight[0], qpos)
-            kick(of_parameters[0], of_flight[0], qvel, force)
-        return ticks
+        qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles, 0)
+        read_pose(of_flight[0], qpos)
+        kick(of_parameters[0], of_flight[0], qvel, force)
+        return ticks * (sources != 0)
 
-    return EntryPoints(fly, stand_still, look)
+    return EntryPoints(fly, fly_all, stand_still, look)
 
 
 def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:

@@ -6,21 +6,25 @@ comes from the same operations on the same numbers, to the last bit.
 
 from __future__ import annotations
 
-from pathlib import Path
+import ctypes
 from typing import Any
 
 import mujoco
 from numpy.typing import NDArray
 
+from uavaccel.resources import asset
+from uavaccel.sim import hotloop
+from uavaccel.sim.vehicle import Vehicle
+
 
 class OpenAir:
-    """A model of the scene in `path` with the vehicle alone, for flights of the scene's own `model` and `data`.
+    """A model of a scene with the vehicle alone, for flights of the scene's own `model` and `data`.
 
     Only for scenes in which nothing but the vehicle moves.
     """
 
-    def __init__(self, path: Path, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        spec = mujoco.MjSpec.from_file(str(path))
+    def __init__(self, scene: str, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        spec = mujoco.MjSpec.from_file(str(asset(f"mjcf/{scene}.xml")))
         for unseen in (*spec.geoms, *spec.lights, *spec.cameras, *spec.materials, *spec.textures):
             spec.delete(unseen)
         self.model = spec.compile()
@@ -28,19 +32,26 @@ class OpenAir:
         self.model.opt.disableflags = model.opt.disableflags | mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.data = mujoco.MjData(self.model)
         self._scene = data
+        self._handles: Any = None
         self._shared = [(_moving(self.data)[name], values) for name, values in _moving(data).items()]
 
-    def take_over(self) -> None:
-        """Go on from where the scene's vehicle is."""
+    def fly(self, vehicle: Vehicle, ticks: int) -> int:
+        """The scene's vehicle flies `ticks` ticks here, from where it is, and goes on there."""
+        handles = self._handles_of(vehicle)
         self.data.time = self._scene.time
         for here, there in self._shared:
             here[:] = there
-
-    def hand_back(self) -> None:
-        """Let the scene's vehicle go on from here."""
+        flown = int(hotloop.ENTRY_POINTS.fly.ctypes(handles, ticks))
         self._scene.time = self.data.time
         for here, there in self._shared:
             there[:] = here
+        return flown
+
+    def _handles_of(self, vehicle: Vehicle) -> Any:
+        if self._handles is None:
+            addresses = vehicle.addresses_alone_in(self.model, self.data)
+            self._handles = addresses.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))  # which keeps them
+        return self._handles
 
 
 def _moving(data: mujoco.MjData) -> dict[str, NDArray[Any]]:

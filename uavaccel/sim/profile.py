@@ -56,6 +56,17 @@ class Profile:
                 f"physics step of {tick_ms:g} ms"
             )
 
+    @property
+    def loop_ticks(self) -> int:
+        """Ticks between two turns of a flight command's loop, 20 ms or the next tick (getCommandPeriod)."""
+        return ceil_div(_COMMAND_LOOP_NS, self.tick_ns)
+
+    def nearest_ticks(self, duration_s: float) -> int:
+        """As `command_ticks`; an exact profile takes the nearest time that fits, a tick at least."""
+        if self.exact_times:
+            return max(round(exact(duration_s) * NS_PER_S / self.tick_ns), 1)
+        return self.command_ticks(duration_s)
+
     @lru_cache(maxsize=256)  # noqa: B019  profiles live as long as the program; fractions are slow
     def command_ticks(self, duration_s: float) -> int:
         """Ticks that a command of `duration_s` lasts; raises UserError in an exact profile if it does not fit."""

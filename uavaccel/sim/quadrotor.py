@@ -19,6 +19,8 @@ Record = Any  # one element of a structured array, which numba knows field by fi
 ROTORS = 4
 NEVER = np.iinfo(np.int64).max
 
+PID_LEVELS = 3  # position, velocity, angle: each with three axes
+
 KINEMATICS = 3 + 4 + 3 + 3 + 3 + 3
 
 PARAMETERS_DTYPE = np.dtype(
@@ -47,6 +49,10 @@ PARAMETERS_DTYPE = np.dtype(
         ("min_throttle", "f8"),
         ("min_mixed_throttle", "f8"),
         ("hover_after_ticks", "i8"),
+        # integral and derivative gains of the levels of the cascade, which AirSim leaves at 0 but for z_integral_gain
+        ("full_pid", "i8"),  # whether any of them is not
+        ("integral_gain", "f8", 3 * PID_LEVELS),
+        ("derivative_gain", "f8", 3 * PID_LEVELS),
         ("contacts_act", "i8"),  # whether what is touched pushes back; else the first touch ends the flight
     ]
 )
@@ -82,6 +88,10 @@ FLIGHT_DTYPE = np.dtype(
         ("contacts_changed", "i8"),
         ("contact_tick", "i8"),
         ("contact_position", "f8", 3),
+        # of the integral and derivative gains: what was gathered, the last errors, and the modes that they belong to
+        ("pid_integral", "f8", 3 * PID_LEVELS),
+        ("pid_error", "f8", 3 * PID_LEVELS),
+        ("pid_mode", "i8", 4),
     ]
 )
 

@@ -17,11 +17,11 @@ COMMAND_LOG_LENGTH = 1 << 16
 
 
 class CommandLog:
-    """First and last tick of the commands since the last reset: the latest COMMAND_LOG_LENGTH of them."""
+    """First and last tick of the commands since the last reset: the latest `length` of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, length: int | None = None) -> None:
         self.origin_tick: int | None = None  # at which the first was accepted: a recording's t = 0
-        self._ticks: deque[tuple[int, int]] = deque(maxlen=COMMAND_LOG_LENGTH)
+        self._ticks: deque[tuple[int, int]] = deque(maxlen=length or COMMAND_LOG_LENGTH)
 
     def accept(self, tick: int, end_tick: int) -> None:
         """A command begins, and ends at `end_tick` unless `cut_short`."""

@@ -18,9 +18,9 @@ SAMPLE_CAPACITY = 1 << 16
 class Samples:
     """Rows (n, 14): tick, position, wxyz, velocity, body rate; the hot loop writes them."""
 
-    def __init__(self, period_ticks: int) -> None:
+    def __init__(self, period_ticks: int, capacity: int | None = None) -> None:
         self.record = np.zeros(1, hotloop.RECORDER_DTYPE)
-        self.buffer = np.empty((SAMPLE_CAPACITY, hotloop.SAMPLE_COLUMNS))
+        self.buffer = np.empty((SAMPLE_CAPACITY if capacity is None else capacity, hotloop.SAMPLE_COLUMNS))
         self.record["period"] = period_ticks
         self.stop()
 

@@ -35,9 +35,10 @@ def of_record(record: NDArray[np.void]) -> State:
 
 
 def into_record(record: NDArray[np.void], state: Mapping[str, Any]) -> None:
-    """Set the fields of one structured record (1,), in place."""
+    """Set the fields of one structured record (1,), in place; what an older state lacks stays as it is."""
     for name in record.dtype.names or ():
-        record[name][0] = state[name]
+        if name in state:
+            record[name][0] = state[name]
 
 
 def optional(number: int | None) -> NDArray[np.int64]:

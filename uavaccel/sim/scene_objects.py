@@ -7,6 +7,7 @@ of the object's middle. Spawned objects take spare geoms (uavaccel.sim.furnished
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 from uavaccel.sim.boxes import refit_bounding_boxes
 from uavaccel.sim.furnished import PARKED_M, SPARE
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
+
+if TYPE_CHECKING:
+    from uavaccel.sim.world import World
 
 Scale = tuple[float, float, float]
 

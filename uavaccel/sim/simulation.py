@@ -7,27 +7,30 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
 from uavaccel.clock import Pacer, positive_clock_speed
-from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim import simulation_state
 from uavaccel.sim.executor import UNBOUND, Executor
+from uavaccel.sim.flight.commanded import Commanded
+from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.recording import CommandLog, Recording
-from uavaccel.sim.running import Command, Continue, DeferredReply, Running
+from uavaccel.sim.recording import Recording
+from uavaccel.sim.running import Continue, DeferredReply
 from uavaccel.sim.saved import State
 from uavaccel.sim.tally import Speed, Trace
-from uavaccel.sim.world import LEVEL, START_M, FlightError, World
+from uavaccel.sim.vehicle import Newcomer
+from uavaccel.sim.world import LEVEL, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
 __all__ = ["DeferredReply", "Simulation"]
 
 
-class Simulation:
+class Simulation(Commanded):
     """Clock, commands and recorder over one `World`.
 
     `catch_up_wall_ns`: backlog of wall time that is made good; the rest is lost and counted. None: no bound, for a
@@ -52,7 +55,8 @@ class Simulation:
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
-        self.api_control = False
+        self.pilots = [Pilot(self, vehicle) for vehicle in world.vehicles]
+        self.period: Continue | None = None
         self.records_game = True  # a recording begins anew with the first command
         self.trace = Trace()
         self.failure: str | None = None
@@ -84,7 +88,7 @@ class Simulation:
         if self.catch_up_wall_ns is not None and wall_ns - self.wall_ns > self.catch_up_wall_ns:
             self._drop_backlog(wall_ns)
         while not self.paused:
-            end_tick = self.running.next_end_tick()
+            end_tick = self._next_end_tick()
             target = self.pacer.ticks_due(wall_ns)
             self._fly_to(target if end_tick is None else min(target, end_tick))
             if end_tick is None or end_tick > target:
@@ -95,18 +99,29 @@ class Simulation:
             self.pause(wall_ns)
         self._account(wall_ns)
 
-    def next_event_wall_ns(self) -> int | None:
-        """When something will end unless a message comes first; None while nothing will."""
+    def next_event_wall_ns(self, turns: bool = True) -> int | None:
+        """When something will end unless a message comes first; None while nothing will.
+
+        `turns`: a task's next turn, which may be its end, is such an event too. They happen at their ticks anyway.
+        """
         if self.paused:
             return None
-        if (timer := self.wall_timer_ns()) is None:
-            return None if (tick := self.running.next_end_tick()) is None else self.pacer.wall_due(tick)
-        command = self.running.command
-        return min(timer, self.pacer.wall_due(command.end_tick)) if command else timer
+        timer, tick = self.wall_timer_ns(), self._next_end_tick(turns)
+        if tick is None:
+            return timer
+        due = self.pacer.wall_due(tick)
+        return due if timer is None else min(timer, due)
+
+    def _next_end_tick(self, turns: bool = True) -> int | None:
+        commands = [pilot.command for pilot in self.pilots if pilot.command is not None]
+        ticks = [command.end_tick for command in commands if turns or command.task is None]
+        if self.period is not None and self.period.end_tick is not None:
+            ticks.append(self.period.end_tick)
+        return min(ticks, default=None)
 
     def wall_timer_ns(self) -> int | None:
         """When a running continue-for of the `airsim` profile is over, on the wall clock."""
-        return self.running.period.end_wall_ns if self.running.period and not self.paused else None
+        return self.period.end_wall_ns if self.period and not self.paused else None
 
     def _drop_backlog(self, wall_ns: int) -> None:
         """Give up wall time that nobody asked for in time: the machine, or this process, was held up."""
@@ -135,9 +150,10 @@ class Simulation:
         self.wall_ns = wall_ns
 
     def _end_at_tick(self, wall_ns: int) -> None:
-        tick, command, period = self.world.tick, self.running.command, self.running.period
-        if command and command.end_tick <= tick:
-            self._end_command(self.failure is None, wall_ns)
+        tick, period = self.world.tick, self.period
+        for pilot in self.pilots:
+            if pilot.command is not None and pilot.command.end_tick <= tick:
+                pilot.turn(wall_ns)
         if period and period.end_tick is not None and period.end_tick <= tick:
             self.pause(wall_ns)
 
@@ -171,8 +187,8 @@ class Simulation:
         self._release_continue(wall_ns)
 
     def _release_continue(self, wall_ns: int) -> None:
-        if self.running.period:
-            reply, self.running.period = self.running.period.reply, None
+        if self.period:
+            reply, self.period = self.period.reply, None
             reply.resolve(self.kinematics(), self.frames.continued(wall_ns))
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
@@ -182,7 +198,7 @@ class Simulation:
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self.running.period = Continue(DeferredReply())
+        period = self.period = Continue(DeferredReply())
         if self.profile.exact_pauses:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
@@ -197,76 +213,46 @@ class Simulation:
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
-    # --- flight commands --------------------------------------------------------------------------
+    # --- vehicles ---
 
-    def fly_velocity(self, goal: VelocityGoal, duration_s: float, wall_ns: int) -> DeferredReply:
-        """Fly a velocity for a simulated time; a running command ends with False (latest wins).
-
-        Raises UserError where an exact profile's tick does not divide the time. Without API control the command
-        takes its time and has no effect (OffboardApi.hpp).
-        """
-        ticks = self.profile.command_ticks(duration_s)
-        self._end_command(False, wall_ns)
-        if self.api_control:
-            self.world.fly_velocity(goal)
-            self.world.hold_from(None)
-        if self.records_game and not self.commands and self.world.recording:
-            self.record()  # t = 0 is the tick at which the first command is accepted
-        end_tick = self.world.tick + ticks
-        self.running.command = Command(end_tick, DeferredReply())
-        self.commands.accept(self.world.tick, end_tick)
-        self.note("accept", wall_ns)
-        return self.running.command.reply
-
-    def cancel(self, wall_ns: int) -> None:
-        """End the running command, if any, with False; position hold follows after the goal timeout."""
-        self._end_command(False, wall_ns)
-
-    def _end_command(self, completed: bool, wall_ns: int) -> None:
-        if self.running.command is None:
-            return
-        command, self.running.command = self.running.command, None
-        if not completed:
-            self.commands.cut_short(self.world.tick)
-        if self.api_control:
-            last_goal = self.commands.last_goal(self.world.tick, self.profile.goal_period_ticks)
-            self.world.hold_from(last_goal + self.profile.hover_after_ticks)
-        self.note("end", wall_ns)
-        command.reply.resolve(completed, wall_ns)
-
-    def arm(self, armed: bool) -> bool:
-        """Switch the rotors on or off; needs API control (OffboardApi::arm)."""
-        if self.api_control:
-            self.world.state["armed"] = int(armed)
-        return self.api_control
+    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+        """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
+        self.world.add_vehicles(newcomers)
+        self.frames.forget()  # the pose that was shown is of the model before
+        self.pilots += [Pilot(self, vehicle) for vehicle in self.world.vehicles[len(self.pilots) :]]
 
     # --- start and record -------------------------------------------------------------------------
 
     def reset(
         self,
         wall_ns: int,
-        position_m: Vector = START_M,
+        position_m: Vector | None = None,
         orientation_wxyz: Quaternion = LEVEL,
         recording: bool = False,
     ) -> None:
-        """Back to a settled hover, API control off; what runs is released, a command with False.
+        """Back to the start, the leading vehicle to a settled hover where a place is given; API control off.
 
-        The recorder stops, or with `recording` starts anew. Raises UserError where nothing can hover.
+        What runs is released, a command with False. The recorder stops, or with `recording` starts anew. Raises
+        UserError where nothing can hover.
         """
-        self.world.check_place(position_m, orientation_wxyz)
-        self._end_command(False, wall_ns)
-        if self.running.period:
+        if position_m is not None:
+            self.world.check_place(position_m, orientation_wxyz)
+        for pilot in self.pilots:
+            pilot.end(False, wall_ns)
+        if self.period:
             self.pause(wall_ns)
         self.time0_ns = self.time_ns
         self.world.reset(position_m, orientation_wxyz)
-        self.api_control = False
+        for pilot in self.pilots:
+            pilot.api_control = False
         self._start_over(wall_ns)
         if recording:
             self.record()
 
     def _start_over(self, wall_ns: int) -> None:
-        self.running = Running()
-        self.commands = CommandLog()
+        self.period = None
+        for pilot in self.pilots:
+            pilot.start_over()
         self.failure = None
         self.frames.forget()
         self.speed = Speed()
@@ -280,6 +266,11 @@ class Simulation:
     def record(self) -> None:
         """Start the recorder anew: nobody else does."""
         self.world.start_recording()
+
+    def begin_recording(self, pilot: Pilot) -> None:
+        """t = 0 of a recording is the tick at which the leading vehicle's first command is accepted."""
+        if self.records_game and pilot is self.lead and not pilot.log and self.world.recording:
+            self.record()
 
     def recording(self) -> Recording:
         """What the recorder and the command log hold since the first command after the last reset."""

@@ -7,7 +7,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from uavaccel.clock import Pacer
-from uavaccel.sim.saved import State, part, under
+from uavaccel.sim.running import Continue, DeferredReply
+from uavaccel.sim.saved import State, number_or_none, optional, part, under
 from uavaccel.sim.tally import Speed
 
 if TYPE_CHECKING:
@@ -20,9 +21,14 @@ def of(simulation: Simulation) -> State:
     state |= {"time0_ns": simulation.time0_ns, "wall_ns": simulation.wall_ns}
     state |= {"paused": simulation.paused, "api_control": simulation.api_control}
     state |= {"failure": simulation.failure or "", "speed": list(vars(simulation.speed).values())}
-    state |= under("running", simulation.running.get_state()) | under(
-        "commands", simulation.commands.get_state()
-    )
+    period = simulation.period
+    state |= {"running.period_end_tick": optional(period.end_tick if period else None)}
+    state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
+    state |= under("running", simulation.lead.get_state())
+    state |= under("commands", simulation.commands.get_state())
+    for pilot in simulation.pilots[1:]:
+        kept = pilot.get_state() | under("log", pilot.log.get_state()) | {"api_control": pilot.api_control}
+        state |= under(f"pilots.{pilot.vehicle.name}", kept)
     return (
         state | under("frames", simulation.frames.get_state()) | under("world", simulation.world.get_state())
     )
@@ -39,5 +45,13 @@ def restore(simulation: Simulation, state: Mapping[str, Any]) -> None:
     simulation.failure = str(state["failure"]) or None
     simulation.speed = Speed(*(int(number) for number in state["speed"]))
     simulation.frames.set_state(part("frames", state), simulation.world.data)
-    simulation.running.set_state(part("running", state))
+    running = part("running", state)
+    ends = [number_or_none(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
+    simulation.period = None if ends == [None, None] else Continue(DeferredReply(), *ends)
+    simulation.lead.set_state(running)
+    for pilot in simulation.pilots[1:]:
+        kept = part(f"pilots.{pilot.vehicle.name}", state)
+        pilot.set_state(kept)
+        pilot.log.set_state(part("log", kept))
+        pilot.api_control = bool(kept["api_control"])
     simulation.commands.set_state(part("commands", state))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.lane.scene import object_name
 from uavaccel.units import mujoco_to_ned
 
 
@@ -36,8 +35,11 @@ class Touches:
     A touch begins when something is touched that was not touched before; what stays in touch is no new one.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._data = model, data
+    def __init__(
+        self, data: mujoco.MjData, body: int, model: mujoco.MjModel, name_of: Callable[[int], str]
+    ) -> None:
+        """`name_of` names what a geom belongs to; `body` is the vehicle's."""
+        self._model, self._data, self._body, self._name_of = model, data, body, name_of
         self.clear()
 
     def clear(self) -> None:
@@ -46,11 +48,15 @@ class Touches:
         self.first: Touch | None = None
         self.latest: Touch | None = None
         self._unread = False
+        self.leave()
+
+    def leave(self) -> None:
+        """The vehicle was put elsewhere: whatever it touches there, it touches anew."""
         self._in_touch: frozenset[int] = frozenset()
 
     def look(self, tick: int, position_m: NDArray[np.float64]) -> None:
         """Contacts have begun or ended: `data.contact` holds those of the pose at `tick`, (3,) NED `position_m`."""
-        contacts = _contacts(self._model, self._data)
+        contacts = _contacts(self._model, self._data, self._body)
         new = [contact for contact in contacts if contact[0] not in self._in_touch]
         self._in_touch = frozenset(geom for geom, _ in contacts)
         if not new:
@@ -61,7 +67,7 @@ class Touches:
         )  # MuJoCo's points from the first to the second
         self.latest = Touch(
             tick,
-            object_name(self._model, geom),
+            self._name_of(geom),
             _vector(position_m),
             _vector(mujoco_to_ned(contact.pos)),
             _vector(outwards * mujoco_to_ned(contact.frame[:3])),
@@ -94,15 +100,15 @@ class Touches:
         self.first, self.latest = _touch(state, "first"), _touch(state, "latest")
 
 
-def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, str]:
-    """How far, in m, the vehicle is inside what it touches in `data.contact`, and its name; (0, "") if nothing."""
-    found = min(_contacts(model, data), key=lambda found: found[1].dist, default=None)
-    return (0.0, "") if found is None else (-float(found[1].dist), object_name(model, found[0]))
+def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> tuple[float, int]:
+    """How far, in m, a vehicle's body is inside what it touches in `data.contact`, and the geom; (0, -1) if nothing."""
+    found = min(_contacts(model, data, vehicle), key=lambda found: found[1].dist, default=None)
+    return (0.0, -1) if found is None else (-float(found[1].dist), found[0])
 
 
-def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, Any]]:
-    """The vehicle's contacts, each with the geom at its other side."""
-    vehicle, found = model.body("quadrotor").id, []
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[tuple[int, Any]]:
+    """The contacts of a vehicle's body, each with the geom at its other side."""
+    found = []
     for contact in data.contact[: data.ncon]:
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         if vehicle in bodies:

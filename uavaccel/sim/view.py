@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.sim.poses import Pose
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
 
 Image = NDArray[np.uint8]
@@ -17,7 +18,6 @@ DepthImage = NDArray[np.float32]
 GeomImage = NDArray[np.int32]
 
 WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
-DRONE_GROUP = 1  # of quadrotor.xml's visible geoms
 _RENDER_FLAGS = {
     mujoco.mjtRndFlag.mjRND_CULL_FACE: True,  # half the faces of everything
     mujoco.mjtRndFlag.mjRND_SHADOW: False,
@@ -106,10 +106,11 @@ class View:
             eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
 
 
-def vehicle_pose(data: mujoco.MjData) -> Pose:
-    """The quadrotor's pose in `data.qpos`, NED."""
-    x, y, z = mujoco_to_ned(data.qpos[:3]).tolist()
-    w, i, j, k = quaternion_mujoco_to_ned(data.qpos[3:7]).tolist()
+def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
+    """The pose in `data.qpos` of the vehicle of that number, NED."""
+    place, attitude = np.split(data.qpos[7 * vehicle : 7 * vehicle + 7], [3])
+    x, y, z = mujoco_to_ned(place).tolist()
+    w, i, j, k = quaternion_mujoco_to_ned(attitude).tolist()
     return Pose((x, y, z), (w, i, j, k))
 
 

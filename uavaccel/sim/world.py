@@ -1,127 +1,93 @@
-"""One drone in one MuJoCo scene, stepped in whole ticks. No wall time, no commands, no threads."""
+"""The drones of one MuJoCo scene, stepped together in whole ticks. No wall time, no commands, no threads."""
 
 from __future__ import annotations
 
 import ctypes
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
-from uavaccel.resources import asset
-from uavaccel.sim import autopilot, hotloop
+from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim import hotloop, world_state
+from uavaccel.sim.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.clearance import Clearance
-from uavaccel.sim.furnished import furnished_model
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.lane.scene import apply_layout, object_name
+from uavaccel.sim.led import Led
 from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
 from uavaccel.sim.samples import Samples
-from uavaccel.sim.saved import State, into_record, layout_of, of_record, part, under
-from uavaccel.sim.touch import Touches, deepest_contact
-from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
+from uavaccel.sim.saved import State
+from uavaccel.sim.scene import load_scene
+from uavaccel.sim.scene_objects import take_over
+from uavaccel.sim.touch import deepest_contact
+from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
     from uavaccel.sim.mounted_camera import MountedCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standard atmosphere
-AT_REST_M_S = 0.05
-DEEPEST_M = 0.05  # into what it is placed on; from deeper contacts would throw the vehicle
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
-LEVEL = (1.0, 0.0, 0.0, 0.0)
+VEHICLE = "SimpleFlight"
+MOST_VEHICLES = 100
 
 
 class FlightError(RuntimeError):
     """MuJoCo warned of a state it could not integrate; the game is void."""
 
 
-class World:
-    """A scene of assets/mjcf with its quadrotor, flown by SimpleFlight's cascade.
+class World(Led):
+    """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
     `furnished` for AirSim's clients (uavaccel.sim.furnished).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
-    contacts act.
+    contacts act. Where no vehicle is named, the leading one is meant.
     """
 
     def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
-        path = asset(f"mjcf/{scene}.xml")
-        self.model = furnished_model(path) if furnished else mujoco.MjModel.from_xml_path(str(path))
-        self.model.opt.timestep = profile.tick_s
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.data = mujoco.MjData(self.model)
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        self.scene = scene
-        self._lane: LaneLayout | None = None
-        self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
+        self.still = False
+        self._furnished = furnished
         self._mounted_camera: MountedCamera | None = None
-        body = self.model.body("quadrotor").id
-        mass, inertia = self.model.body_mass[body], self.model.body_inertia[body]
-        self._parameters = parameters(
-            profile.tick_s, profile.hover_after_ticks, mass, inertia, not self.freeze_on_collision
-        )
-        self._flight = np.zeros(1, FLIGHT_DTYPE)
-        self._samples = Samples(profile.recorder_ticks)
-        # views of the records' fields, which numpy finds again only slowly
-        self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
-        self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
-        self._warnings = self.data.warning.number
-        self._clearance = Clearance(self.model, self.data)
-        self.touches = Touches(self.model, self.data)
-        self._handles_pointer = self._handles(self.model, self.data)
-        if self._clearance.alone:
-            self._open_air = OpenAir(path, self.model, self.data)
-            self._open_air_pointer = self._handles(self._open_air.model, self._open_air.data)
+        self.scene = scene
+        self.lane: LaneLayout | None = None
+        self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self.recorder = Samples(profile.recorder_ticks)
+        acts = not self.freeze_on_collision
+        self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
+        self.vehicles = [self.lead]
+        self._load()
         self.reset()
 
-    def _handles(self, model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-        """A pointer to what the hot loop works on, in the order of hotloop.views."""
-        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
-        samples = self._samples
-        records = (self._parameters, self._flight, samples.record, samples.buffer)
-        own = [array.ctypes.data for array in (*arrays, *records)]
-        fixed = [hotloop.mj_step_address(), model._address, data._address]
-        addresses = np.array([*fixed, *own, len(samples.buffer)], np.int64)
-        return addresses.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))  # which keeps them
+    def _load(self) -> None:
+        """Make the model for the vehicles that there are."""
+        others = [vehicle.prefix for vehicle in self.vehicles[1:]]
+        self.model = load_scene(self.scene, others, self._furnished)
+        self.model.opt.timestep = self.profile.tick_s
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.data = mujoco.MjData(self.model)
+        self.warnings = self.data.warning.number
+        self.clearance = Clearance(self.model, self.data)
+        for vehicle in self.vehicles:
+            vehicle.bind(self.model, self.data, self.name_of)
+        self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
+        rows = [vehicle.handles for vehicle in self.vehicles]
+        self._open_air = OpenAir(self.scene, self.model, self.data) if self.clearance.alone else None
+        self._handles = np.concatenate([[len(rows)], *rows]).astype(np.int64)
+        self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
-    @property
-    def parameters(self) -> Record:
-        """The quadrotor's and the autopilot's parameters (quadrotor.PARAMETERS_DTYPE)."""
-        return self._parameters[0]
+    def name_of(self, geom: int) -> str:
+        """The object, or the other vehicle, that a geom belongs to."""
+        return self._bodies.get(int(self.model.geom_bodyid[geom])) or object_name(self.model, geom)
 
-    @property
-    def state(self) -> Record:
-        """The flight's state (quadrotor.FLIGHT_DTYPE)."""
-        return self._flight[0]
-
-    @property
-    def tick(self) -> int:
-        return int(self._field["tick"][0])
-
-    @property
-    def collision_tick(self) -> int | None:
-        """Tick of the first touch since the last reset."""
-        tick = int(self._field["collision_tick"][0])
-        return None if tick == NEVER else tick
-
-    @property
-    def collision_object(self) -> str:
-        """What was touched first since the last reset; "" for nothing."""
-        return self.touches.first.object if self.touches.first else ""
-
-    @property
-    def landed(self) -> bool:
-        """Whether the vehicle rests on, or against, something."""
-        state = self.state
-        return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+    # --- scene ------------------------------------------------------------------------------------
 
     def camera(self, width: int, height: int) -> FrontCamera:
         """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
@@ -145,16 +111,55 @@ class World:
     def set_lane(self, layout: LaneLayout) -> None:
         """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
         apply_layout(self.model, self.data, layout)
-        self._lane = layout
+        self.lane = layout
         self.surroundings_changed()
-        self._field["wind"][0] = layout.wind_m_s
+        self.lead.state["wind"] = layout.wind_m_s
 
     def surroundings_changed(self) -> None:
         """Objects of the model were moved, have come or gone, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
         mujoco.mj_kinematics(self.model, self.data)
-        self._clearance.surroundings_changed()
+        self.clearance.surroundings_changed()
+
+    def set_wind(self, wind_m_s: Vector) -> None:
+        """NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
+        check_wind(wind_m_s)
+        for vehicle in self.vehicles:
+            vehicle.state["wind"] = wind_m_s
+        self.clearance.look_anew()
+
+    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+        """More vehicles, at their starts; the others fly on. Cameras are made anew.
+
+        Raises UserError, and adds none, for a name that is taken or cannot be, for a place where nothing can begin, and
+        in the lane.
+        """
+        if self.freeze_on_collision or len(self.vehicles) + len(newcomers) > MOST_VEHICLES:
+            raise UserError(f"no vehicle can be added: at most {MOST_VEHICLES}, and one in the lane")
+        places = {vehicle.name: vehicle.place_m for vehicle in self.vehicles}
+        for name, start, _ in newcomers:
+            check_name(name, places)
+            self.check_place(start.position_m, start.orientation_wxyz)
+            check_apart(name, start.position_m, places)
+            places[name] = start.position_m
+        carried, ticks, wind = [old.carry() for old in self.vehicles], self.tick, self.state["wind"].copy()
+        new = [
+            Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
+            for name, start, origin_m in newcomers
+        ]
+        self.vehicles += new
+        self.close()
+        before = self.model
+        self._load()
+        take_over(before, self.model)
+        for old, kept in zip(self.vehicles, carried, strict=False):
+            old.take_over(kept)
+        for vehicle in new:
+            vehicle.state["wind"] = wind
+            vehicle.parameters["ground_altitude_m"] = self.parameters["ground_altitude_m"]
+            self._begin(vehicle, vehicle.start)
+            vehicle.state["tick"] = ticks
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
@@ -164,112 +169,135 @@ class World:
             self._mounted_camera.close()
             self._mounted_camera = None
 
-    def reset(self, position_m: Vector = START_M, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Tick 0, at rest in a settled position hold at `position_m`; the recorder stops."""
+    # --- places -----------------------------------------------------------------------------------
+
+    def reset(self, position_m: Vector | None = None, orientation_wxyz: Quaternion = LEVEL) -> None:
+        """Tick 0: every vehicle at its start, the leading one at rest in a settled position hold where one is given.
+
+        The recorder stops.
+        """
+        start = self.lead.start if position_m is None else Start(position_m, orientation_wxyz)
+        self.check_place(start.position_m, start.orientation_wxyz)
         self.stop_recording()
-        wind = self.state["wind"].copy()
-        self.state["tick"] = 0
-        for name in FLIGHT_DTYPE.names or ():
-            self.state[name] = 0
-        self.state["wind"] = wind
-        self.state["armed"] = 1
-        self.state["hover_tick"] = self.state["collision_tick"] = NEVER
-        self.place(position_m, orientation_wxyz)
-        autopilot.settle(self._parameters, self._flight)
-        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+        mujoco.mj_resetData(self.model, self.data)
+        self._begin(self.lead, start)
+        for vehicle in self.vehicles[1:]:
+            self._begin(vehicle, vehicle.start)
+        self.failed = False
+
+    def _begin(self, vehicle: Vehicle, start: Start) -> None:
+        vehicle.begin(start)
+        self._moved()
+
+    def _moved(self) -> None:
+        mujoco.mj_kinematics(self.model, self.data)
+        self.clearance.look_anew()
 
     def place(
-        self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = (0.0, 0.0, 0.0)
+        self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE
     ) -> None:
-        """Put the vehicle somewhere (NED, wxyz), not turning; its autopilot and rotors go on as they are.
+        """Put the leading vehicle somewhere (NED, wxyz), not turning; its autopilot and rotors go on as they are.
 
         Raises UserError, and leaves it where it is, below the ground, in an object or above HIGHEST_M.
         """
         self.check_place(position_m, orientation_wxyz)
-        mujoco.mj_resetData(self.model, self.data)
-        self._set_pose(position_m, orientation_wxyz)
-        self.data.qvel[:3] = ned_to_mujoco(velocity_m_s)
-        self.state["collision_tick"] = NEVER
-        self.state["contacts"] = self.state["contacts_changed"] = 0
-        self.touches.clear()
-        self._clearance.look_anew()
-        self._failed = False
-        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+        if len(self.vehicles) == 1:
+            mujoco.mj_resetData(self.model, self.data)
+        self.warnings[:] = 0
+        self.lead.put(position_m, orientation_wxyz, velocity_m_s)
+        self.lead.forget_touches()
+        self._moved()
+        self.failed = False
 
-    def _set_pose(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
-        self.data.qpos[:3] = ned_to_mujoco(position_m)
-        self.data.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
-        mujoco.mj_kinematics(self.model, self.data)
+    def teleport(
+        self,
+        vehicle: Vehicle,
+        position_m: Vector,
+        orientation_wxyz: Quaternion,
+        velocity_m_s: Vector | None = None,
+        rate_rad_s: Vector = HERE,
+    ) -> None:
+        """Put a vehicle somewhere (NED of the world, wxyz), as fast as it is or as is said; all else goes on.
 
-    def check_place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Raise UserError, as `place` does, where the vehicle cannot be put."""
-        z_m, top_m = position_m[2], self.parameters["ground_altitude_m"] - HIGHEST_M
-        if not top_m <= z_m <= 0.0:
-            raise UserError(
-                f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
-            )
-        if self.freeze_on_collision:  # nothing is thrown: the game is over before it began
+        What it has touched stays told (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
+        """
+        self.check_place(position_m, orientation_wxyz, vehicle)
+        if self.failed:  # nothing of its velocity is worth keeping
+            self.warnings[:] = 0
+            vehicle.put(position_m, orientation_wxyz)
+            self.failed = False
+        vehicle.move(position_m, orientation_wxyz)
+        if velocity_m_s is not None:
+            vehicle.set_velocity(velocity_m_s, rate_rad_s)
+        if self.freeze_on_collision:
+            vehicle.forget_touches()
+        self._moved()
+
+    def check_place(
+        self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None
+    ) -> None:
+        """Raise UserError, as `place` does, where a vehicle cannot be put."""
+        vehicle = vehicle or self.lead
+        check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]))
+        if self.freeze_on_collision or self.still:  # nothing is thrown: the game is over before it began
             return
-        before = self._physics()
-        self._clearance.look_anew()
-        self._set_pose(position_m, orientation_wxyz)
-        mujoco.mj_collision(self.model, self.data)
-        depth_m, name = deepest_contact(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, before, PHYSICS)
+        before = self.physics()
+        self.clearance.look_anew()
+        vehicle.set_pose(position_m, orientation_wxyz)
         mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        depth_m, geom = deepest_contact(self.model, self.data, vehicle.body_id)
+        self.set_physics(before)
         if depth_m > DEEPEST_M:
-            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {name}")
+            raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
+
+    # --- time -------------------------------------------------------------------------------------
 
     def advance(self, ticks: int) -> int:
         """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle.
 
-        Raises FlightError when MuJoCo warns; the vehicle then stands still until it is placed anew.
+        Raises FlightError when MuJoCo warns; the vehicles then stand still until one is placed anew.
         """
-        if self._failed or (self.freeze_on_collision and self.collision_tick is not None):
-            return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
-        flown = self._fly(ticks)
-        if self._warnings.any():
-            self._failed = True
-            kind = mujoco.mjtWarning(int(np.flatnonzero(self._warnings)[0])).name
+        if self.still or self.failed or (self.freeze_on_collision and self.collision_tick is not None):
+            return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
+        flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
+        if self.warnings.any():
+            self.failed = True
+            kind = mujoco.mjtWarning(int(np.flatnonzero(self.warnings)[0])).name
             raise FlightError(f"MuJoCo warned of {kind} at tick {self.tick}")
         return flown
 
     def _fly(self, ticks: int) -> int:
-        flown, field = 0, self._field
+        lead, flown, field = self.lead, 0, self.lead.field
         while flown < ticks:
             tick = int(field["tick"][0])
-            due = self._clearance.ticks_to_fly(tick, ticks - flown, self.parameters, self.state)
-            if self._clearance.left_out and not field["contacts"][0]:
-                self._open_air.take_over()
-                flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._open_air_pointer, due))
-                self._open_air.hand_back()
+            due = self.clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
+            if self._open_air and self.clearance.left_out and not field["contacts"][0]:
+                flown += self._open_air.fly(lead, due)
                 continue
-            flown += int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, due))
+            flown += lead.fly(due)
             if field["contacts_changed"][0]:
-                field["contacts_changed"][0] = 0
-                self.touches.look(int(field["contact_tick"][0]), field["contact_position"][0])
+                self._look_at_contacts(lead)
                 if self.freeze_on_collision:
                     break
         return flown
 
-    def fly_velocity(self, goal: VelocityGoal) -> None:
-        """Set the autopilot's goal."""
-        field, (vx, vy, vz) = self._field, goal.velocity_m_s
-        held = goal.height_m is not None
-        field["goal"][0] = (vx, vy, goal.height_m if held else vz, goal.yaw)
-        field["xy_mode"][0] = autopilot.VELOCITY
-        field["z_mode"][0] = autopilot.POSITION if held else autopilot.VELOCITY
-        field["yaw_mode"][0] = autopilot.RATE if goal.yaw_is_rate else autopilot.ANGLE
+    def _fly_all(self, ticks: int) -> int:
+        """Contacts are always looked for: vehicles move, and may meet."""
+        flown = 0
+        while flown < ticks:
+            flown += int(hotloop.ENTRY_POINTS.fly_all.ctypes(self._handles_pointer, ticks - flown))
+            for vehicle in self.vehicles:
+                if vehicle.field["contacts_changed"][0]:
+                    self._look_at_contacts(vehicle)
+        return flown
 
-    def hold_from(self, tick: int | None) -> None:
-        """Position hold sets in at `tick`; None: not at all."""
-        self._field["hover_tick"][0] = NEVER if tick is None else tick
+    def _look_at_contacts(self, vehicle: Vehicle) -> None:
+        field = vehicle.field
+        field["contacts_changed"][0] = 0
+        vehicle.touches.look(int(field["contact_tick"][0]), field["contact_position"][0])
 
-    def kinematics(self, origin_ns: int = 0) -> Kinematics:
-        """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
-        n = tuple(self._kinematics.tolist())
-        time_ns = origin_ns + self.tick * self.profile.tick_ns
-        return Kinematics(time_ns, n[0:3], n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
+    # --- saving -----------------------------------------------------------------------------------
 
     def get_state(self) -> State:
         """All that the flight depends on, for np.savez or, with units.plain, JSON.
@@ -277,54 +305,44 @@ class World:
         `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
         lane's layout and the samples recorded so far are in it.
         """
-        state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self._failed}
-        state |= {"physics": self._physics(), "warnings": self._warnings.copy()}
-        state |= under("flight", of_record(self._flight)) | under("samples", self._samples.get_state())
-        state |= under("touches", self.touches.get_state()) | under("contacts", self._clearance.get_state())
-        return state | (under("lane", vars(self._lane)) if self._lane else {})
+        return world_state.of(self)
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
-        for name, own in (("scene", self.scene), ("profile", self.profile.name)):
-            if str(state[name]) != own:
-                raise UserError(f"the saved state's {name} is {state[name]}, not {own}")
-        self._failed = bool(state["failed"])
-        if lane := part("lane", state):
-            self.set_lane(layout_of(lane))
-        mujoco.mj_setState(self.model, self.data, np.asarray(state["physics"], float), PHYSICS)
-        mujoco.mj_kinematics(self.model, self.data)
-        self._warnings[:] = state["warnings"]
-        into_record(self._flight, part("flight", state))
-        self._samples.set_state(part("samples", state))
-        self.touches.set_state(part("touches", state))
-        self._clearance.set_state(part("contacts", state))
+        """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
+        world_state.restore(self, state)
 
-    def _physics(self) -> NDArray[np.float64]:
+    def physics(self) -> NDArray[np.float64]:
+        """MuJoCo's state for its integrator."""
         values = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
         mujoco.mj_getState(self.model, self.data, values, PHYSICS)
         return values
 
+    def set_physics(self, values: ArrayLike) -> None:
+        """Back to what `physics` gave."""
+        mujoco.mj_setState(self.model, self.data, np.asarray(values, float), PHYSICS)
+        mujoco.mj_kinematics(self.model, self.data)
+
     @property
     def recording(self) -> bool:
-        return self._samples.running
+        return self.recorder.running
 
     def start_recording(self) -> None:
         """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
-        self._samples.start(self.tick)
-        hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, 0)
+        self.recorder.start(self.tick)
+        self.lead.stand_still(0)
 
     def stop_recording(self) -> None:
-        self._samples.stop()
+        self.recorder.stop()
 
     def samples(self) -> NDArray[np.float64]:
         """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
-        return self._samples.rows()
+        return self.recorder.rows()
 
     def take_samples(self) -> NDArray[np.float64]:
         """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
-        return self._samples.take()
+        return self.recorder.take()
 
     @property
     def samples_dropped(self) -> int:
         """Samples that found the buffer full."""
-        return self._samples.dropped
+        return self.recorder.dropped

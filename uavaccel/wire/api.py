@@ -6,18 +6,19 @@ Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBa
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
-from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.earth import geographic
+from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
+from uavaccel.wire.attitude_api import AttitudeApi, stick_map
 from uavaccel.wire.camera_api import CameraApi
 from uavaccel.wire.detection_api import DetectionApi
+from uavaccel.wire.flight_api import LONGEST_S, FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
 from uavaccel.wire.method import Method
@@ -28,13 +29,13 @@ from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.steps import Steps
+from uavaccel.wire.vehicle_api import VehicleApi
+from uavaccel.wire.vehicles import populate
 from uavaccel.wire.world_api import WorldApi
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
-FORWARD_ONLY = 1
-MIN_HEADING_M_S = 0.5  # adjustYaw: a slower velocity has no direction worth facing
-LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
+FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 
 class Api:
@@ -50,14 +51,16 @@ class Api:
     ) -> None:
         self.simulation = simulation
         self.settings = settings or Settings()
+        populate(simulation, self.settings)
         self.scenery = Scenery(simulation, self.settings, render)
         self.notices = Notices(say)
         self.recorder = Recorder(self.scenery, recordings, say)
         self._images = ImageApi(self.scenery, self._check_vehicle)
+        self._vehicles = VehicleApi(self.scenery, self.pilot_of)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
-        self.methods |= self._senses()
+        self.methods |= self._flight() | self._vehicles.methods() | self._senses()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
@@ -102,7 +105,6 @@ class Api:
             "getServerVersion": Method(lambda: SERVER_VERSION, 0),
             "getMinRequiredClientVersion": Method(lambda: MIN_CLIENT_VERSION, 0),
             "getSettingsString": Method(lambda: self.settings.as_json(float(simulation.clock_speed)), 0),
-            "listVehicles": Method(lambda: [self.settings.vehicle], 0),
             "reset": Method(self._reset, 0),
             "enableApiControl": Method(self._enable_api_control, 1, 1),
             "isApiControlEnabled": Method(self._is_api_control_enabled, 0, 1),
@@ -110,12 +112,9 @@ class Api:
             "simPause": Method(self._pause, 1),
             "simIsPaused": Method(lambda: simulation.paused, 0),
             "simContinueForTime": Method(self._continue_for_time, 1),
+            "simContinueForFrames": Method(self._continue_for_frames, 1),
             "getMultirotorState": Method(self._multirotor_state, 0, 1),
             "simGetGroundTruthKinematics": Method(self._kinematics, 0, 1),
-            "moveByVelocity": Method(self._move_by_velocity, 6, 1),
-            "moveByVelocityZ": Method(self._move_by_velocity_z, 6, 1),
-            "hover": Method(self._hover, 0, 1),
-            "cancelLastTask": Method(self._cancel, 0, 1),
             "startRecording": Method(self.recorder.start, 0),
             "stopRecording": Method(self.recorder.stop, 0),
             "isRecording": Method(lambda: simulation.world.recording, 0),
@@ -126,19 +125,21 @@ class Api:
         return {
             "simGetImages": Method(images.get_images, 1, 2),
             "simGetImage": Method(images.get_image, 2, 2),
-            "simGetCollisionInfo": Method(images.collision_info, 0, 1),
-            "simGetVehiclePose": Method(images.vehicle_pose, 0, 1),
-            "simSetVehiclePose": Method(images.set_vehicle_pose, 2, 1),
             "uavaccelImage": Method(images.raw_image, 1),
             "uavaccelSetLane": Method(images.set_lane, 1),
             "uavaccelCollision": Method(images.collision, 0),
         }
 
+    def _flight(self) -> dict[str, Method]:
+        """What a vehicle may be told to fly."""
+        flight = FlightApi(self._flown, lambda: self._wall_ns, self.settings.home)
+        return flight.methods() | AttitudeApi(self._flown, lambda: self._wall_ns).methods()
+
     def _senses(self) -> dict[str, Method]:
         """Cameras, objects, sensors and the world at large."""
         scenery, check, notices = self.scenery, self._check_vehicle, self.notices
         methods = CameraApi(scenery, check, notices).methods()
-        methods |= ObjectApi(scenery, self._images.set_vehicle_pose, notices).methods()
+        methods |= ObjectApi(scenery, self._vehicles, notices).methods()
         methods |= DetectionApi(scenery, check).methods()
         methods |= SensorApi(scenery, check).methods()
         return methods | WorldApi(scenery, check, notices).methods()
@@ -157,31 +158,46 @@ class Api:
 
     # --- AirSim -----------------------------------------------------------------------------------
 
+    def pilot_of(self, name: Any) -> Pilot:
+        """Who flies a vehicle; "" is the first. Raises ValueError, in AirSim's words, for an unknown name."""
+        pilots = self.simulation.pilots
+        for pilot in pilots:
+            if name in ("", pilot.vehicle.name):
+                return pilot
+        raise self._not_there(name)
+
+    def _not_there(self, name: Any) -> ValueError:
+        known = ", ".join(f"'{pilot.vehicle.name}'" for pilot in self.simulation.pilots)
+        return ValueError(
+            f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+            f"-only API or this vehicle does not exist; there is {known}"
+        )
+
+    def _flown(self, name: Any) -> Pilot:
+        """Who flies a vehicle, where vehicles fly. Raises ValueError, in AirSim's words, as pilot_of does."""
+        if self.settings.flightless:
+            raise self._not_there(name)
+        return self.pilot_of(name)
+
     def _check_vehicle(self, name: Any) -> None:
-        if name not in ("", self.settings.vehicle):
-            raise ValueError(
-                f"Vehicle API for '{name}' is not available. This could either because this is simulation"
-                f"-only API or this vehicle does not exist; there is '{self.settings.vehicle}'"
-            )
+        """Raises ValueError as pilot_of does."""
+        self.pilot_of(name)
 
     def _reset(self) -> None:
         """A recording goes on through it, as in AirSim."""
         self.recorder.go_through(lambda recording: self.simulation.reset(self._wall_ns, recording=recording))
 
     def _enable_api_control(self, enabled: Any, vehicle: Any = "") -> None:
-        self._check_vehicle(vehicle)
-        enabled = types.flag(enabled, "is_enabled")
+        pilot, enabled = self._flown(vehicle), types.flag(enabled, "is_enabled")
         if not enabled:  # a command that runs on would have no end
-            self.simulation.cancel(self._wall_ns)
-        self.simulation.api_control = enabled
+            pilot.cancel(self._wall_ns)
+        pilot.api_control = enabled
 
     def _is_api_control_enabled(self, vehicle: Any = "") -> bool:
-        self._check_vehicle(vehicle)
-        return self.simulation.api_control
+        return self._flown(vehicle).api_control
 
     def _arm(self, arm: Any, vehicle: Any = "") -> bool:
-        self._check_vehicle(vehicle)
-        return self.simulation.arm(types.flag(arm, "arm"))
+        return self._flown(vehicle).arm(types.flag(arm, "arm"))
 
     def _pause(self, paused: Any) -> None:
         if types.flag(paused, "is_paused"):
@@ -190,7 +206,17 @@ class Api:
             self.simulation.run(self._wall_ns)
 
     def _continue_for_time(self, seconds: Any) -> DeferredReply:
-        reply = self.simulation.continue_for_wall(self._duration(seconds, "seconds"), self._wall_ns)
+        return self._continue(self._duration(seconds, "seconds"))
+
+    def _continue_for_frames(self, frames: Any) -> DeferredReply:
+        """Unreal draws 60 of them per second of wall time, if it keeps up."""
+        count = types.number(frames, "frames")
+        if count != int(count) or not 0 <= count <= MOST_FRAMES:
+            raise ValueError(f"frames must be a whole number from 0 to {MOST_FRAMES:g}, not {frames}")
+        return self._continue(count / FRAMES_PER_S)
+
+    def _continue(self, wall_s: float) -> DeferredReply:
+        reply = self.simulation.continue_for_wall(wall_s, self._wall_ns)
         reply.encode = lambda _: None
         return reply
 
@@ -201,64 +227,18 @@ class Api:
         return min(seconds, LONGEST_S)
 
     def _multirotor_state(self, vehicle: Any = "") -> dict[str, Any]:
-        self._check_vehicle(vehicle)
-        kinematics = self.simulation.kinematics()
+        pilot = self._flown(vehicle)
+        kinematics = pilot.kinematics()
         return {
             "collision": types.no_collision_map(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
-            "gps_location": types.geo_map(geographic(kinematics.position_m, self.settings.home)),
+            "gps_location": types.geo_map(
+                geographic(pilot.vehicle.in_world(kinematics.position_m), self.settings.home)
+            ),
             "timestamp": types.stamp(kinematics.time_ns),
-            "landed_state": 0 if self.simulation.world.landed else 1,
-            "rc_data": types.rc_data_map(),
+            "landed_state": 0 if pilot.vehicle.landed else 1,
+            "rc_data": types.rc_data_map() | stick_map(pilot.sticks),
         }
 
     def _kinematics(self, vehicle: Any = "") -> dict[str, Any]:
-        self._check_vehicle(vehicle)
-        return types.kinematics_map(self.simulation.kinematics())
-
-    def _move_by_velocity(
-        self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> DeferredReply | bool:
-        self._check_vehicle(vehicle)
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
-        seconds = types.number(duration, "duration")
-        goal = VelocityGoal(velocity, None, *facing(velocity, drivetrain, yaw))
-        if seconds <= 0:
-            self.simulation.cancel(self._wall_ns)
-            return True
-        return self._fly(goal, seconds)
-
-    def _move_by_velocity_z(
-        self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> DeferredReply | bool:
-        self._check_vehicle(vehicle)
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
-        seconds = types.number(duration, "duration")
-        goal = VelocityGoal(velocity, types.number(z, "z"), *facing(velocity, drivetrain, yaw))
-        if seconds <= 0:
-            self.simulation.cancel(self._wall_ns)
-            return False
-        return self._fly(goal, seconds)
-
-    def _fly(self, goal: VelocityGoal, seconds: float) -> DeferredReply:
-        return self.simulation.fly_velocity(goal, min(seconds, LONGEST_S), self._wall_ns)
-
-    def _hover(self, vehicle: Any = "") -> bool:
-        """AirSim's hover ends the running command and lets the goal timeout bring position hold."""
-        self._check_vehicle(vehicle)
-        self.simulation.cancel(self._wall_ns)
-        return True
-
-    def _cancel(self, vehicle: Any = "") -> None:
-        self._check_vehicle(vehicle)
-        self.simulation.cancel(self._wall_ns)
-
-
-def facing(velocity: tuple[float, float, float], drivetrain: Any, yaw_mode: Any) -> tuple[float, bool]:
-    """Yaw goal and whether it is a rate, for the direction of travel (MultirotorApiBase::adjustYaw)."""
-    is_rate, yaw = types.yaw_mode(yaw_mode)
-    if types.number(drivetrain, "drivetrain") != FORWARD_ONLY or is_rate:
-        return yaw, is_rate
-    if math.hypot(velocity[0], velocity[1]) <= MIN_HEADING_M_S:
-        return 0.0, True
-    return math.remainder(yaw + math.atan2(velocity[1], velocity[0]), 2 * math.pi), False
+        return types.kinematics_map(self.pilot_of(vehicle).kinematics())

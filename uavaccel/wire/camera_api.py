@@ -49,10 +49,10 @@ class CameraApi:
     def info(self, camera: Any, vehicle: Any = "", external: Any = False) -> dict[str, Any]:
         """simGetCameraInfo: pose NED, degrees, and the projection of NED centimetres from the camera."""
         mounted = self._named(camera, vehicle, external)
-        kinematics = self._scenery.simulation.kinematics()
+        kinematics = self._scenery.truth(vehicle)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         pose = {
-            "position": types.vector_map(eye.position_m),
+            "position": types.vector_map(self._scenery.vehicle(vehicle).local(eye.position_m)),
             "orientation": types.quaternion_map(eye.orientation_wxyz),
         }
         lens = mounted.lens(SCENE)

@@ -77,12 +77,13 @@ class CameraSettings(AirSimKeys):
 
 @dataclass
 class MountedAs:
-    """One camera: where on the vehicle, or in the world if it is `external`, and each type of image's lens."""
+    """One camera: where on the vehicle of the number `carrier`, or in the world if it is `external`, and its lenses."""
 
     name: str
     mount: Pose
     lenses: dict[int, Lens]
     external: bool = False
+    carrier: int = 0
     distortion: dict[str, float] = field(default_factory=lambda: dict.fromkeys(DISTORTION, 0.0))
 
     def eye(self, vehicle: Pose) -> Pose:
@@ -102,16 +103,22 @@ class Cameras:
     """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` hold for each that is `given`."""
 
     def __init__(
-        self, defaults: CameraSettings, given: Mapping[str, CameraSettings], external: bool = False
+        self,
+        defaults: CameraSettings,
+        given: Mapping[str, CameraSettings],
+        external: bool = False,
+        carrier: int = 0,
     ) -> None:
         lenses = defaults.lenses({})
         mounts = {} if external else MOUNTS
-        self._cameras = {name: MountedAs(name, mount, dict(lenses)) for name, mount in mounts.items()}
+        self._cameras = {
+            name: MountedAs(name, mount, dict(lenses), carrier=carrier) for name, mount in mounts.items()
+        }
         for alias, settings in given.items():
             name = full_name(alias)
             before = self._cameras.get(name) or MountedAs(name, Pose(), dict(lenses))
             mount, own = settings.mount(before.mount), settings.lenses(before.lenses)
-            self._cameras[name] = MountedAs(name, mount, own, external)
+            self._cameras[name] = MountedAs(name, mount, own, external, carrier)
 
     def named(self, name: object) -> MountedAs:
         """The camera that a client calls so. Raises ValueError."""

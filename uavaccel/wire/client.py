@@ -17,6 +17,7 @@ from uavaccel.wire.transport import Call, Transport
 
 START_HEIGHT_M = -10.0  # NED z: 10 m up
 _MAX_DEGREE_OF_FREEDOM = 0
+_EXACT = True  # beyond AirSim's arguments: a time that does not fit an exact profile is refused, not rounded
 
 
 class Client:
@@ -47,7 +48,7 @@ class Client:
         method, third = (
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
-        params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "")
+        params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "", _EXACT)
         stands = self.transport.known.state is not None  # then nothing is gained by sending it at once
         call = self.transport.send(method, params, blocking=False, coalesced=stands)
         call.expected_ns = self._wall_after(t_move_s * NS_PER_S)

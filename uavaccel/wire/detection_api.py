@@ -48,7 +48,7 @@ class DetectionApi:
     def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
         self._scenery = scenery
         self._check_vehicle = check_vehicle
-        self._filters: dict[tuple[str, bool, int], Filter] = defaultdict(Filter)
+        self._filters: dict[tuple[str, bool, int, int], Filter] = defaultdict(Filter)
 
     def methods(self) -> dict[str, Method]:
         """By wire name."""
@@ -81,7 +81,7 @@ class DetectionApi:
     def detections(self, camera: Any, kind: Any, vehicle: Any = "", external: Any = False) -> list[Any]:
         """simGetDetections."""
         mounted, found = self._filter(camera, kind, vehicle, external)
-        kinematics = self._scenery.simulation.kinematics()
+        kinematics = self._scenery.truth(vehicle)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         names = [name for name in self._scenery.objects.names() if found.matches(name)]
         seen = (self._detection(name, eye, mounted.lens(int(kind)), found.radius_m) for name in names)
@@ -91,7 +91,7 @@ class DetectionApi:
         self._check_vehicle(vehicle)
         mounted = self._scenery.cameras(vehicle, external).named(camera)
         image_type = known_type(types.whole(kind, "image_type"))
-        return mounted, self._filters[mounted.name, mounted.external, image_type]
+        return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, image_type]
 
     def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, Any] | None:
         objects = self._scenery.objects

@@ -7,7 +7,6 @@ uncompressed images as blue, green, red bytes, compressed ones as PNG, float ima
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.kinematics import Kinematics
+from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
@@ -74,8 +73,8 @@ class ImageApi:
         cameras = self._cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE:
-            return [self._response(request, self.simulation.kinematics()) for request in asked]
-        scene, kinematics = self._scenery.pictures.kept(), self.simulation.kinematics()
+            return [self._response(request, self._scenery.truth(vehicle)) for request in asked]
+        scene, kinematics = self._scenery.pictures.kept(), self._scenery.truth(vehicle)
         return Steps(self._response(request, kinematics, scene) for request in asked)
 
     def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
@@ -95,7 +94,7 @@ class ImageApi:
         return {
             "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
-            "camera_position": types.vector_map(eye.position_m),
+            "camera_position": types.vector_map(self._local(request.camera, eye.position_m)),
             "camera_name": request.camera_name,
             "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
             "time_stamp": types.stamp(kinematics.time_ns),
@@ -107,6 +106,9 @@ class ImageApi:
             "image_type": request.image_type,
         }
 
+    def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
+        return self.simulation.world.vehicles[camera.carrier].local(place_m)
+
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
         """The picture; or an empty one, and why."""
         try:
@@ -117,35 +119,7 @@ class ImageApi:
         draw = pictures.floats if request.pixels_as_float else pictures.bgr
         return draw(request.camera, request.image_type, scene), ""
 
-    # --- poses, collisions, lanes -------------------------------------------------------------------------------
-
-    def vehicle_pose(self, vehicle: Any = "") -> dict[str, Any]:
-        """simGetVehiclePose; ours is of the same tick as everything else."""
-        self._check_vehicle(vehicle)
-        return types.pose_map(self.simulation.kinematics())
-
-    def set_vehicle_pose(self, pose: Any, ignore_collision: Any, vehicle: Any = "") -> None:
-        """simSetVehiclePose: at rest in a new pose; NaN leaves a part as it is."""
-        self._check_vehicle(vehicle)
-        position, orientation = types.pose(pose)
-        now = self.simulation.kinematics()
-        keep = [math.isnan(sum(position)), math.isnan(sum(orientation))]
-        self.simulation.world.place(
-            now.position_m if keep[0] else position, now.orientation_wxyz if keep[1] else orientation
-        )
-
-    def collision_info(self, vehicle: Any = "") -> dict[str, Any]:
-        """simGetCollisionInfo; reading it sets has_collided back, as in AirSim."""
-        self._check_vehicle(vehicle)
-        touches = self.simulation.world.touches
-        info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
-        if touch := touches.latest:
-            info |= {"time_stamp": types.stamp(self.simulation.time_of(touch.tick))}
-            info |= {"object_name": self._scenery.objects.name_of(touch.object)}
-            info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
-            info |= {"position": types.vector_map(touch.position_m)}
-            info |= {"impact_point": types.vector_map(touch.impact_point_m)}
-        return info
+    # --- lanes -------------------------------------------------------------------------------
 
     def set_lane(self, lane: Any) -> None:
         """Our own: lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""

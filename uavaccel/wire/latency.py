@@ -29,9 +29,14 @@ from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 DEFAULT = "call"
+_COMMANDS = """
+    takeoff land goHome moveToPosition moveToZ moveToGPS moveOnPath rotateToYaw rotateByYawRate moveByVelocity
+    moveByVelocityZ moveByVelocityBodyFrame moveByVelocityZBodyFrame moveByManual moveByMotorPWMs moveByAngleRatesZ
+    moveByAngleRatesThrottle moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ
+    moveByRollPitchYawrateThrottle
+"""
 CHANNELS = {
-    "moveByVelocity": "move",  # its reply is the callback that `join` waits for
-    "moveByVelocityZ": "move",
+    **dict.fromkeys(_COMMANDS.split(), "move"),  # their reply is the callback that `join` waits for
     "uavaccelContinueFor": "continue_for",
     "uavaccelState": "state",
     "uavaccelImage": "image",

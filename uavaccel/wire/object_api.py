@@ -6,7 +6,6 @@ Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from uavaccel.sim.poses import Pose
@@ -16,6 +15,7 @@ from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import pose_map
+from uavaccel.wire.vehicle_api import VehicleApi
 
 NAN = math.nan
 LONGEST_NAME = 256
@@ -25,9 +25,9 @@ NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
 class ObjectApi:
     """The object calls of one simulation."""
 
-    def __init__(self, scenery: Scenery, set_vehicle_pose: Callable[..., None], notices: Notices) -> None:
+    def __init__(self, scenery: Scenery, vehicles: VehicleApi, notices: Notices) -> None:
         self._scenery = scenery
-        self._set_vehicle_pose = set_vehicle_pose
+        self._vehicles = vehicles
         self._notices = notices
 
     def methods(self) -> dict[str, Method]:
@@ -52,14 +52,15 @@ class ObjectApi:
 
     def pose(self, name: Any, ned: Any = True) -> dict[str, Any]:
         """simGetObjectPose: of an object or a vehicle; not a number for what is not there. Always NED."""
-        if name == self._scenery.settings.vehicle:
-            return types.pose_map(self._scenery.simulation.kinematics())
+        for vehicle in self._scenery.simulation.world.vehicles:
+            if name == vehicle.name:
+                return types.pose_map(vehicle.kinematics(in_world=True))
         return pose_map(self._scenery.objects.pose(_text(name, "object_name")) or NO_POSE)
 
     def set_pose(self, name: Any, pose: Any, teleport: Any = True) -> bool:
         """simSetObjectPose. It is put there at once, whatever is on the way."""
-        if name == self._scenery.settings.vehicle:
-            self._set_vehicle_pose(pose, True, name)
+        if any(name == vehicle.name for vehicle in self._scenery.simulation.world.vehicles):
+            self._vehicles.put(pose, name)
             return True
         if self._scenery.objects.geom(_text(name, "object_name")) is None:
             return False  # as AirSim: its pose, not a number, may be what is set

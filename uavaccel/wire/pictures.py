@@ -116,7 +116,7 @@ class Pictures:
         """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
         self._check_rendering()
         lens = camera.lens(ImageType.SURFACE_NORMALS)
-        eye = camera.eye(vehicle_pose(scene))
+        eye = camera.eye(vehicle_pose(scene, camera.carrier))
         directions = pixel_rays(lens) @ eye.matrix().T
         hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
         rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
@@ -127,8 +127,10 @@ class Pictures:
         """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
         self._check_rendering()
         pointed = self._simulation.world.mounted_camera(*self._largest)
-        own = camera.mount == FRONT_CENTER and not camera.external
-        pointed.point(None if own else camera.eye(vehicle_pose(scene)), camera.lens(image_type))
+        own = camera.mount == FRONT_CENTER and not camera.external and camera.carrier == 0
+        pointed.point(
+            None if own else camera.eye(vehicle_pose(scene, camera.carrier)), camera.lens(image_type)
+        )
         return pointed
 
     def _check_rendering(self) -> None:

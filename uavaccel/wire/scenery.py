@@ -6,8 +6,10 @@ import re
 from functools import cached_property
 from typing import Any
 
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.scene_objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
 from uavaccel.wire.pictures import Pictures
 from uavaccel.wire.segmentation import Segmentation
@@ -21,24 +23,44 @@ class Scenery:
         self.simulation = simulation
         self.settings = settings
         self.render = render
+        self._cameras: dict[int, Cameras] = {}
 
     def cameras(self, vehicle: Any = "", external: Any = False) -> Cameras:
         """A vehicle's cameras, or those of ExternalCameras."""
-        return self._external_cameras if external else self._cameras
+        if external:
+            return self._external_cameras
+        number = self.number_of(vehicle)
+        if number not in self._cameras:
+            name = self.simulation.world.vehicles[number].name
+            given = self.settings.vehicles.get(name)
+            cameras = given.cameras if given else {}
+            self._cameras[number] = Cameras(self.settings.camera_defaults, cameras, carrier=number)
+        return self._cameras[number]
+
+    def number_of(self, vehicle: Any) -> int:
+        """Of the vehicle that has this name, among the world's; 0 for none."""
+        return self._names().index(vehicle) if vehicle else 0
+
+    def truth(self, vehicle: Any = "") -> Kinematics:
+        """A vehicle's state in the world's frame."""
+        return self.vehicle(vehicle).kinematics(self.simulation.time0_ns, in_world=True)
+
+    def vehicle(self, name: Any = "") -> Vehicle:
+        """The vehicle that has this name; the leading one for none."""
+        return self.simulation.world.vehicles[self.number_of(name)]
 
     def largest_picture(self) -> tuple[int, int]:
         """Width and height within which all pictures fit."""
-        lenses = [*self._cameras.lenses(), *self._external_cameras.lenses()]
+        own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
+        lenses = [*own, *self._external_cameras.lenses()]
         return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
 
-    @cached_property
-    def _cameras(self) -> Cameras:
-        vehicle = self.settings.vehicles.get(self.settings.vehicle)
-        return Cameras(self.settings.camera_defaults, vehicle.cameras if vehicle else {})
+    def _names(self) -> list[str]:
+        return [vehicle.name for vehicle in self.simulation.world.vehicles]
 
     def vehicles_matching(self, pattern: str) -> list[str]:
         """Names of the vehicles that a regular expression matches, whatever its case."""
-        return [name for name in (self.settings.vehicle,) if re.fullmatch(pattern, name, re.IGNORECASE)]
+        return [name for name in self._names() if re.fullmatch(pattern, name, re.IGNORECASE)]
 
     @cached_property
     def _external_cameras(self) -> Cameras:
@@ -50,7 +72,7 @@ class Scenery:
 
     @cached_property
     def segmentation(self) -> Segmentation:
-        return Segmentation(self.simulation.world, self.objects, self.settings.vehicle)
+        return Segmentation(self.simulation.world, self.objects)
 
     @cached_property
     def pictures(self) -> Pictures:

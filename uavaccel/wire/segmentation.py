@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.resources import asset
-from uavaccel.sim.lane.scene import object_name
 from uavaccel.sim.scene_objects import SceneObjects
 from uavaccel.sim.view import GeomImage
 from uavaccel.sim.world import World
@@ -24,10 +23,10 @@ HIGHEST_ID = 255
 
 
 class Segmentation:
-    """The IDs of one world's objects, and of its `vehicle`."""
+    """The IDs of one world's objects, and of its vehicles."""
 
-    def __init__(self, world: World, objects: SceneObjects, vehicle: str) -> None:
-        self._world, self._objects, self._vehicle = world, objects, vehicle
+    def __init__(self, world: World, objects: SceneObjects) -> None:
+        self._world, self._objects = world, objects
         self._given: dict[int, int] = {}  # by geom
         self._table = np.zeros(0, np.int64)
 
@@ -39,10 +38,7 @@ class Segmentation:
         """The ID of each geom, and last the sky's, which is geom -1."""
         model = self._world.model
         if len(self._table) != model.ngeom + 1:  # the first time, or there are more vehicles
-            of_vehicle = model.geom_bodyid == model.body(BODY).id
-            names = [
-                self._vehicle if own else object_name(model, geom) for geom, own in enumerate(of_vehicle)
-            ]
+            names = [self._world.name_of(geom) for geom in range(model.ngeom)]
             self._table = np.array([*map(id_of_name, names), NO_OBJECT])
             for geom, number in self._given.items():
                 self._table[geom] = number
@@ -71,14 +67,16 @@ class Segmentation:
 
     def _matching(self, name: str, is_pattern: bool) -> list[str]:
         pattern = name if is_pattern else re.escape(name)
-        vehicles = [self._vehicle] if re.fullmatch(pattern, self._vehicle, re.IGNORECASE) else []
+        named = [vehicle.name for vehicle in self._world.vehicles]
+        vehicles = [vehicle for vehicle in named if re.fullmatch(pattern, vehicle, re.IGNORECASE)]
         return self._objects.matching(pattern) + vehicles
 
     def _geoms(self, name: str) -> list[int]:
         geom = self._objects.geom(name)
-        if geom is None and name == self._vehicle:
-            model = self._world.model
-            return [int(own) for own in np.flatnonzero(model.geom_bodyid == model.body(BODY).id)]
+        for vehicle in self._world.vehicles if geom is None else []:
+            if name == vehicle.name:
+                own = np.flatnonzero(self._world.model.geom_bodyid == vehicle.body_id)
+                return [int(part) for part in own]
         return [] if geom is None else [geom]
 
 

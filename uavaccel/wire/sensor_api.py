@@ -6,7 +6,6 @@ Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (nam
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from uavaccel.sim.sensors.field import Barometer, Gps, Magnetometer
 from uavaccel.sim.sensors.inertial import Imu
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
 from uavaccel.sim.sensors.state import Truth
+from uavaccel.sim.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
 from uavaccel.wire.scenery import Scenery
@@ -29,6 +29,7 @@ class SensorApi:
         self._scenery = scenery
         self._simulation = scenery.simulation
         self._check_vehicle = check_vehicle
+        self._sensors: dict[int, Sensors] = {}
 
     def methods(self) -> dict[str, Method]:
         """By wire name."""
@@ -41,19 +42,24 @@ class SensorApi:
             "getLidarData": Method(self.lidar, 0, 2),
         }
 
-    @cached_property
-    def _sensors(self) -> Sensors:
-        settings = self._scenery.settings
-        vehicle = settings.vehicles.get(settings.vehicle)
-        return Sensors(vehicle.sensors if vehicle else None, settings.default_sensors, settings.sensor_seed)
+    def _of(self, vehicle: Any) -> Sensors:
+        """A vehicle's sensors; their noise is its own."""
+        self._check_vehicle(vehicle)
+        number, settings = self._scenery.number_of(vehicle), self._scenery.settings
+        if number not in self._sensors:
+            given = settings.vehicles.get(self._scenery.vehicle(vehicle).name)
+            sensors = given.sensors if given else None
+            self._sensors[number] = Sensors(sensors, settings.default_sensors, settings.sensor_seed + number)
+        return self._sensors[number]
 
-    def _truth(self) -> Truth:
+    def _truth(self, vehicle: Any) -> Truth:
         profile, world = self._simulation.profile, self._simulation.world
         return Truth(
-            self._simulation.kinematics(),
+            self._scenery.truth(vehicle),
             profile.tick_s,
             world.tick * profile.tick_s,
             self._scenery.settings.home,
+            self._scenery.vehicle(vehicle).prefix + BODY,
         )
 
     def _stamp(self) -> int:
@@ -61,9 +67,8 @@ class SensorApi:
 
     def imu(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getImuData."""
-        self._check_vehicle(vehicle)
-        truth = self._truth()
-        reading = self._sensors.named(Imu, "imu", name).read(truth)
+        sensors, truth = self._of(vehicle), self._truth(vehicle)
+        reading = sensors.named(Imu, "imu", name).read(truth)
         return {
             "time_stamp": self._stamp(),
             "orientation": types.quaternion_map(truth.kinematics.orientation_wxyz),
@@ -73,8 +78,7 @@ class SensorApi:
 
     def barometer(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getBarometerData."""
-        self._check_vehicle(vehicle)
-        reading = self._sensors.named(Barometer, "barometer", name).read(self._truth())
+        reading = self._of(vehicle).named(Barometer, "barometer", name).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "altitude": reading.altitude_m,
@@ -84,8 +88,7 @@ class SensorApi:
 
     def magnetometer(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getMagnetometerData; AirSim never fills the covariance."""
-        self._check_vehicle(vehicle)
-        field = self._sensors.named(Magnetometer, "magnetometer", name).read(self._truth())
+        field = self._of(vehicle).named(Magnetometer, "magnetometer", name).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "magnetic_field_body": types.vector_map(field),
@@ -94,8 +97,7 @@ class SensorApi:
 
     def gps(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getGpsData; time_utc in microseconds."""
-        self._check_vehicle(vehicle)
-        reading = self._sensors.named(Gps, "gps", name).read(self._truth())
+        reading = self._of(vehicle).named(Gps, "gps", name).read(self._truth(vehicle))
         gnss = {
             "geo_point": types.geo_map(reading.place),
             "eph": reading.eph_m,
@@ -108,12 +110,11 @@ class SensorApi:
 
     def distance(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getDistanceSensorData."""
-        self._check_vehicle(vehicle)
-        sensor = self._sensors.named(DistanceSensor, "distance sensor", name)
+        sensor = self._of(vehicle).named(DistanceSensor, "distance sensor", name)
         world = self._simulation.world
         return {
             "time_stamp": self._stamp(),
-            "distance": sensor.read(self._truth(), world.model, world.data),
+            "distance": sensor.read(self._truth(vehicle), world.model, world.data),
             "min_distance": sensor.settings.min_distance,
             "max_distance": sensor.settings.max_distance,
             "relative_pose": pose_map(sensor.settings.mount),
@@ -121,14 +122,18 @@ class SensorApi:
 
     def lidar(self, name: Any = "", vehicle: Any = "") -> dict[str, Any]:
         """getLidarData: x, y, z of all points in one list; a single 0 stands for none, as in AirSim."""
-        self._check_vehicle(vehicle)
-        sensor = self._sensors.named(Lidar, "lidar", name)
+        sensor = self._of(vehicle).named(Lidar, "lidar", name)
         world = self._simulation.world
-        scan = sensor.read(self._truth(), world.model, world.data)
+        scan = sensor.read(self._truth(vehicle), world.model, world.data)
+        points_m = scan.points_m
+        if sensor.settings.data_frame == "VehicleInertialFrame":
+            points_m = points_m - np.array(self._scenery.vehicle(vehicle).origin_m)
         return {
             "time_stamp": self._stamp(),
-            "point_cloud": scan.points_m.ravel().astype(np.float32) if len(scan.points_m) else [0.0],
-            "pose": pose_map(scan.pose),
+            "point_cloud": points_m.ravel().astype(np.float32) if len(scan.points_m) else [0.0],
+            "pose": pose_map(
+                scan.pose._replace(position_m=self._scenery.vehicle(vehicle).local(scan.pose.position_m))
+            ),
             "segmentation": self._scenery.segmentation.ids(scan.geoms).tolist(),
         }
 

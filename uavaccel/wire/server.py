@@ -85,7 +85,7 @@ class Server:
 
     def _wait_for_end(self, simulation: Simulation) -> None:
         """If something is about to end, fly up to it tick by tick, so that the last one is all that is left then."""
-        event = simulation.next_event_wall_ns()
+        event = simulation.next_event_wall_ns(turns=False)
         while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
             simulation.advance_to(now)
 
@@ -107,7 +107,9 @@ class Server:
         if simulation.paused:
             return now + IDLE_NS
         wake = min(now + IDLE_NS, simulation.pacer.wall_due(simulation.world.tick + CHUNK_TICKS))
-        event = simulation.next_event_wall_ns()
+        event = simulation.next_event_wall_ns(
+            turns=False
+        )  # to wait for every turn of a task would be to poll
         return wake if event is None else min(wake, event - SPIN_NS)
 
     def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:

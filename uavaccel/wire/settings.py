@@ -20,15 +20,15 @@ from uavaccel.errors import UserError
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.world import World
+from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
 from uavaccel.wire.sensors import SensorSettings
 from uavaccel.wire.types import STRONGEST_WIND_M_S
 
+COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
 PORT = 41451
-VEHICLE = "SimpleFlight"
 LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
 
@@ -61,15 +61,28 @@ class OriginGeopoint(AirSimKeys):
 
 
 class Vehicle(AirSimKeys):
-    vehicle_type: Literal["SimpleFlight", "simpleflight"] = "SimpleFlight"
+    """NED metres from the player's start, degrees."""
+
+    vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
+    auto_create: bool = True
+    is_fpv_vehicle: bool = False
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+    yaw: float | None = None
     cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     sensors: dict[str, SensorSettings] | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether the settings say where it starts."""
+        return (self.x, self.y, self.z) != (None, None, None)
 
 
 class Settings(AirSimKeys):
     """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
 
-    sim_mode: Literal["Multirotor", ""] = "Multirotor"
+    sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
     clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
     local_host_ip: str = ""
@@ -77,7 +90,7 @@ class Settings(AirSimKeys):
     enable_rpc: Literal[True] = True
     rpc_enabled: Literal[True] = True
     physics_engine_name: Literal["FastPhysicsEngine", ""] = ""
-    vehicles: Annotated[dict[str, Vehicle], Field(max_length=1)] = Field(default_factory=dict)
+    vehicles: Annotated[dict[str, Vehicle], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
     wind: Wind = Wind()
     recording: Recording = Recording()
     camera_defaults: CameraSettings = CameraSettings()
@@ -89,8 +102,21 @@ class Settings(AirSimKeys):
 
     @property
     def vehicle(self) -> str:
-        """The vehicle's name."""
-        return next(iter(self.vehicles), VEHICLE)
+        """The default vehicle's name: the first by the alphabet, or the one that is to be watched."""
+        created = self.created()
+        watched = (name for name, vehicle in created if vehicle.is_fpv_vehicle)
+        return next(watched, created[0][0] if created else COMPUTER_VISION if self.flightless else VEHICLE)
+
+    @property
+    def flightless(self) -> bool:
+        """Whether vehicles are but cameras that are put somewhere."""
+        return self.sim_mode == COMPUTER_VISION
+
+    def created(self) -> list[tuple[str, Vehicle]]:
+        """The vehicles that there are from the start, by the alphabet as AirSim's map has them."""
+        return [
+            (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
+        ]
 
     @property
     def home(self) -> GeoPoint:

@@ -105,6 +105,14 @@ def coordinate(value: Any, name: str) -> float:
     return metres
 
 
+def place(value: Any, name: str) -> Vector:
+    """A Vector3r in metres; raises ValueError."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a Vector3r, not {type(value).__name__}")
+    x, y, z = (coordinate(value.get(key), f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
+    return x, y, z
+
+
 def pose(value: Any) -> tuple[Vector, Quaternion]:
     """A Pose's position and unit wxyz orientation, NaN allowed; raises ValueError."""
     try:

@@ -94,11 +94,11 @@ class WorldApi:
     def environment(self, vehicle: Any = "") -> dict[str, Any]:
         """simGetGroundTruthEnvironment: SI units."""
         self._check_vehicle(vehicle)
-        position = self._simulation.kinematics().position_m
+        position = self._scenery.truth(vehicle).position_m
         place = geographic(position, self._home)
         air = atmosphere(place.altitude)
         return {
-            "position": types.vector_map(position),
+            "position": types.vector_map(self._scenery.vehicle(vehicle).local(position)),
             "geo_point": types.geo_map(place),
             "gravity": types.vector_map((0.0, 0.0, GRAVITY_M_S2)),
             "air_pressure": air.pressure_pa,
@@ -109,16 +109,16 @@ class WorldApi:
     def home(self, vehicle: Any = "") -> dict[str, float]:
         """getHomeGeoPoint: of the vehicle's NED origin."""
         self._check_vehicle(vehicle)
-        return types.geo_map(self._home)
+        return types.geo_map(geographic(self._scenery.vehicle(vehicle).origin_m, self._home))
 
     def set_wind(self, wind: Any) -> None:
         """simSetWind: m/s NED, until it is set anew."""
-        self._simulation.world.state["wind"] = types.wind(types.vector(wind, "wind"))
+        self._simulation.world.set_wind(types.wind(types.vector(wind, "wind")))
 
     def sees_point(self, point: Any, vehicle: Any = "") -> bool:
         """simTestLineOfSightToPoint: from the vehicle."""
         self._check_vehicle(vehicle)
-        return self._sees(self._simulation.kinematics().position_m, self._local(point))
+        return self._sees(self._scenery.truth(vehicle).position_m, self._local(point))
 
     def sees_between(self, start: Any, end: Any) -> bool:
         """simTestLineOfSightBetweenPoints."""

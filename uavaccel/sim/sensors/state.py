@@ -17,6 +17,7 @@ class Truth(NamedTuple):
     tick_s: float
     since_reset_s: float
     home: GeoPoint
+    body: str = "quadrotor"  # the vehicle's in the model, which no ray meets
 
     @property
     def time_s(self) -> float:

@@ -1,0 +1,517 @@
+"""AirSim's flight commands: where they end, when, with what answer, and what happens then."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
+from tests.simulating import simulate, world_of
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim import autopilot
+from uavaccel.sim.earth import GeoPoint
+from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.quadrotor import density_ratio
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
+from uavaccel.units import NS_PER_S, euler_from_quaternion
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.geodesy import ned_of
+from uavaccel.wire.session import open_session
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import EPOCH_NS
+
+PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
+ON_THE_GROUND = Settings.model_validate({"Vehicles": {"Drone": {"X": 3, "Y": -2, "Yaw": 90}}})
+AUTO, ADAPTIVE = -1.0, 1.0
+MAX_DOF, FORWARD_ONLY = 0, 1
+
+
+def attitude(api: Api) -> tuple[float, float, float]:
+    return euler_from_quaternion(api.simulation.kinematics().orientation_wxyz)
+
+
+@pytest.fixture
+def grounded() -> Api:
+    """Standing on the ground, idle, with API control."""
+    api = Api(Simulation(World("blocks", NATIVE)), ON_THE_GROUND, render=False)
+    call(api, "enableApiControl", True)
+    return api
+
+
+# --- paths ----------------------------------------------------------------------------------------
+
+
+def carrot(path: list[Any], travelled: float, ahead: float) -> tuple[float, Any]:
+    """How far along a path, and where, the place is that is `ahead` of what was travelled; at most its end."""
+    corners = np.array(path, float)
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    along = min(travelled + ahead, lengths.sum())
+    reached = np.concatenate([[0.0], np.cumsum(lengths)])
+    return along, np.array([np.interp(along, reached, corners[:, axis]) for axis in range(3)])
+
+
+def followed(simulation: Simulation, path: list[Any], speed: float, ahead: float) -> tuple[Any, float]:
+    """The same flight by a loop of this test's, on arc lengths: where it ends, and after how long."""
+    begun, period = simulation.world.tick, math.ceil(0.02 / simulation.profile.tick_s)
+    path = [simulation.world.state["position"].copy(), *path]
+    total = carrot(path, 0.0, 1e9)[0]
+    travelled = error = gained = 0.0
+    while carrot(path, travelled, ahead + error)[0] < total or gained > 0:
+        goal, here = carrot(path, travelled, ahead + error)[1], simulation.world.state["position"].copy()
+        way, distance = goal - here, np.linalg.norm(goal - here)
+        velocity = np.zeros(3) if distance < 0.5 else way / distance * min(speed, distance / 0.02)
+        if abs(way[2]) <= 0.5:
+            velocity[2] = 0.0
+        simulation.world.fly_velocity(VelocityGoal(tuple(velocity)))
+        simulation.world.advance(period)
+        last = carrot(path, travelled, 0.0)[1]
+        chord, moved = goal - last, simulation.world.state["position"] - last
+        if not chord.any():
+            break
+        gained = float(moved @ chord / np.linalg.norm(chord))
+        error = float(np.linalg.norm(moved - gained * chord / np.linalg.norm(chord)))
+        travelled = carrot(path, travelled, max(gained, 0.0))[0]
+    took = (simulation.world.tick - begun) * simulation.profile.tick_s
+    return simulation.world.state["position"].copy(), took
+
+
+PATHS = [
+    ([(8.0, 4.0, -12.0)], 3.0),
+    ([(0.3, 0.0, -10.0)], 1.0),
+    ([(0.0, 0.0, -4.0)], 2.0),
+    ([(10.0, 0.0, -10.0), (10.0, 10.0, -9.0), (0.0, 10.0, -9.0), (0.0, 0.0, -10.0)], 4.0),
+]
+
+
+@PROFILES
+@pytest.mark.parametrize(("path", "speed"), PATHS)
+def test_paths_are_followed_as_airsim_does(path: list[Any], speed: float, profile: Profile) -> None:
+    api = hovering(profile)
+    where, took_s = followed(api.simulation, path, speed, max(0.6 * speed, 0.75))
+    api = hovering(profile)
+    result, seconds = fly(
+        api, "moveOnPath", [point(*corner) for corner in path], speed, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE
+    )
+    assert isinstance(result, bool)
+    assert seconds == pytest.approx(took_s, abs=1e-9)
+    np.testing.assert_allclose(place(api), where, atol=1e-6)
+
+
+@PROFILES
+@pytest.mark.parametrize("goal", [(12.0, -5.0, -13.0), (0.0, 15.0, -10.0)])
+def test_a_place_is_reached_and_then_held(goal: tuple[float, float, float], profile: Profile) -> None:
+    api = hovering(profile)
+    result, seconds = fly(
+        api, "moveToPosition", *goal, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE, "SimpleFlight"
+    )
+    distance = math.dist((0.0, 0.0, -10.0), goal)
+    assert result is True, "it flew past"
+    assert distance / 2.0 < seconds < distance / 2.0 + 2.0
+    assert math.dist(place(api), goal) < 0.5
+    go_on(api, 8.0)
+    assert math.dist(place(api), goal) < 1.0
+    np.testing.assert_allclose(api.simulation.kinematics().linear_velocity_m_s, 0.0, atol=0.05)
+
+
+@pytest.mark.parametrize(("profile", "hover_ms"), [(NATIVE, 60), (AIRSIM, 63)], ids=["native", "airsim"])
+def test_position_hold_sets_in_after_the_last_goal(profile: Profile, hover_ms: int) -> None:
+    """A path's last goal is a turn of its loop older than its end."""
+    api = hovering(profile)
+    fly(api, "moveToPosition", 5.0, 0.0, -10.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
+    loop_ms = profile.loop_ticks * profile.tick_ns / 1e6
+    go_on(api, (hover_ms - loop_ms - profile.tick_ns / 1e6) / 1e3)
+    assert api.simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    go_on(api, profile.tick_s)
+    assert api.simulation.world.state["xy_mode"] == autopilot.POSITION
+
+
+def test_a_path_that_takes_too_long_or_is_interrupted_answers_false() -> None:
+    api = hovering()
+    assert fly(api, "moveToZ", -30.0, 1.0, 2.0, STRAIGHT, AUTO, ADAPTIVE) == (False, 2.0)
+    first = call(api, "moveToZ", -5.0, 1.0, FOR_EVER, STRAIGHT, AUTO, ADAPTIVE)
+    go_on(api, 1.0)
+    second = call(api, "moveToPosition", 9.0, 0.0, -9.0, 3.0, FOR_EVER, 0, STRAIGHT, AUTO, ADAPTIVE)
+    assert (first.value, second.due_wall_ns) == (False, None)
+    call(api, "cancelLastTask")
+    assert (second.value, second.due_wall_ns) == (False, api.simulation.wall_ns)
+
+
+def test_forward_only_faces_the_way() -> None:
+    api = hovering()
+    ahead = {"is_rate": False, "yaw_or_rate": 0.0}
+    fly(api, "moveToPosition", 0.0, 20.0, -10.0, 3.0, FOR_EVER, FORWARD_ONLY, ahead, AUTO, ADAPTIVE)
+    assert attitude(api)[2] == pytest.approx(math.pi / 2, abs=0.1)
+
+
+REFUSED = [
+    ((0.0, 1.0), MAX_DOF, STRAIGHT, "lookahead distance cannot be 0"),
+    (
+        (0.01, 1.0),
+        MAX_DOF,
+        STRAIGHT,
+        "lookahead value 0.010000 is too small for velocity 2.000000. It must be at",
+    ),
+    ((0.2, 1.0), MAX_DOF, STRAIGHT, "is smaller than drone's distance accuracy 0.500000"),
+    ((AUTO, 1.0), FORWARD_ONLY, STRAIGHT, "Yaw cannot be specified as rate if drivetrain is ForwardOnly"),
+]
+
+
+@pytest.mark.parametrize(("ahead", "drivetrain", "yaw", "text"), REFUSED)
+def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
+    ahead: tuple[float, float], drivetrain: int, yaw: Any, text: str
+) -> None:
+    with pytest.raises(rpc.RpcError, match=text):
+        call(hovering(), "moveOnPath", [point(1, 1, -9)], 2.0, 60.0, drivetrain, yaw, *ahead)
+
+
+def test_a_path_of_no_points_is_followed_at_once() -> None:
+    assert call(hovering(), "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+
+
+def test_geographic_places() -> None:
+    """A second of arc along the meridian, and along the parallel, of the WGS 84 ellipsoid at 45 degrees north."""
+    home, second = GeoPoint(45.0, 7.0, 100.0), 1 / 3600
+    north = ned_of(GeoPoint(45.0 + second, 7.0, 100.0), home)
+    east = ned_of(GeoPoint(45.0, 7.0 + second, 90.0), home)
+    assert north == pytest.approx((30.870, 0.0, 0.0), abs=2e-3)
+    assert east == pytest.approx((0.0, 21.902, 10.0), abs=2e-3)
+    api = hovering()
+    goal = (47.641468 + 1e-4, -122.140165, 132.0, 4.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
+    assert fly(api, "moveToGPS", *goal)[0] is True
+    assert place(api)[0] == pytest.approx(11.13, abs=0.5)
+
+
+# --- take-off, land, home -------------------------------------------------------------------------
+
+
+def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
+    """Two metres up and down, in the vehicle's own frame; its state says whether it stands."""
+    go_on(grounded, 0.5)
+    assert call(grounded, "getMultirotorState")["landed_state"] == 0
+    np.testing.assert_allclose(place(grounded), 0.0, atol=2e-3)
+    for _ in range(2):
+        _, seconds = fly(grounded, "takeoff", 20.0, "Drone")
+        assert place(grounded)[2] == pytest.approx(-2.0, abs=0.5)
+        assert 3.0 < seconds < 5.0
+        assert call(grounded, "getMultirotorState")["landed_state"] == 1
+        result, seconds = fly(grounded, "land", 60.0)
+        assert result is True
+        assert call(grounded, "getMultirotorState")["landed_state"] == 0
+        np.testing.assert_allclose(place(grounded), 0.0, atol=0.03)
+        go_on(grounded, 1.0)
+    assert call(grounded, "armDisarm", False) is True
+    assert call(grounded, "armDisarm", False) is False
+    go_on(grounded, 0.2)
+    assert grounded.simulation.world.state["rotor_output"].max() < 1e-9
+    assert call(grounded, "armDisarm", True) is True
+    go_on(grounded, 0.2)
+    assert call(grounded, "getMultirotorState")["landed_state"] == 0, "armed, it idles"
+    assert grounded.simulation.world.state["rotor_output"] == pytest.approx(0.1 / 1.5, abs=1e-3)
+
+
+def test_home_is_where_the_vehicle_began_and_reset_brings_it_back(grounded: Api) -> None:
+    fly(grounded, "takeoff", 20.0)
+    fly(grounded, "moveToPosition", 6.0, 4.0, -3.0, 3.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
+    _, seconds = fly(grounded, "goHome", 60.0)
+    assert np.linalg.norm(place(grounded)) < 0.6
+    assert seconds > math.hypot(6, 4, 3) / 0.5
+    call(grounded, "reset")
+    assert place(grounded).tolist() == [0.0, 0.0, 0.0]
+    assert attitude(grounded)[2] == pytest.approx(math.pi / 2)
+    assert call(grounded, "isApiControlEnabled") is False
+    assert grounded.simulation.world.kinematics().position_m == (0.0, 0.0, 0.0)
+    assert grounded.simulation.world.state["position"] == pytest.approx((3.0, -2.0, -0.045))
+
+
+def test_land_in_the_air_takes_its_time() -> None:
+    api = hovering()
+    assert fly(api, "land", 3.0) == (False, 3.0)
+    assert place(api)[2] == pytest.approx(-10.0 + 0.2 * 3.0, abs=0.1)
+
+
+def test_who_moves_cannot_take_off() -> None:
+    api = hovering()
+    running = call(api, "moveByVelocity", 2.0, 0.0, 0.0, 5.0, MAX_DOF, STRAIGHT)
+    go_on(api, 1.0)
+    with pytest.raises(
+        rpc.RpcError, match="Cannot perform takeoff because vehicle is already moving with velo"
+    ):
+        call(api, "takeoff", 20.0)
+    assert running.value is False
+
+
+def test_without_api_control_a_task_has_no_effect() -> None:
+    api = hovering()
+    call(api, "enableApiControl", False)
+    assert fly(api, "takeoff", 20.0) == (False, 20.0)
+    np.testing.assert_allclose(place(api), (0.0, 0.0, -10.0), atol=0.02)
+
+
+# --- headings -------------------------------------------------------------------------------------
+
+
+@PROFILES
+@pytest.mark.parametrize("yaw", [60.0, -170.0, 270.0])
+def test_the_vehicle_turns_to_a_heading(yaw: float, profile: Profile) -> None:
+    api = hovering(profile)
+    result, seconds = fly(api, "rotateToYaw", yaw, 20.0, 5.0)
+    assert result is True
+    assert abs(math.remainder(attitude(api)[2] - math.radians(yaw), 2 * math.pi)) <= math.radians(5.0)
+    assert abs(api.simulation.kinematics().angular_velocity_rad_s[2]) <= 0.01
+    assert seconds < 5.0
+    np.testing.assert_allclose(place(api), (0.0, 0.0, -10.0), atol=0.1)
+
+
+def test_a_heading_is_passed_the_short_way_round() -> None:
+    """AirSim's own loop never ends here: it measures the margin through north."""
+    api = hovering()
+    fly(api, "rotateToYaw", -90.0, 20.0, 5.0)
+    assert fly(api, "rotateToYaw", 180.0, 20.0, 5.0)[0] is True
+
+
+def test_the_vehicle_turns_at_a_rate() -> None:
+    api = hovering()
+    assert fly(api, "rotateByYawRate", 40.0, 3.0) == (True, 3.0)
+    assert api.simulation.kinematics().angular_velocity_rad_s[2] == pytest.approx(math.radians(40), abs=0.02)
+    assert call(api, "rotateByYawRate", 40.0, 0.0) is True
+
+
+# --- for a time -----------------------------------------------------------------------------------
+
+TIMED: list[tuple[str, tuple[Any, ...]]] = [
+    ("moveByVelocity", (0.5, 0.0, 0.0, MAX_DOF, STRAIGHT)),
+    ("moveByVelocityZ", (0.5, 0.0, -10.0, MAX_DOF, STRAIGHT)),
+    ("moveByVelocityBodyFrame", (0.5, 0.0, 0.0, MAX_DOF, STRAIGHT)),
+    ("moveByVelocityZBodyFrame", (0.5, 0.0, -10.0, MAX_DOF, STRAIGHT)),
+    ("moveByManual", (1.0, 1.0, -10.0, MAX_DOF, STRAIGHT)),
+    ("moveByRollPitchYawZ", (0.0, 0.0, 0.0, -10.0)),
+    ("moveByRollPitchYawThrottle", (0.0, 0.0, 0.0, 0.59)),
+    ("moveByRollPitchYawrateZ", (0.0, 0.0, 0.0, -10.0)),
+    ("moveByRollPitchYawrateThrottle", (0.0, 0.0, 0.0, 0.59)),
+    ("moveByAngleRatesZ", (0.0, 0.0, 0.0, -10.0)),
+    ("moveByAngleRatesThrottle", (0.0, 0.0, 0.0, 0.59)),
+    ("moveByMotorPWMs", (0.59, 0.59, 0.59, 0.59)),
+    ("rotateByYawRate", (10.0,)),
+]
+
+
+def with_duration(method: str, params: tuple[Any, ...], seconds: float) -> tuple[Any, ...]:
+    """AirSim's order: the drivetrain and the yaw mode come after the duration."""
+    rest = 2 if MAX_DOF in params[-2:-1] and params[-1] is STRAIGHT else 0
+    return (*params[: len(params) - rest], seconds, *params[len(params) - rest :])
+
+
+@pytest.mark.parametrize(("profile", "asked_s", "took_s"), [
+    (NATIVE, 0.025, 0.024), (NATIVE, 1 / 30, 0.034), (NATIVE, 0.5, 0.5), (AIRSIM, 0.1, 0.105), (AIRSIM, 0.5, 0.504),
+])  # fmt: skip
+@pytest.mark.parametrize(("method", "params"), TIMED, ids=[method for method, _ in TIMED])
+def test_a_command_for_a_time_takes_it_and_may_be_interrupted(
+    method: str, params: tuple[Any, ...], profile: Profile, asked_s: float, took_s: float
+) -> None:
+    api = hovering(profile)
+    result, seconds = fly(api, method, *with_duration(method, params, asked_s))
+    assert result is True
+    nearest = took_s if method != "moveByManual" else math.ceil(asked_s / 0.02 - 1e-9) * 0.02
+    assert seconds == pytest.approx(took_s if profile is AIRSIM else nearest, abs=1e-9)
+    running = call(api, method, *with_duration(method, params, 1.0), "SimpleFlight")
+    go_on(api, 0.05)
+    assert call(api, "hover") is False
+    assert running.value is False
+
+
+def test_our_own_client_keeps_to_exact_times() -> None:
+    with open_session("lockstep") as session:
+        client = session.start_game(1.0)
+        future = client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 0.025)
+        client.run()
+        with pytest.raises(rpc.RpcError, match="not a positive multiple of the physics step of 2 ms"):
+            client.join(future)
+
+
+def test_body_frame_is_the_heading_at_the_beginning() -> None:
+    api = hovering()
+    fly(api, "rotateToYaw", 90.0, 20.0, 0.5)
+    go_on(api, 3.0)
+    before = place(api)
+    turning = {"is_rate": True, "yaw_or_rate": 30.0}
+    fly(api, "moveByVelocityBodyFrame", 2.0, 0.0, 0.0, 4.0, MAX_DOF, turning)
+    north, east, _ = place(api) - before
+    assert east > 4.0
+    assert abs(north) < 1.5
+    before = place(api)
+    fly(api, "moveByVelocityZBodyFrame", 0.0, 2.0, -12.0, 4.0, MAX_DOF, STRAIGHT)
+    assert place(api)[2] < before[2] - 0.5
+
+
+# --- attitudes, rates, motors, sticks, gains ------------------------------------------------------
+
+
+@PROFILES
+def test_attitudes_and_rates_are_reached(profile: Profile) -> None:
+    api = hovering(profile)
+    fly(api, "moveByRollPitchYawZ", 0.1, -0.15, 0.8, -10.0, 2.0)
+    assert attitude(api) == pytest.approx((0.1, -0.15, 0.8), abs=0.02)
+    assert place(api)[0] > 0.0, "nose down is forward"
+    api = hovering(profile)
+    fly(api, "moveByRollPitchYawrateThrottle", 0.1, 0.0, 0.5, 0.62, 1.5)
+    assert attitude(api)[:2] == pytest.approx((0.1, 0.0), abs=0.02)
+    assert api.simulation.kinematics().angular_velocity_rad_s[2] == pytest.approx(0.5, abs=0.03)
+    assert api.simulation.world.state["rotor_input"].mean() == pytest.approx(0.62, abs=1e-6)
+    api = hovering(profile)
+    fly(api, "moveByAngleRatesZ", 0.2, -0.1, 0.3, -10.0, 1.5)
+    assert api.simulation.kinematics().angular_velocity_rad_s == pytest.approx((0.2, -0.1, 0.3), abs=0.02)
+
+
+def test_motors_turn_as_told_and_say_so() -> None:
+    api = hovering()
+    world = api.simulation.world
+    hover = call(api, "getRotorStates")
+    lift = sum(rotor["thrust"] for rotor in hover["rotors"]) * density_ratio(world.parameters, -10.0)
+    assert lift == pytest.approx(9.80665, rel=1e-4)
+    assert hover["timestamp"] == EPOCH_NS + api.simulation.time_ns
+    fly(api, "moveByMotorPWMs", 0.2, 0.4, 0.6, 2.0, 0.1)
+    rotors = call(api, "getRotorStates")["rotors"]
+    shares = [0.2, 0.4, 0.6, 1.0]
+    assert [rotor["thrust"] for rotor in rotors] == pytest.approx([4.1794453 * u for u in shares], rel=1e-6)
+    assert [rotor["speed"] for rotor in rotors] == pytest.approx([669.857 * u**0.5 for u in shares], rel=1e-6)
+    signs = np.sign([rotor["torque_scaler"] for rotor in rotors]).tolist()
+    assert signs == [-1, -1, 1, 1]
+
+
+def test_after_throttle_the_vertical_integrator_is_new() -> None:
+    api = hovering()
+    fly(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
+    assert abs(api.simulation.world.state["z_integral"]) > 0.05
+    fly(api, "moveByRollPitchYawThrottle", 0.0, 0.0, 0.0, 0.6, 0.02)
+    call(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
+    go_on(api, 0.002)
+    assert api.simulation.world.state["z_integral"] == 0.0
+
+
+def test_sticks_fly_where_no_program_has_control() -> None:
+    api = hovering()
+    sticks = {"roll": 0.25, "pitch": 0.0, "throttle": 0.6, "yaw": 0.0, "is_valid": True}
+    call(api, "moveByRC", sticks)
+    go_on(api, 1.0)
+    assert attitude(api)[0] == pytest.approx(0.0, abs=0.01), "a program has control"
+    call(api, "enableApiControl", False)
+    call(api, "moveByRC", sticks, "SimpleFlight")
+    go_on(api, 1.0)
+    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5, abs=0.01)
+    told = call(api, "getMultirotorState")["rc_data"]
+    assert (told["roll"], told["throttle"], told["is_valid"]) == (0.25, 0.6, True)
+
+
+def test_manual_flight_follows_the_sticks() -> None:
+    api = hovering()
+    running = call(api, "moveByManual", 3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
+    call(api, "moveByRC", {"pitch": 10_000.0, "is_valid": True})
+    assert wait(api, running) is True
+    north, east, _ = place(api)
+    straight = hovering()
+    fly(straight, "moveByVelocityZ", 3.0, 0.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
+    assert north == pytest.approx(place(straight)[0], rel=0.05)
+    assert abs(east) < 0.01
+
+
+def test_gains_act_until_the_next_simulation() -> None:
+    tilts = []
+    for gains in ([0.2, 0.2, 2.0], [0.1, 0.2, 2.0]):
+        api = hovering()
+        call(api, "setVelocityControllerGains", gains, [0.0, 0.0, 2.0], [0.0, 0.0, 0.0])
+        call(api, "moveByVelocity", 1.0, 0.0, 0.0, 2.0, MAX_DOF, STRAIGHT)
+        go_on(api, 0.6)
+        tilts.append(attitude(api)[1])
+    assert tilts[0] < 1.5 * tilts[1] < 0.0
+    again = Simulation(world_of(NATIVE))
+    assert again.world.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
+    with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
+        call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
+
+
+def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:
+    """Against 10 m/s from the north a proportional controller is pushed off; wind-up is what an integral is for."""
+    drift, overshoot = {}, {}
+    for ki, kd in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.1)):
+        api = hovering()
+        api.simulation.world.set_wind((-10.0, 0.0, 0.0))
+        call(api, "setVelocityControllerGains", [0.2, 0.2, 2.0], [ki, 0.0, 2.0], [kd, 0.0, 0.0])
+        fly(api, "moveByVelocity", 0.0, 0.0, 0.0, 20.0, MAX_DOF, STRAIGHT)
+        drift[ki, kd] = abs(api.simulation.kinematics().linear_velocity_m_s[0])
+        api.simulation.world.set_wind((0.0, 0.0, 0.0))
+        api = hovering()
+        call(api, "setPositionControllerGains", [1.0, 1.0, 0.25], [0.0] * 3, [kd, kd, 0.0])
+        call(api, "rotateByYawRate", 0.0, 9.0)
+        state = pose_beside(2.0)
+        call(api, "simSetVehiclePose", state, True)
+        reached = []
+        for _ in range(90):
+            go_on(api, 0.1)
+            reached.append(place(api)[0])
+        overshoot[ki, kd] = -min(reached)
+    assert drift[0.05, 0.0] < 0.3 * drift[0.0, 0.0]
+    assert overshoot[0.0, 0.1] < 0.8 * overshoot[0.0, 0.0]
+    assert Simulation(world_of(NATIVE)).world.parameters["full_pid"] == 0
+
+
+def pose_beside(north_m: float) -> dict[str, Any]:
+    return {"position": point(north_m, 0.0, -10.0), "orientation": {"w_val": 1.0, **point(0.0, 0.0, 0.0)}}
+
+
+# --- in every timing ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", ["native", "airsim"])
+def test_flights_are_the_same_on_every_run(profile: str) -> None:
+    tracks = []
+    for _ in range(2):
+        with open_session("virtual", profile) as session:
+            client = session.start_game(20.0)
+            client.run()
+            client.call("takeoff", 20.0)
+            client.call("moveToPosition", 5.0, 2.0, -9.0, 3.0, FOR_EVER, 0, STRAIGHT, AUTO, ADAPTIVE, "")
+            client.pause()
+            tracks.append(client.recording())
+    assert tracks[0].samples.tobytes() == tracks[1].samples.tobytes()
+    assert np.array_equal(tracks[0].commands, tracks[1].commands)
+    assert tracks[0].samples[-1, 1] > 4.0
+
+
+@PROFILES
+@pytest.mark.parametrize(("method", "params"), [
+    ("moveOnPath", ([point(6, 0, -9), point(6, 6, -11)], 3.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)),
+    ("rotateToYaw", (90.0, 20.0, 2.0)),
+    ("land", (3.0,)),
+    ("moveByManual", (3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)),
+])  # fmt: skip
+def test_a_saved_flight_goes_on_to_the_same_bytes(method: str, params: Any, profile: Profile) -> None:
+    api = hovering(profile)
+    call(api, "moveByRC", {"pitch": 5000.0, "is_valid": True})
+    call(api, method, *params)
+    go_on(api, 1.0)
+    state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
+    ends = []
+    for _ in range(2):
+        go_on(api, 4.0)
+        ends.append((place(api).tobytes(), api.simulation.world.tick, list(api.simulation.commands)))
+        again = simulate(profile=profile)
+        again.set_state(state)
+        api = Api(again, render=False)
+    assert ends[0] == ends[1]
+
+
+def test_frames_are_sixtieths_of_a_second() -> None:
+    api = hovering()
+    call(api, "simPause", True)
+    reply = call(api, "simContinueForFrames", 30)
+    begun_ns = api.simulation.time_ns
+    assert wait(api, reply) is not None
+    assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5
+    assert api.simulation.paused
+    with pytest.raises(rpc.RpcError, match="frames must be a whole number"):
+        call(api, "simContinueForFrames", 1.5)

@@ -1,0 +1,367 @@
+"""Several vehicles in one world: each its own frame, command and state; the first flies as if it were alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
+from uavaccel.errors import UserError
+from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.scene import DRONE_GROUP, OTHERS_GROUP
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import Newcomer, Start
+from uavaccel.sim.world import START_M, World
+from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
+from uavaccel.wire.settings import Settings
+
+ASIDE = {"X": 5, "Y": 5}
+MANY = 50
+STILL = point(0, 0, 0)
+PLACE = [0.0, 0.0, -9.0]
+ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
+    "enableApiControl": [True],
+    "isApiControlEnabled": [],
+    "armDisarm": [True],
+    "getMultirotorState": [],
+    "simGetGroundTruthKinematics": [],
+    "simGetVehiclePose": [],
+    "simSetVehiclePose": [{}, True],
+    "simSetKinematics": [{}, True],
+    "simGetCollisionInfo": [],
+    "takeoff": [1.0],
+    "land": [1.0],
+    "goHome": [1.0],
+    "hover": [],
+    "cancelLastTask": [],
+    "moveToPosition": [*PLACE, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveToZ": [-9.0, 1.0, 1.0, STRAIGHT, -1, 1],
+    "moveToGPS": [47.6, -122.1, 130.0, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveOnPath": [[point(0, 0, -9)], 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "rotateToYaw": [1.0, 1.0, 1.0],
+    "rotateByYawRate": [1.0, 1.0],
+    "moveByVelocity": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByVelocityZ": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByVelocityBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByVelocityZBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByManual": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByMotorPWMs": [0.5] * 5,
+    "moveByRollPitchYawZ": [0.1] * 5,
+    "moveByRollPitchYawThrottle": [0.1] * 5,
+    "moveByRollPitchYawrateZ": [0.1] * 5,
+    "moveByRollPitchYawrateThrottle": [0.1] * 5,
+    "moveByAngleRatesZ": [0.1] * 5,
+    "moveByAngleRatesThrottle": [0.1] * 5,
+    "moveByRC": [{}],
+    "getRotorStates": [],
+    "setAngleRateControllerGains": [[0.2] * 3, [0.0] * 3, [0.0] * 3],
+    "setAngleLevelControllerGains": [[0.2] * 3, [0.0] * 3, [0.0] * 3],
+    "setVelocityControllerGains": [[0.2] * 3, [0.0] * 3, [0.0] * 3],
+    "setPositionControllerGains": [[0.2] * 3, [0.0] * 3, [0.0] * 3],
+}
+
+
+def fleet(profile: Profile = NATIVE, **vehicles: Any) -> Api:
+    """The vehicles of a settings file, all with API control."""
+    settings = Settings.model_validate({"Vehicles": vehicles})
+    api = Api(Simulation(World("blocks", profile)), settings, render=False)
+    for name in vehicles:
+        call(api, "enableApiControl", True, name)
+    return api
+
+
+def pose(x: float, y: float, z: float, **orientation: float) -> dict[str, Any]:
+    level = {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}
+    return {"position": point(x, y, z), "orientation": level | orientation}
+
+
+def dash(api: Api, vehicle: str, vx: float, vy: float, seconds: float = 60.0) -> Any:
+    return call(api, "moveByVelocity", vx, vy, 0.0, seconds, 0, STRAIGHT, vehicle)
+
+
+@pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
+def test_the_first_flies_as_if_it_were_alone(profile: Profile) -> None:
+    """To the bit, as long as they do not touch."""
+    alone = fleet(profile, A={})
+    two = fleet(profile, A={}, B=ASIDE)
+    for api in (alone, two):
+        dash(api, "A", 1.0, 0.5, 2.0)
+        if api is two:
+            call(api, "takeoff", 20.0, "B")
+        go_on(api, 3.0)
+    states = [api.simulation.world.state for api in (alone, two)]
+    for name in ("position", "quaternion", "velocity", "rotor_output", "z_integral", "tick"):
+        assert np.array_equal(states[0][name], states[1][name]), name
+    assert place(two, "B")[2] < -0.5
+
+
+def test_each_has_its_frame_and_its_command() -> None:
+    api = fleet(B={"X": 5, "Y": -4, "Z": 0, "Yaw": 90}, A={})
+    assert call(api, "listVehicles") == ["A", "B"]
+    assert place(api, "B").tolist() == [0.0, 0.0, 0.0]
+    first = call(api, "moveToZ", -12.0, 1.0, FOR_EVER, STRAIGHT, -1.0, 1.0, "A")
+    second = call(api, "moveToPosition", 2.0, 0.0, -4.0, 1.5, FOR_EVER, 0, STRAIGHT, -1.0, 1.0, "B")
+    assert wait(api, first) is not None
+    assert wait(api, second) is not None
+    np.testing.assert_allclose(place(api, "A"), (0.0, 0.0, -12.0), atol=0.7)
+    np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)
+    go_on(api, 6.0)
+    in_world = np.array(api.pilot_of("B").vehicle.state["position"])
+    np.testing.assert_allclose(in_world - place(api, "B"), (5.0, -4.0, -0.045), atol=1e-9)
+    np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)  # held in its own frame
+    gps = [call(api, "getMultirotorState", name)["gps_location"] for name in ("A", "B")]
+    assert gps[1]["latitude"] > gps[0]["latitude"]
+
+
+def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
+    api = fleet(A={}, B=ASIDE)
+    first, second = dash(api, "A", 1.0, 0.0), dash(api, "B", 0.0, 1.0)
+    call(api, "cancelLastTask", "A")
+    assert (first.value, second.due_wall_ns) == (False, None)
+    call(api, "enableApiControl", False, "A")
+    assert call(api, "isApiControlEnabled", "B") is True
+    assert (call(api, "armDisarm", False, "A"), call(api, "armDisarm", False, "B")) == (False, True)
+    assert (api.pilot_of("A").vehicle.state["armed"], api.pilot_of("B").vehicle.state["armed"]) == (1, 0)
+
+
+def test_an_unknown_vehicle_is_refused_in_every_call_with_the_known_ones() -> None:
+    api = fleet(A={}, B=ASIDE)
+    for method, params in ARGUMENTS.items():
+        with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'C' is not available.*there is 'A', 'B'"):
+            call(api, method, *params, "C")
+
+
+def test_one_may_be_added_while_others_fly() -> None:
+    """A flight goes on to the bit; the newcomer stands, and its name is taken."""
+    ends = []
+    for adding in (False, True):
+        api = hovering_alone()
+        dash(api, "", 1.0, 1.0)
+        go_on(api, 1.0)
+        if adding:
+            assert call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "") is True
+        go_on(api, 2.0)
+        ends.append(place(api))
+    assert np.array_equal(*ends)
+    assert call(api, "listVehicles") == ["New", "SimpleFlight"]
+    call(api, "enableApiControl", True, "New")
+    fly(api, "takeoff", 20.0, "New")
+    np.testing.assert_allclose(place(api, "New"), (0.0, 0.0, -2.0), atol=0.6)
+    for bad, text in (
+        (("New", "simpleflight", pose(9.0, 9.0, 0.0)), "a vehicle cannot be called 'New'"),
+        (
+            ("Car", "physxcar", pose(9.0, 9.0, 0.0)),
+            "vehicle type 'physxcar' is not available; there is SimpleFlight",
+        ),
+        (("Near", "simpleflight", pose(3.0, -6.3, -2.0)), "Near would start less than 0.75 m from New"),
+        (("Deep", "simpleflight", pose(45.0, 0.0, -3.0)), "inside block_north"),
+    ):
+        with pytest.raises(rpc.RpcError, match=text):
+            call(api, "simAddVehicle", *bad)
+    assert call(api, "listVehicles") == ["New", "SimpleFlight"]
+
+
+def hovering_alone() -> Api:
+    """In a world of its own, which may be populated."""
+    api = Api(Simulation(World("blocks", NATIVE)), render=False)
+    call(api, "enableApiControl", True)
+    return api
+
+
+def test_two_that_meet_have_touched_each_other() -> None:
+    api = fleet(A={}, B=ASIDE)
+    call(api, "simSetVehiclePose", pose(2.0 - 5.0, -5.0, -9.97), True, "B")  # 2 m before A, in B's frame
+    dash(api, "A", 2.0, 0.0)
+    dash(api, "B", -2.0, 0.0)
+    go_on(api, 2.0)
+    told = {name: call(api, "simGetCollisionInfo", name) for name in ("A", "B")}
+    assert [told[name]["has_collided"] for name in ("A", "B")] == [True, True]
+    assert (told["A"]["object_name"], told["B"]["object_name"]) == ("B", "A")
+    assert told["A"]["normal"]["x_val"] < -0.9 < 0.9 < told["B"]["normal"]["x_val"]
+    apart = told["B"]["position"]["x_val"] + 5.0 - told["A"]["position"]["x_val"]
+    assert apart == pytest.approx(2 * 0.3418, abs=0.03), "each in its own frame"
+
+
+def test_a_camera_sees_the_others_and_not_its_own_vehicle() -> None:
+    """By MuJoCo's groups: the leading vehicle's cameras leave out its own."""
+    model = fleet(A={}, B=ASIDE).simulation.world.model
+    for body, groups in (("quadrotor", {DRONE_GROUP, 3}), ("B/quadrotor", {OTHERS_GROUP, 3})):
+        assert set(model.geom_group[model.geom_bodyid == model.body(body).id]) == groups
+
+
+def test_reset_brings_all_to_their_starts() -> None:
+    api = fleet(A={}, B=ASIDE)
+    running = dash(api, "B", 0.0, 2.0)
+    fly(api, "takeoff", 20.0, "A")
+    call(api, "reset")
+    assert running.value is False
+    assert place(api, "A").tolist() == list(START_M)
+    assert place(api, "B").tolist() == [0.0, 0.0, 0.0]
+    assert not call(api, "isApiControlEnabled", "B")
+    assert not call(api, "simGetCollisionInfo", "B")["has_collided"]
+
+
+def test_a_saved_game_holds_them_all() -> None:
+    api = fleet(A={}, B=ASIDE)
+    dash(api, "A", 1.0, 0.0, 3.0)
+    call(api, "takeoff", 20.0, "B")
+    go_on(api, 1.0)
+    state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
+    ends = []
+    for again in (api, fleet(A={}, B=ASIDE)):
+        again.simulation.set_state(state)
+        go_on(again, 3.0)
+        ends.append([*place(again, "A"), *place(again, "B")])
+    assert ends[0] == ends[1]
+    with pytest.raises(UserError, match=r"the saved state's vehicles is \['B'\], not \[\]"):
+        fleet(A={}).simulation.set_state(state)
+
+
+@pytest.mark.parametrize(("vehicles", "text"), [
+    ({"A": {}, "B": {}}, "Vehicles: B would start less than 0.75 m from A"),
+    ({"A": {"X": 45, "Z": -3}}, "Vehicles.A: position: .* inside block_north"),
+    ({"A": {"Z": 3}}, "Vehicles.A: position: NED z has to be"),
+    ({"A": {"X": 2e4}}, "Vehicles.A: position: north and east have to be within 10000 m"),
+    ({"A": {}, "B/1": ASIDE}, "Vehicles: a vehicle cannot be called 'B/1'"),
+])  # fmt: skip
+def test_places_that_cannot_be_are_named(vehicles: Any, text: str) -> None:
+    with pytest.raises(UserError, match=text):
+        fleet(**vehicles)
+
+
+def test_who_leads() -> None:
+    """The first by the alphabet as in AirSim, or who is watched; who is not created is not there."""
+    settings = Settings.model_validate({"Vehicles": {"Z": {}, "B": ASIDE}})
+    assert settings.vehicle == "B"
+    watched = {"Vehicles": {"Z": {"IsFpvVehicle": True}, "B": ASIDE, "A": {"AutoCreate": False}}}
+    assert Settings.model_validate(watched).vehicle == "Z"
+    assert [name for name, _ in Settings.model_validate(watched).created()] == ["B", "Z"]
+
+
+def test_in_computer_vision_mode_a_vehicle_is_a_camera_that_stays() -> None:
+    settings = Settings.model_validate({"SimMode": "ComputerVision"})
+    api = Api(Simulation(World("blocks", NATIVE)), settings, render=False)
+    assert call(api, "listVehicles") == ["ComputerVision"]
+    call(api, "simSetVehiclePose", pose(7.0, 1.0, -3.0), True)
+    go_on(api, 2.0)
+    assert place(api).tolist() == [7.0, 1.0, -3.0]
+    assert call(api, "simGetVehiclePose")["position"] == point(7.0, 1.0, -3.0)
+    assert api.simulation.time_ns == 2_000_000_000
+    for method in ("takeoff", "enableApiControl", "getMultirotorState"):
+        with pytest.raises(rpc.RpcError, match="this is simulation-only API or this vehicle does not exist"):
+            call(api, method, *ARGUMENTS[method])
+
+
+def test_each_senses_for_itself() -> None:
+    """Every number is the vehicle's own, in its own frame: none is the leading one's."""
+    lidar = {"Sensors": {"eye": {"SensorType": 6, "Enabled": True, "DrawDebugPoints": False}}}
+    api = fleet(A={}, B={"X": 20, "Y": 10, "Z": -1} | lidar)
+    call(api, "simSetVehiclePose", pose(1.0, 2.0, -4.0, z_val=1.0), True, "B")
+    in_world = np.array([21.0, 12.0, -5.045])
+    state = call(api, "getMultirotorState", "B")["gps_location"]
+    environment = call(api, "simGetGroundTruthEnvironment", "B")
+    assert environment["geo_point"] == state
+    assert list(environment["position"].values()) == pytest.approx([1.0, 2.0, -4.0])
+    assert state["altitude"] == pytest.approx(122.0 + 5.045, abs=1e-3)
+    assert call(api, "getHomeGeoPoint", "B")["latitude"] > call(api, "getHomeGeoPoint", "A")["latitude"]
+    camera = call(api, "simGetCameraInfo", "front_center", "B")["pose"]["position"]
+    assert list(camera.values()) == pytest.approx([1.0, 2.46, -4.0], abs=1e-6), "it looks east"
+    seen = list(call(api, "simGetObjectPose", "B")["position"].values())
+    assert seen == pytest.approx(in_world.tolist()), "objects are told in the world's frame"
+    assert call(api, "simListSceneObjects", "[AB]") == ["A", "B"]
+    assert call(api, "simSetObjectPose", "B", pose(21.0, 12.0, -6.045), True) is True
+    assert place(api, "B") == pytest.approx([1.0, 2.0, -5.0])
+    points = np.reshape(call(api, "getLidarData", "eye", "B")["point_cloud"], (-1, 3))
+    assert np.linalg.norm(points, axis=1).min() > 1.0, "it does not see itself"
+    with pytest.raises(rpc.RpcError, match="No lidar with name eye exist on vehicle"):
+        call(api, "getLidarData", "eye", "A")
+    for method, params in SENSES.items():
+        with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'C' is not available.*there is 'A', 'B'"):
+            call(api, method, *params, "C")
+
+
+SENSES: dict[str, list[Any]] = {
+    "simGetImages": [[]],
+    "simGetImage": ["0", 0],
+    "simGetCameraInfo": ["0"],
+    "getImuData": [""],
+    "getGpsData": [""],
+    "getLidarData": [""],
+    "simGetGroundTruthEnvironment": [],
+    "getHomeGeoPoint": [],
+    "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
+}
+
+
+# --- poses and winds ------------------------------------------------------------------------------
+
+
+def test_kinematics_can_be_set() -> None:
+    api = hovering()
+    turned = {"w_val": 0.8, "z_val": 0.6}
+    state = pose(3.0, 4.0, -12.0, **turned)
+    state |= {"linear_velocity": point(5.0, -1.0, 0.5), "angular_velocity": point(0.1, 0.2, -0.3)}
+    call(api, "simSetKinematics", state, True)
+    now = call(api, "simGetGroundTruthKinematics")
+    for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
+        assert list(now[name].values()) == pytest.approx(list(state[name].values()), abs=1e-9), name
+    go_on(api, 0.1)
+    assert place(api)[:2] == pytest.approx((3.5, 3.9), abs=0.05)
+
+
+@pytest.mark.parametrize(("method", "params", "text"), [
+    ("simSetVehiclePose", [pose(1.1e4, 0, -10), True], "north and east have to be within 10000 m"),
+    ("simSetVehiclePose", [pose(0, 0, -3e4), True], "NED z has to be"),
+    ("simSetKinematics", [pose(0, 0, -10) | {"linear_velocity": point(0, 600, 0), "angular_velocity": STILL}, True],
+     "linear_velocity must be at most 500"),
+    ("simSetKinematics", [pose(0, 0, -10), True], "linear_velocity must be a Vector3r"),
+    ("simSetKinematics", [3, True], "state must be a KinematicsState"),
+])  # fmt: skip
+def test_poses_that_physics_cannot_bear_are_refused(method: str, params: list[Any], text: str) -> None:
+    api = hovering()
+    with pytest.raises(rpc.RpcError, match=text):
+        call(api, method, *params)
+    go_on(api, 0.1)
+    np.testing.assert_allclose(place(api), START_M, atol=1e-3)
+
+
+@pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
+def test_no_wind_that_is_allowed_ends_the_flight(profile: Profile) -> None:
+    api = hovering(profile)
+    for wind in ((100.0, 0.0, 0.0), (0.0, 0.0, -100.0), (57.0, -57.0, 57.0)):
+        call(api, "reset")
+        api.simulation.world.set_wind(wind)
+        go_on(api, 5.0)
+        assert api.simulation.failure is None
+        assert np.isfinite(place(api)).all()
+    with pytest.raises(UserError, match=r"wind: .* is not a wind of at most 100 m/s"):
+        api.simulation.world.set_wind((0.0, 100.1, 0.0))
+    api.simulation.world.set_wind((0.0, 0.0, 0.0))
+
+
+# --- many -----------------------------------------------------------------------------------------
+
+
+def test_many_fly_and_the_last_command_wins() -> None:
+    world = World("blocks", NATIVE)
+    simulation = Simulation(world)
+    places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
+    simulation.add_vehicles([Newcomer(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
+    api = Api(simulation, render=False)
+    names = [vehicle.name for vehicle in world.vehicles]
+    replies: dict[str, list[Any]] = {name: [] for name in names}
+    for name in names:
+        call(api, "enableApiControl", True, name)
+    for turn in range(3):
+        for index, name in enumerate(names):
+            replies[name].append(
+                call(api, "moveByVelocityZ", 0.0, 0.0, -16.0 - index % 3, 9.0, 0, STRAIGHT, name)
+            )
+        go_on(api, 0.5 + turn)
+    go_on(api, 9.0)
+    assert all([reply.value for reply in replies[name]] == [False, False, True] for name in names)
+    heights = [place(api, name)[2] for name in names]
+    np.testing.assert_allclose(heights, [-16.0 - index % 3 for index in range(MANY)], atol=0.2)

@@ -1,0 +1,146 @@
+"""Following a path with a carrot: AirSim's moveOnPath, and moveToPosition, moveToZ, takeoff and goHome in its terms.
+
+Source: AirSim v1.8.1, MultirotorApiBase.cpp (moveOnPath, moveToPathPosition, setNextPathPosition, adjustYaw) with
+SimpleFlight's distance accuracy of .5 m and no braking distance (SimpleFlightApi.hpp).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.sim.flight import goal as goals
+from uavaccel.sim.flight.goal import STRAIGHT_ON, Goal, Yaw
+from uavaccel.sim.flight.task import Turn
+
+COMMAND_PERIOD_S = 0.02
+ACCURACY_M = 0.5
+MAX_LOOKAHEAD_PERIODS, ADAPTIVE_LOOKAHEAD_PERIODS = 40, 30
+BRAKING_M_S, BRAKE_ABOVE_M_S = 1.0, 3.0
+
+Array = NDArray[np.float64]
+
+
+def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) -> float:
+    """The lookahead in m; where it is negative AirSim's own. Raises ValueError, with AirSim's words."""
+    per_period_m = velocity_m_s * COMMAND_PERIOD_S
+    if lookahead_m == 0:
+        raise ValueError("lookahead distance cannot be 0")
+    if lookahead_m < 0:
+        periods = ADAPTIVE_LOOKAHEAD_PERIODS if adaptive > 0 else MAX_LOOKAHEAD_PERIODS
+        return max(per_period_m * periods, 1.5 * ACCURACY_M)
+    if per_period_m > lookahead_m:
+        raise ValueError(
+            f"lookahead value {lookahead_m:f} is too small for velocity {velocity_m_s:f}. "
+            f"It must be at least {per_period_m:f}"
+        )
+    if lookahead_m < ACCURACY_M:
+        raise ValueError(
+            f"lookahead value {lookahead_m:f} is smaller than drone's distance accuracy {ACCURACY_M:f}."
+        )
+    return lookahead_m
+
+
+def facing(heading: Vector, forward_only: bool, yaw: Yaw) -> Yaw:
+    """The yaw goal for a direction of travel (adjustYaw); a heading of half a metre or less is none."""
+    if not forward_only or yaw.is_rate:
+        return yaw
+    if math.hypot(*heading) <= ACCURACY_M:
+        return STRAIGHT_ON
+    return Yaw(math.remainder(yaw.value + math.atan2(heading[1], heading[0]), 2 * math.pi), False)
+
+
+@dataclass
+class FollowPath:
+    """Fly along `points` (n, 3), NED m, the first of which is where the vehicle is.
+
+    `lookahead_m` is how far the carrot is ahead; `adaptive` times the distance from the path is added to it.
+    The result is True only if the vehicle has passed the end, as in AirSim: one that stops short of it has it False.
+    """
+
+    points: Array
+    velocity_m_s: float
+    timeout_s: float
+    forward_only: bool
+    yaw_value: float
+    yaw_is_rate: bool
+    lookahead_m: float
+    adaptive: float
+    segment: int = 0  # how far the vehicle is: on which segment, how far along it, where
+    offset_m: float = 0.0
+    goal_distance_m: float = 0.0
+    error_m: float = 0.0
+    begun: bool = False
+
+    def __post_init__(self) -> None:
+        self.points = np.asarray(self.points, np.float64).reshape(-1, 3)
+        self._lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        self._at = self._place(self.segment, self.offset_m)
+
+    def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        complete = self._advance(np.array(now.position_m)) if self.begun else False
+        self.begun = True
+        segment, _, carrot = self._ahead(self.lookahead_m + self.error_m)
+        if not complete and elapsed_s >= self.timeout_s:
+            return Turn(None, False)
+        if segment == len(self._lengths) and self.goal_distance_m <= 0:
+            return Turn(None, complete)
+        return Turn(self._towards(carrot, now))
+
+    def _advance(self, place: Array) -> bool:
+        """Move on by what was flown towards the last carrot; whether the end had been reached before."""
+        _, _, carrot = self._ahead(self.lookahead_m + self.error_m)
+        goal, flown = carrot - self._at, place - self._at
+        distance = float(np.linalg.norm(goal))
+        if distance == 0.0:
+            self.goal_distance_m = self.error_m = 0.0
+        else:
+            direction = goal / distance
+            self.goal_distance_m = float(flown @ direction)
+            if self.adaptive:
+                aside = flown - direction * self.goal_distance_m
+                self.error_m = float(np.linalg.norm(aside)) * self.adaptive
+        if self.goal_distance_m >= 0:
+            self.segment, self.offset_m, self._at = self._ahead(self.goal_distance_m)
+        return distance == 0.0
+
+    def _ahead(self, distance_m: float) -> tuple[int, float, Array]:
+        """The place on the path so far ahead of the vehicle: segment, offset and NED; at most the end."""
+        segment, offset = self.segment, self.offset_m
+        while segment < len(self._lengths):
+            length = float(self._lengths[segment])
+            if length > 0 and length >= distance_m + offset:
+                return segment, distance_m + offset, self._place(segment, distance_m + offset)
+            distance_m -= length - offset
+            offset = 0.0
+            segment += 1
+        return segment, 0.0, self.points[-1]
+
+    def _place(self, segment: int, offset_m: float) -> Array:
+        if segment == len(self._lengths) or self._lengths[segment] == 0:
+            return self.points[segment]
+        along = (self.points[segment + 1] - self.points[segment]) / self._lengths[segment]
+        return np.asarray(self.points[segment] + along * offset_m)
+
+    def _towards(self, carrot: Array, now: Kinematics) -> Goal:
+        """The velocity that leads to the carrot; none within the accuracy, no climb or descent for half a metre."""
+        way = carrot - np.array(now.position_m)
+        distance = float(np.linalg.norm(way))
+        yaw = facing(
+            tuple(way.tolist()), bool(self.forward_only), Yaw(self.yaw_value, bool(self.yaw_is_rate))
+        )
+        if distance < ACCURACY_M:
+            velocity = np.zeros(3)
+        else:
+            velocity = way / distance * min(self._speed(), distance / COMMAND_PERIOD_S)
+        vx, vy, vz = velocity.tolist()
+        return goals.velocity((vx, vy, 0.0 if abs(way[2]) <= ACCURACY_M else vz), yaw)
+
+    def _speed(self) -> float:
+        """What was asked for; beyond the end a fast vehicle turns back slowly."""
+        beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
+        return BRAKING_M_S if beyond else self.velocity_m_s

@@ -1,0 +1,170 @@
+"""Who flies one vehicle: its command, if one runs, the log of them, API control and the sticks.
+
+The latest command wins, at once: the one that ran ends with False. Without API control a command takes its time and
+has no effect (OffboardApi.hpp).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim.flight.goal import Goal
+from uavaccel.sim.flight.manual import IDLE, STICKS, VALID, MoveByManual, Sticks, stick_goal
+from uavaccel.sim.flight.saved_task import state_of, task_of
+from uavaccel.sim.flight.task import Task
+from uavaccel.sim.recording import CommandLog
+from uavaccel.sim.running import DeferredReply
+from uavaccel.sim.saved import State, number_or_none, optional
+from uavaccel.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from uavaccel.sim.simulation import Simulation
+    from uavaccel.sim.vehicle import Vehicle
+
+OTHERS_LOG_LENGTH = 64  # nobody asks for it
+LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
+
+
+@dataclass
+class Command:
+    """What runs: up to `end_tick`, or, where it has a task, with the task's next turn at that tick."""
+
+    end_tick: int
+    reply: DeferredReply
+    task: Task | None = None
+    begin_tick: int = 0
+    goal_tick: int = 0  # at which the task has last set a goal
+
+
+class Pilot:
+    """The commands of one vehicle of a simulation."""
+
+    def __init__(self, simulation: Simulation, vehicle: Vehicle) -> None:
+        self._simulation, self.vehicle = simulation, vehicle
+        self._profile = simulation.profile
+        self._leads = vehicle is simulation.world.lead
+        self.api_control = False
+        vehicle.restore_gains()  # the world may have been another simulation's
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Nothing has been commanded yet."""
+        self.command: Command | None = None
+        self.log = CommandLog(None if self._leads else OTHERS_LOG_LENGTH)
+        self.sticks: Sticks = np.zeros(STICKS)
+
+    def fly(self, goal: Goal, ticks: int, wall_ns: int) -> DeferredReply:
+        """Fly towards one goal for so many ticks."""
+        tick = self._accept(ticks, wall_ns)
+        if self.api_control:
+            self._set(goal)
+        self.command = Command(tick + ticks, DeferredReply())
+        return self.command.reply
+
+    def start(self, task: Task, wall_ns: int) -> DeferredReply:
+        """Let a task choose the goals; its first turn is now, and may already be the last."""
+        tick = self._accept(LONGEST_TICKS, wall_ns)
+        command = self.command = Command(tick, DeferredReply(), task, tick, tick)
+        self.turn(wall_ns)
+        return command.reply
+
+    def _accept(self, ticks: int, wall_ns: int) -> int:
+        self.end(False, wall_ns)
+        tick = self.vehicle.tick
+        self._simulation.begin_recording(self)
+        self.log.accept(tick, tick + ticks)
+        self._simulation.note("accept", wall_ns)
+        return tick
+
+    def turn(self, wall_ns: int) -> None:
+        """What is due at this tick: the command's end, or its task's next turn."""
+        command, tick = self.command, self.vehicle.tick
+        assert command is not None, "asked only at a command's tick"
+        if command.task is None or self._simulation.failure is not None:
+            self.end(self._simulation.failure is None, wall_ns)
+            return
+        elapsed_s = (tick - command.begin_tick) * self._profile.tick_ns / NS_PER_S
+        goal, result = command.task.turn(self.kinematics(), elapsed_s)
+        if goal is not None:
+            command.goal_tick = tick
+            if self.api_control:
+                self._set(goal)
+        if result is not None:
+            self.end(result, wall_ns)
+        else:
+            command.end_tick = tick + self._profile.loop_ticks
+
+    def kinematics(self) -> Kinematics:
+        """The vehicle's state at the present tick, stamped with the simulation's time."""
+        return self.vehicle.kinematics(self._simulation.time0_ns)
+
+    def _set(self, goal: Goal) -> None:
+        self.vehicle.set_goal(goal)
+        self.vehicle.hold_from(None)
+
+    def cancel(self, wall_ns: int) -> None:
+        """End the running command, if any, with False; position hold follows after the goal timeout."""
+        self.end(False, wall_ns)
+
+    def end(self, completed: bool, wall_ns: int) -> None:
+        """End the running command, if any, with this result."""
+        if self.command is None:
+            return
+        command, self.command = self.command, None
+        if not completed or command.task is not None:
+            self.log.cut_short(self.vehicle.tick)
+        if self.api_control:
+            self.vehicle.hold_from(self._last_goal(command) + self._profile.hover_after_ticks)
+        self._simulation.note("end", wall_ns)
+        command.reply.resolve(completed, wall_ns)
+
+    def _last_goal(self, command: Command) -> int:
+        if command.task is not None:
+            return command.goal_tick
+        return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
+
+    def arm(self, armed: bool) -> bool:
+        """Switch the rotors on or off; whether that was granted (OffboardApi::arm, disarm).
+
+        It needs API control. Arming leaves a vehicle idle that was not armed, and another as it is.
+        """
+        state = self.vehicle.state
+        was_armed = bool(state["armed"])
+        if not self.api_control or not (armed or was_armed):
+            return False
+        if armed and not was_armed:
+            self.vehicle.set_goal(IDLE)
+        state["armed"] = int(armed)
+        return True
+
+    def move_sticks(self, sticks: Sticks) -> None:
+        """Take the remote control's sticks; they fly the vehicle as long as no program has control."""
+        self.sticks = sticks
+        if self.command is not None and isinstance(self.command.task, MoveByManual):
+            self.command.task.sticks = sticks
+        if sticks[VALID] and not self.api_control:
+            self._set(stick_goal(sticks))
+
+    def get_state(self) -> State:
+        """The command that runs, without the reply that somebody may wait for."""
+        command = self.command
+        state: State = {"command_end_tick": optional(command.end_tick if command else None)}
+        state["sticks"] = self.sticks
+        if command is not None and command.task is not None:
+            state |= state_of(command.task)
+            state |= {"begin_tick": command.begin_tick, "goal_tick": command.goal_tick}
+        return state
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave, for a reply that nobody waits for."""
+        end_tick = number_or_none(state["command_end_tick"])
+        self.sticks = np.array(state["sticks"], float)
+        self.command = None
+        if end_tick is not None:
+            begin, last = int(state.get("begin_tick", 0)), int(state.get("goal_tick", 0))
+            self.command = Command(end_tick, DeferredReply(), task_of(state), begin, last)

@@ -1,0 +1,324 @@
+"""One quadrotor of a world: its part of MuJoCo's arrays, its flight's record, and what it touches.
+
+Its poses and goals are in its own frame: NED, in metres from `origin_m`, a place of the world (NedTransform.cpp).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim import autopilot, hotloop
+from uavaccel.sim.flight.goal import Goal
+from uavaccel.sim.flight.manual import IDLE
+from uavaccel.sim.profile import Profile
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
+from uavaccel.sim.samples import Samples
+from uavaccel.sim.saved import State, into_record, of_record, part, under
+from uavaccel.sim.touch import Touches
+from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
+
+AT_REST_M_S = 0.05
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+HERE = (0.0, 0.0, 0.0)
+BODY, SENSOR = "quadrotor", "collision"
+GAINS = (
+    *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
+    *("full_pid", "integral_gain", "derivative_gain"),
+)
+PID_LEVEL = {
+    "position": autopilot.POSITION_LEVEL,
+    "velocity": autopilot.VELOCITY_LEVEL,
+    "angle": autopilot.ANGLE_LEVEL,
+}
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a vehicle begins, NED in the world: in a settled hover, or where `idle` with its rotors idling."""
+
+    position_m: Vector
+    orientation_wxyz: Quaternion = LEVEL
+    idle: bool = False
+
+
+class Newcomer(NamedTuple):
+    """A vehicle that is to be added; `origin_m` is where its own frame begins, NED in the world."""
+
+    name: str
+    start: Start
+    origin_m: Vector = HERE
+
+
+class Vehicle:
+    """A quadrotor flown by SimpleFlight's cascade. `prefix` is that of its names in the MJCF model."""
+
+    def __init__(
+        self,
+        name: str,
+        profile: Profile,
+        start: Start,
+        samples: Samples,
+        prefix: str = "",
+        origin_m: Vector = HERE,
+        contacts_act: bool = True,
+    ) -> None:
+        self.name, self.profile, self.start, self.prefix = name, profile, start, prefix
+        self.origin_m = origin_m
+        self._samples, self._contacts_act = samples, contacts_act
+        self._flight = np.zeros(1, FLIGHT_DTYPE)
+        # views of the records' fields, which numpy finds again only slowly
+        self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
+        self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
+        self._parameters: NDArray[np.void] | None = None
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
+        """Fly in this model, the one before being gone; `name_of` names what a geom belongs to."""
+        body = model.body(self.prefix + BODY)
+        if self._parameters is None:
+            inertia, ticks = model.body_inertia[body.id], self.profile.hover_after_ticks
+            mass = model.body_mass[body.id]
+            self._parameters = parameters(self.profile.tick_s, ticks, mass, inertia, self._contacts_act)
+            self._default_gains = {name: self._parameters[name].copy() for name in GAINS}
+        joint = model.joint(int(model.body_jntadr[body.id]))
+        place, motion = int(joint.qposadr[0]), int(joint.dofadr[0])
+        sensor = int(model.sensor(self.prefix + SENSOR).adr[0])
+        self.body_id = int(body.id)
+        self.qpos = data.qpos[place : place + 7]
+        self.qvel = data.qvel[motion : motion + 6]
+        self._force = data.qfrc_applied[motion : motion + 6]
+        self._push = data.qfrc_constraint[motion : motion + 6]
+        self._warm_start = data.qacc_warmstart[motion : motion + 6]
+        self._contact = data.sensordata[sensor : sensor + 1]
+        self.touches = Touches(data, self.body_id, model, name_of)
+        self.handles = self._addresses(model, data)
+        self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
+
+    def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
+        """What the hot loop works on, in the order of hotloop.views."""
+        return self._pointing(model, data, (self.qpos, self.qvel, self._force, self._contact, self._push))
+
+    def addresses_alone_in(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
+        """The same for a model that holds nothing but this vehicle."""
+        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
+        return self._pointing(model, data, arrays)
+
+    def _pointing(
+        self, model: mujoco.MjModel, data: mujoco.MjData, arrays: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.int64]:
+        records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
+        own = [array.ctypes.data for array in (*arrays, *records)]  # type: ignore[union-attr]
+        fixed = [hotloop.mj_step_address(), model._address, data._address]
+        return np.array([*fixed, *own, len(self._samples.buffer)], np.int64)
+
+    # --- state ------------------------------------------------------------------------------------
+
+    @property
+    def parameters(self) -> Record:
+        """The quadrotor's and the autopilot's parameters (quadrotor.PARAMETERS_DTYPE)."""
+        assert self._parameters is not None, "bound before anything else"
+        return self._parameters[0]
+
+    @property
+    def state(self) -> Record:
+        """The flight's state (quadrotor.FLIGHT_DTYPE), its places in the world's frame."""
+        return self._flight[0]
+
+    @property
+    def field(self) -> dict[str, NDArray[Any]]:
+        """The state's fields, (1, ...) each, to be changed in place."""
+        return self._field
+
+    @property
+    def tick(self) -> int:
+        return int(self._field["tick"][0])
+
+    @property
+    def collision_tick(self) -> int | None:
+        """Tick of the first touch since the last reset."""
+        tick = int(self._field["collision_tick"][0])
+        return None if tick == NEVER else tick
+
+    @property
+    def place_m(self) -> Vector:
+        """Where MuJoCo has it, NED in the world."""
+        x, y, z = mujoco_to_ned(self.qpos[:3]).tolist()
+        return x, y, z
+
+    @property
+    def landed(self) -> bool:
+        """Whether the vehicle rests on, or against, something."""
+        state = self.state
+        return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+
+    def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
+        """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
+        n = tuple(self._kinematics.tolist())
+        time_ns = origin_ns + self.tick * self.profile.tick_ns
+        place_m = n[0:3] if in_world else self.local(n[0:3])
+        return Kinematics(time_ns, place_m, n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
+
+    def local(self, place_m: Vector) -> Vector:
+        """A place of the world in the vehicle's own frame."""
+        if self.origin_m is HERE:
+            return place_m
+        x, y, z = (a - b for a, b in zip(place_m, self.origin_m, strict=True))
+        return x, y, z
+
+    def in_world(self, place_m: Vector) -> Vector:
+        """The inverse of `local`."""
+        if self.origin_m is HERE:
+            return place_m
+        x, y, z = (a + b for a, b in zip(place_m, self.origin_m, strict=True))
+        return x, y, z
+
+    # --- goals ------------------------------------------------------------------------------------
+
+    def set_goal(self, goal: Goal) -> None:
+        """Set what the autopilot is to reach from the next tick on."""
+        field, values = self._field, goal.values
+        if self.origin_m is not HERE:
+            held = (goal.xy_mode, goal.xy_mode, goal.z_mode)
+            places = [
+                value + origin * (mode == autopilot.POSITION)
+                for value, origin, mode in zip(values, self.origin_m, held, strict=False)
+            ]
+            values = (places[0], places[1], places[2], values[3])
+        field["goal"][0] = values
+        field["xy_mode"][0], field["z_mode"][0] = goal.xy_mode, goal.z_mode
+        field["yaw_mode"][0] = goal.yaw_mode
+
+    def hold_from(self, tick: int | None) -> None:
+        """Position hold sets in at `tick`; None: not at all."""
+        self._field["hover_tick"][0] = NEVER if tick is None else tick
+
+    def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
+        """A level of the cascade, "position", "velocity", "angle" or "rate": gains of its three axes.
+
+        The controllers start anew (Params::gains_changed). AirSim's rate controllers take kp alone.
+        """
+        parameters = self.parameters
+        parameters[f"{level}_gain"] = kp
+        if level in PID_LEVEL:
+            slots = slice(3 * PID_LEVEL[level], 3 * PID_LEVEL[level] + 3)
+            parameters["integral_gain"][slots], parameters["derivative_gain"][slots] = ki, kd
+        if level == "velocity":  # its vertical integrator leaks, and is one of its own
+            parameters["z_integral_gain"], parameters["integral_gain"][slots.stop - 1] = ki[2], 0.0
+        parameters["full_pid"] = parameters["integral_gain"].any() or parameters["derivative_gain"].any()
+        self._field["z_integral_mode"][0] = self._field["pid_mode"][0] = autopilot.UNSET
+
+    def restore_gains(self) -> None:
+        """Params.hpp's gains."""
+        for name, gains in self._default_gains.items():
+            self.parameters[name] = gains[0]
+
+    # --- places -----------------------------------------------------------------------------------
+
+    def begin(self, start: Start) -> None:
+        """Tick 0, at rest: in a settled position hold, or idle."""
+        wind = self.state["wind"].copy()
+        for name in FLIGHT_DTYPE.names or ():
+            self.state[name] = 0
+        self.state["wind"] = wind
+        self.state["armed"] = 1
+        self.state["hover_tick"] = NEVER
+        self.state["pid_mode"] = autopilot.UNSET
+        self.put(start.position_m, start.orientation_wxyz)
+        self.forget_touches()
+        if start.idle:
+            self.set_goal(IDLE)
+            for name in ("rotor_input", "rotor_lagged", "rotor_output"):
+                self.state[name] = autopilot.IDLE_THROTTLE
+            self.state["z_integral_mode"] = autopilot.UNSET
+        else:
+            assert self._parameters is not None
+            autopilot.settle(self._parameters, self._flight)
+        self.look()
+
+    def forget_touches(self) -> None:
+        """Nothing has been touched."""
+        self.state["collision_tick"] = NEVER
+        self.state["contacts"] = self.state["contacts_changed"] = 0
+        self.touches.clear()
+
+    def put(
+        self,
+        position_m: Vector,
+        orientation_wxyz: Quaternion,
+        velocity_m_s: Vector = HERE,
+        rate: Vector = HERE,
+    ) -> None:
+        """Write a state into MuJoCo's: NED in the world, rad/s in the body's frame."""
+        self.set_pose(position_m, orientation_wxyz)
+        self.qvel[:3], self.qvel[3:] = ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate)
+        self._force[:] = self._warm_start[:] = 0.0
+        self.look()
+
+    def set_pose(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
+        """MuJoCo's pose alone."""
+        self.qpos[:3] = ned_to_mujoco(position_m)
+        self.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
+
+    def move(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
+        """Somewhere else, as fast as it is: what it touches there is a new touch."""
+        self.set_pose(position_m, orientation_wxyz)
+        self._warm_start[:] = 0.0
+        self.state["contacts"] = self.state["contacts_changed"] = 0
+        self.touches.leave()
+        self.look()
+
+    def set_velocity(self, velocity_m_s: Vector, rate_rad_s: Vector) -> None:
+        """NED m/s and body rad/s at this tick: MuJoCo's own are those of half a tick before (hotloop)."""
+        goal = np.concatenate([ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate_rad_s)])
+        self.qvel[:] = goal
+        for _ in range(3):  # drag depends on the velocity, a little
+            self.look()
+            state, half = self.state, 0.5 * self.profile.tick_s
+            gained = [ned_to_mujoco(state[name]) for name in ("acceleration", "angular_acceleration")]
+            self.qvel[:] = goal - half * np.concatenate(gained)
+        self.look()
+
+    def carry(self) -> dict[str, Any]:
+        """What of the flight is in the model, to be taken over into the next."""
+        arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
+        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.touches.get_state()}
+
+    def take_over(self, carried: Mapping[str, Any]) -> None:
+        """The inverse of `carry`; what stands still keeps its geoms' numbers where vehicles are added behind it."""
+        for name in ("qpos", "qvel", "_force", "_push"):
+            getattr(self, name)[:] = carried[name]
+        self.touches.set_state(carried["touches"])
+
+    def look(self) -> None:
+        """Read MuJoCo's pose and velocity, after they were changed from outside."""
+        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+
+    def fly(self, ticks: int) -> int:
+        """hotloop's `fly`, for a vehicle that is alone in its world."""
+        return int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks))
+
+    def stand_still(self, ticks: int) -> int:
+        """Let ticks pass."""
+        return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def get_state(self) -> State:
+        """Its record, its touches, its gains; the pose is MuJoCo's."""
+        state = under("flight", of_record(self._flight)) | under("touches", self.touches.get_state())
+        return state | under("gains", {name: self.parameters[name].copy() for name in GAINS})
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Back to what `get_state` gave."""
+        into_record(self._flight, part("flight", state))
+        self.touches.set_state(part("touches", state))
+        for name, gains in part("gains", state).items():
+            self.parameters[name] = gains

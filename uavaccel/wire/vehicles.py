@@ -1,0 +1,59 @@
+"""The vehicles that settings.json asks for, put into a simulation.
+
+Source: AirSim v1.8.1, SimModeBase.cpp (createVehiclePawn, setupVehiclesAndCamera), PawnSimApi.cpp: places are NED
+metres from the player's start, and each vehicle's own frame begins where it does.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uavaccel.errors import UserError
+from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import HERE, Newcomer, Start
+from uavaccel.sim.world import START_M
+from uavaccel.wire.settings import Settings, Vehicle
+
+STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
+
+
+def populate(simulation: Simulation, settings: Settings) -> None:
+    """Name and place the leading vehicle, and add the others. Raises UserError that names it.
+
+    A vehicle without X, Y and Z hovers 10 m up, ready to be flown; one with them starts there, idle, as in AirSim.
+    """
+    world = simulation.world
+    world.lead.name, world.still = settings.vehicle, settings.flightless
+    there = [vehicle.name for vehicle in world.vehicles]
+    newcomers, key = [], ""
+    try:
+        for name, vehicle in settings.created():
+            key = f".{name}"
+            start, origin_m = starting(vehicle)
+            world.check_place(start.position_m, start.orientation_wxyz)
+            if name == settings.vehicle and vehicle.placed:
+                world.lead.start, world.lead.origin_m = start, origin_m
+                simulation.reset(simulation.wall_ns)
+            elif name not in there:
+                newcomers.append(Newcomer(name, start, origin_m))
+        key = ""
+        if newcomers:
+            simulation.add_vehicles(newcomers)
+    except UserError as error:
+        raise UserError(f"Vehicles{key}: {error}") from None
+
+
+def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
+    """Where a vehicle begins in the world, and the origin of its frame."""
+    if not vehicle.placed:
+        return Start(START_M), HERE
+    place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
+    return standing(place, math.radians(vehicle.yaw or 0.0))
+
+
+def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:
+    """Level and idle at a place that is NED from the player's start; the origin of the vehicle's frame is there."""
+    origin = (place_m[0], place_m[1], place_m[2] + STANDING_M)
+    heading: Quaternion = (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
+    return Start(origin, heading, idle=True), origin
