@@ -5,7 +5,7 @@ Request [0, id, method, params], response [1, id, error, result], notification [
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,8 +71,11 @@ def parse_request(message: list[Any]) -> RpcRequest:
     return RpcRequest(message_id, method, params)
 
 
-def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
-    return bytes(msgpack.packb([REQUEST, message_id, method, list(params)]))
+def pack_request(
+    message_id: int, method: str, params: Sequence[Any], default: Callable[[Any], Any] | None = None
+) -> bytes:
+    """A request's bytes; `default` gives what msgpack packs in place of a value that it does not know."""
+    return bytes(msgpack.packb([REQUEST, message_id, method, list(params)], default=default))
 
 
 def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
