@@ -18,6 +18,7 @@ from uavaccel.wire import rpc, types
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.refusals import Refusals
 from uavaccel.wire.settings import Settings
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
@@ -54,6 +55,7 @@ class Api:
         self._images = ImageApi(simulation, render)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
+        self.refusals = Refusals()
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
 
     def call(self, method: str, params: Sequence[Any], wall_ns: int) -> Any:
@@ -63,7 +65,15 @@ class Api:
         """
         entry = self.methods.get(method)
         if entry is None:
+            self.refusals.unknown(method)
             raise rpc.unknown_method(method, len(params))
+        try:
+            return self._call(entry, method, params, wall_ns)
+        except rpc.RpcError as error:
+            self.refusals.command(method, error.reason)
+            raise
+
+    def _call(self, entry: Method, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         if not entry.required <= len(params) <= entry.most:
             raise rpc.wrong_arity(method, entry.most, len(params))
         self._wall_ns = wall_ns

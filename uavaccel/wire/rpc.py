@@ -17,7 +17,11 @@ MAX_ITEMS = 1 << 14  # of an array: room is made for as many as it announces, at
 
 
 class RpcError(Exception):
-    """A call failed; the text is what the client gets."""
+    """A call failed; the text is what the client gets, `reason` what of it is not rpclib's phrase."""
+
+    def __init__(self, text: str, reason: str = "") -> None:
+        super().__init__(text)
+        self.reason = reason or text
 
 
 class ProtocolError(Exception):
@@ -97,5 +101,6 @@ def wrong_arity(method: str, expected: int, got: int) -> RpcError:
 def threw(method: str, count: int, message: str) -> RpcError:
     return RpcError(
         f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
-        f"The exception contained this information: {message}."
+        f"The exception contained this information: {message}.",
+        reason=message,
     )

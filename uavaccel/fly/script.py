@@ -1,0 +1,74 @@
+"""A script run as `python script.py` runs it: its name, arguments, folder and tracebacks."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType, TracebackType
+
+from uavaccel.errors import UserError
+
+
+def run_script(path: Path, arguments: tuple[str, ...]) -> int:
+    """Run the file as `__main__`; returns its exit status. What it raises is shown as its own traceback, status 1.
+
+    Raises UserError where it cannot be read, or is no Python.
+    """
+    code = compiled(path)
+    main = ModuleType("__main__")
+    main.__file__, main.__builtins__ = str(path), __builtins__  # type: ignore[attr-defined]
+    sys.modules["__main__"] = main
+    sys.argv[:] = [str(path), *arguments]
+    sys.path[0:1] = [str(path.absolute().parent)]
+    try:
+        exec(code, vars(main))
+    except SystemExit as end:
+        return _status_of(end)
+    except KeyboardInterrupt:
+        raise
+    except UserError:
+        raise
+    except Exception as error:
+        error.__traceback__ = _of_the_script(error.__traceback__, code.co_filename)
+        traceback.print_exception(error)
+        return 1
+    return 0
+
+
+def compiled(path: Path):  # type: ignore[no-untyped-def]
+    """The script's code. Raises UserError."""
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return compile(source, str(path), "exec")
+    except (SyntaxError, ValueError) as error:
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise UserError(f"{path}{line}: not Python: {error.args[0]}") from None
+
+
+def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
+    """The trace from the script's first frame on."""
+    first = trace
+    while first is not None and first.tb_frame.f_code.co_filename != file:
+        first = first.tb_next
+    return first or trace
+
+
+def _status_of(end: SystemExit) -> int:
+    if end.code is None or isinstance(end.code, int):
+        return end.code or 0
+    print(end.code, file=sys.stderr)
+    return 1
+
+
+def flush_output() -> None:
+    """Let nothing that the script printed come after what is printed about it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
