@@ -72,8 +72,8 @@ def fly(options: FlightOptions) -> int:
     wall_s = (clock.now_ns() - begun_ns) / NS_PER_S
     flight.end()
     trajectory.write(options.folder)
-    for line in api.refusals.lines():
-        print(f"uavaccel: {line}", file=sys.stderr)
+    if refused := api.refusals.lines():
+        print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
     summary = flight.summary() | {"status": status, "finished": finished, "wall_s": wall_s}
     (options.folder / SUMMARY).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
     return status

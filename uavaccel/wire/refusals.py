@@ -16,6 +16,8 @@ COMMANDS = (
     "move",
     "rotate",
 )  # how the names of asynchronous calls begin
+MOST = 200  # kinds that are told apart: names and texts come from clients
+LONGEST = 300  # characters of a text
 
 
 class Refusals:
@@ -29,19 +31,24 @@ class Refusals:
         """A call of a method that there is not."""
         self._add(method, "is not known here")
 
-    def command(self, method: str, error: str) -> None:
+    def command(self, method: str, reason: str) -> None:
         """An error; it counts if the method is a command, which is joined without a look at its error."""
         if method.startswith(COMMANDS):
-            self._add(method, f"was refused: {error}")
+            self._add(method, f"was refused: {reason}")
 
     def _add(self, method: str, reason: str) -> None:
-        self._count[method, reason] += 1
-        if self._count[method, reason] == 1:
-            self.tell(f"{method} {reason}")
+        key = printable(method), printable(reason)
+        if key not in self._count and len(self._count) >= MOST:
+            key = "other calls", "were refused"
+        self._count[key] += 1
+        if self._count[key] == 1:
+            self.tell(" ".join(key))
 
     def lines(self) -> list[str]:
         """What was refused, and how often, most often first."""
-        return [
-            f"{method} {reason} ({count} call{'s' if count > 1 else ''})"
-            for (method, reason), count in self._count.most_common()
-        ]
+        return [f"{count} x {method} {reason}" for (method, reason), count in self._count.most_common()]
+
+
+def printable(text: str) -> str:
+    """A client's text on one line, without what would steer a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST])
