@@ -10,7 +10,6 @@ from typing import Any
 
 import typer
 
-from uavaccel.cli.serve import clock_speed_of
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.process import DIFFERS
@@ -50,10 +49,8 @@ def fly_script(request: FlyRequest) -> None:
     _refuse_what_cannot_be(request)
     with tempfile.TemporaryDirectory(prefix="uavaccel-fly-") as scratch:
         folder = request.out or Path(scratch)
-        if len(request.clocks) > 1:
-            status = _fly_clocks(request, folder)
-        else:
-            status = _fly_one(request, folder, Path(scratch))
+        several = len(request.clocks) > 1
+        status = _fly_clocks(request, folder) if several else _fly_one(request, folder, Path(scratch))
     raise typer.Exit(status)
 
 

@@ -31,7 +31,7 @@ class MessageLog:
         self._expected = None if reference is None else _lines(reference / FILE_NAME)
         self.calls = 0
 
-    def call(self, wall_ns: int, time_ns: int, method: str, params: Sequence[Any]) -> int:
+    def call(self, wall_ns: int, time_ns: int | None, method: str, params: Sequence[Any]) -> int:
         """A call as it is handled, at wall and simulated time; returns its number."""
         self.calls += 1
         row = {"call": self.calls, "wall_ns": wall_ns, "time_ns": time_ns, "method": method}

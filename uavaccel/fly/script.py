@@ -6,17 +6,41 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import CodeType, ModuleType, TracebackType
+from typing import NamedTuple
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.units import NS_PER_S
 
 
-def run_script(path: Path, arguments: tuple[str, ...]) -> int:
-    """Run the file as `__main__`; returns its exit status. What it raises is shown as its own traceback, status 1.
+class Enough(BaseException):
+    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up."""
+
+
+class Outcome(NamedTuple):
+    """How a script ended: exit status, whether of itself, and the machine's wall time that it took."""
+
+    status: int
+    finished: bool
+    wall_s: float
+
+
+def run_script(path: Path, arguments: tuple[str, ...]) -> Outcome:
+    """Run the file as `__main__`. What it raises is shown as its own traceback, status 1.
 
     Raises UserError where it cannot be read, or is no Python.
     """
-    code = compiled(path)
+    code, clock = compiled(path), MonotonicClock()
+    begun_ns = clock.now_ns()
+    try:
+        status, finished = _run(code, path, arguments), True
+    except Enough:
+        status, finished = 0, False
+    return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
+
+
+def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
     main = ModuleType("__main__")
     main.__file__, main.__builtins__ = str(path), __builtins__  # type: ignore[attr-defined]
     sys.modules["__main__"] = main
@@ -26,8 +50,6 @@ def run_script(path: Path, arguments: tuple[str, ...]) -> int:
         exec(code, vars(main))
     except SystemExit as end:
         return _status_of(end)
-    except KeyboardInterrupt:
-        raise
     except UserError:
         raise
     except Exception as error:
@@ -37,7 +59,7 @@ def run_script(path: Path, arguments: tuple[str, ...]) -> int:
     return 0
 
 
-def compiled(path: Path):  # type: ignore[no-untyped-def]
+def compiled(path: Path) -> CodeType:
     """The script's code. Raises UserError."""
     try:
         source = path.read_bytes()

@@ -72,7 +72,7 @@ def supply_numpy() -> None:
         data = string.encode("latin1") if isinstance(string, str) else string
         return np.frombuffer(data, dtype, count).copy()
 
-    np.fromstring = fromstring
+    np.fromstring = fromstring  # type: ignore[assignment]
 
 
 def supply_windows(sleep: Callable[[float], None]) -> None:

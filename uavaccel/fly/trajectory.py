@@ -30,11 +30,15 @@ class Trajectory:
     def write(self, folder: Path) -> None:
         """time_ns (n,), position_m (n, 3) NED, orientation_wxyz (n, 4), velocity_m_s (n, 3); and the same as CSV."""
         rows = np.array(self._rows, np.float64).reshape(-1, 10)
-        time_ns = np.array(self._time_ns, np.int64)
-        arrays = {"time_ns": time_ns, "position_m": rows[:, :3], "orientation_wxyz": rows[:, 3:7]}
-        write_arrays(folder / FILE_NAME, arrays | {"velocity_m_s": rows[:, 7:]})
-        table = np.column_stack([time_ns / NS_PER_S, rows])
-        np.savetxt(folder / TABLE_NAME, table, "%.9g", ",", header=COLUMNS, comments="")
+        write_trajectory(folder, np.array(self._time_ns, np.int64), rows)
+
+
+def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+    """The files of a trajectory; `rows` (n, 10) are position, orientation wxyz and velocity."""
+    arrays = {"time_ns": time_ns, "position_m": rows[:, :3], "orientation_wxyz": rows[:, 3:7]}
+    write_arrays(folder / FILE_NAME, arrays | {"velocity_m_s": rows[:, 7:]})
+    table = np.column_stack([time_ns / NS_PER_S, rows])
+    np.savetxt(folder / TABLE_NAME, table, "%.9g", ",", header=COLUMNS, comments="")
 
 
 def largest_difference_m(folder: Path, reference: Path) -> float:

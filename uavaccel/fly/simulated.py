@@ -1,0 +1,199 @@
+"""A flight on a simulated wall clock: the script's connection, its time and its waits, in one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+
+from uavaccel.airsim.connection import Future, connect_with
+from uavaccel.clock import VirtualClock, datetime_module, time_module
+from uavaccel.errors import UserError
+from uavaccel.fly import shims
+from uavaccel.fly.film import filming
+from uavaccel.fly.messages import MessageLog
+from uavaccel.fly.modules import client_modules, importing
+from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.script import Enough, Outcome, run_script
+from uavaccel.fly.sent import as_sent
+from uavaccel.fly.trajectory import INTERVAL_NS, Trajectory
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.watched import WatchedWorld
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.api import Api
+from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig, shipped_latency
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.transport import Call, VirtualTransport
+
+EPOCH_NS = 1_767_225_600 * NS_PER_S  # what the script's clock shows at the start: 2026-01-01, 0:00 UTC
+READING_NS = 10_000  # what a look at the clock costs the script, so that a loop that waits for a time ends
+FREE_CALLS = 100  # without latencies, so many calls since the last wait are taken for granted;
+POLL_NS = 1_000_000  # each one more costs so much, so that a loop that waits for a state ends
+KEEP_NS = 10 * NS_PER_S  # between two looks at the recorder, whose buffer is bounded
+
+
+class SimulatedFlight:
+    """What a script lives in. The same script and options give the same messages and trajectory, byte for byte.
+
+    `options.until_s` bounds wall time times ClockSpeed: the call, sleep or look at the clock that reaches it raises
+    Enough.
+    """
+
+    def __init__(
+        self, options: FlightOptions, settings: Settings, clock_speed: float, log: MessageLog
+    ) -> None:
+        latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
+        self._options, self._log, self._clock = options, log, VirtualClock()
+        draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
+        self._world = WatchedWorld(
+            options.scene, settings.recorder_of(_profile(latency, options, clock_speed))
+        )
+        self._simulation = _simulation(self._world, clock_speed, latency, draws)
+        wind = settings.wind
+        self._world.state["wind"] = (wind.x, wind.y, wind.z)
+        self._api = Api(self._simulation, settings, recordings=options.folder / "recordings")
+        self._api.refusals.tell = _tell
+        self._transport = VirtualTransport(self._api, self._clock, draws)
+        self._trajectory = self._watched()
+        self._think_ns = round(options.think_s * NS_PER_S)
+        self._poll_ns = POLL_NS if latency is ZERO_LATENCY else 0
+        until_s = options.until_s
+        self._until_ns = None if until_s is None else round(until_s * NS_PER_S / clock_speed)
+        self._calls_since_wait = 0
+        self._thread = threading.get_ident()
+
+    def _watched(self) -> Trajectory:
+        """A trajectory that grows with the flight, from the start on."""
+        trajectory, simulation = Trajectory(), self._simulation
+        trajectory.add(simulation.kinematics())
+        tick_ns = simulation.profile.tick_ns
+        self._world.watch(INTERVAL_NS // tick_ns, lambda _: trajectory.add(simulation.kinematics()))
+        self._world.watch(KEEP_NS // tick_ns, lambda _: self._api.recorder.keep())
+        return trajectory
+
+    def run(self) -> Outcome:
+        """Run the script with our client, its clock and what its Python lacks. Raises UserError."""
+        shims.supply(self.sleep)
+        clocks = {
+            "time": time_module(self.epoch_now_ns, self.sleep),
+            "datetime": datetime_module(self.epoch_now_ns),
+        }
+        options = self._options
+        with contextlib.ExitStack() as stack:
+            if options.film:
+                stack.enter_context(filming(self._simulation, self._world, options.folder))
+            stack.enter_context(connect_with(lambda host, port, timeout_s: self))
+            stack.enter_context(importing(client_modules(), clocks))
+            outcome = run_script(options.script, options.arguments)
+            self._transport.catch_up()  # what the script still waited for
+            return outcome
+
+    def end(self) -> None:
+        """Write what was flown, and say what was refused."""
+        self._api.recorder.stop()
+        self._trajectory.write(self._options.folder)
+        if refused := self._api.refusals.lines():
+            print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
+
+    def summary(self) -> dict[str, Any]:
+        """How long, and where to: SI units, NED."""
+        return {
+            "simulated_s": self._simulation.time_ns / NS_PER_S,
+            "script_s": self._clock.now_ns() / NS_PER_S,
+            "position_m": list(self._simulation.kinematics().position_m),
+            "failure": self._simulation.failure,
+            "refused": self._api.refusals.lines(),
+        }
+
+    # --- the script's clock -----------------------------------------------------------------------
+
+    def epoch_now_ns(self) -> int:
+        """What the script reads."""
+        self._clock.charge(READING_NS)
+        self._stop_at_the_end()
+        return EPOCH_NS + self._clock.now_ns()
+
+    def sleep(self, seconds: float) -> None:
+        """The script waits so long; the simulation goes on. Raises ValueError below 0, as time.sleep does."""
+        self._check_thread()
+        if seconds < 0:
+            raise ValueError("sleep length must be non-negative")
+        self._calls_since_wait = 0
+        end_ns = self._clock.now_ns() + round(seconds * NS_PER_S)
+        self._clock.sleep_until(end_ns if self._until_ns is None else min(end_ns, self._until_ns))
+        self._transport.catch_up()
+        self._stop_at_the_end()
+
+    # --- a Connection of the client ---------------------------------------------------------------
+
+    def call(self, method: str, *params: Any) -> Any:
+        call, number = self._send(method, params, blocking=True)
+        self._wait(call, number)
+        return call.result()
+
+    def call_async(self, method: str, *params: Any) -> Future:
+        call, number = self._send(method, params, blocking=False)
+        return Future(method, lambda future: self._join(future, call, number))
+
+    def close(self) -> None:
+        pass
+
+    def _send(self, method: str, params: tuple[Any, ...], blocking: bool) -> tuple[Call, int]:
+        self._check_thread()
+        self._think()
+        sent = as_sent(params)
+        number = self._log.call(self._clock.now_ns(), self._simulation.time_ns, method, sent)
+        return self._transport.send(method, sent, blocking), number
+
+    def _think(self) -> None:
+        self._stop_at_the_end()
+        self._clock.charge(self._think_ns)
+        self._calls_since_wait += 1
+        if self._calls_since_wait > FREE_CALLS:
+            self._clock.charge(self._poll_ns)
+
+    def _join(self, future: Future, call: Call, number: int) -> None:
+        self._check_thread()
+        self._wait(call, number)
+        future.answer(call.error, call.value)  # refusals tell of an error already
+
+    def _wait(self, call: Call, number: int) -> None:
+        if call.deferred is not None:
+            self._calls_since_wait = 0
+        if not self._transport.wait(call, self._until_ns):
+            raise Enough
+        self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
+
+    def _stop_at_the_end(self) -> None:
+        if self._until_ns is not None and self._clock.now_ns() >= self._until_ns:
+            raise Enough
+
+    def _check_thread(self) -> None:
+        if threading.get_ident() != self._thread:
+            raise UserError(
+                "a second thread of the script calls; on a simulated clock one thread flies: --timing wall"
+            )
+
+
+def _profile(latency: LatencyConfig, options: FlightOptions, clock_speed: float) -> Any:
+    return latency.platform.profile(options.profile, clock_speed)
+
+
+def _simulation(
+    world: WatchedWorld, clock_speed: float, latency: LatencyConfig, draws: Latency
+) -> Simulation:
+    """A settled hover, the clock running and API control off, as a server has it."""
+    return Simulation(
+        world,
+        clock_speed,
+        timer_lateness_ns=draws.timer_ns,
+        executor=latency.platform.executor(),
+        frames=latency.platform.new_frames(draws.frame_ns),
+    )
+
+
+def _tell(line: str) -> None:
+    print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
