@@ -10,7 +10,8 @@ import selectors
 import socket
 import sys
 import threading
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 from uavaccel.clock import MonotonicClock, wait_for_sockets
@@ -104,6 +105,7 @@ class SocketConnection:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
+        self._close = weakref.finalize(self, _close, self._selector, self._socket)  # scripts close nothing
         self._decoder = rpc.Decoder(_MESSAGE_BYTES, _ITEMS)
         self._timeout_ns = round(timeout_s * NS_PER_S)
         self._clock = MonotonicClock()
@@ -122,8 +124,7 @@ class SocketConnection:
         return self._send(method, params, self._join)
 
     def close(self) -> None:
-        self._selector.close()
-        self._socket.close()
+        self._close()
 
     def _send(self, method: str, params: tuple[Any, ...], wait: Callable[[Future], None]) -> Future:
         future = Future(method, wait)
@@ -183,6 +184,11 @@ class SocketConnection:
         return f"{future.method}: no answer within {self._timeout_ns / NS_PER_S:g} s"
 
 
+def _close(selector: selectors.BaseSelector, connection: socket.socket) -> None:
+    selector.close()
+    connection.close()
+
+
 Connect = Callable[[str, int, float], Connection]
 _connect: Connect = SocketConnection
 
@@ -193,7 +199,7 @@ def connect(host: str, port: int, timeout_s: float) -> Connection:
 
 
 @contextlib.contextmanager
-def connect_with(other: Connect):  # type: ignore[no-untyped-def]
+def connect_with(other: Connect) -> Iterator[None]:
     """Let clients that are made in the `with` block connect otherwise than over TCP."""
     global _connect
     before, _connect = _connect, other

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.airsim.wire_type import MsgpackMixin
 
 FloatArray = NDArray[np.float32]
+Number = float | np.floating | np.integer
 
 
 @dataclass(repr=False)
@@ -43,11 +44,11 @@ class Vector3r(MsgpackMixin):
     def __sub__(self, other: Vector3r) -> Vector3r:
         return Vector3r(*(mine - its for mine, its in zip(self, other, strict=True)))
 
-    def __mul__(self, other: float) -> Vector3r:
+    def __mul__(self, other: Number) -> Vector3r:
         factor = _number(other, "*", self)
         return Vector3r(*(value * factor for value in self))
 
-    def __truediv__(self, other: float) -> Vector3r:
+    def __truediv__(self, other: Number) -> Vector3r:
         divisor = _number(other, "/", self)
         return Vector3r(*(value / divisor for value in self))
 
@@ -112,7 +113,7 @@ class Quaternionr(MsgpackMixin):
             w * d - x * a - y * b - z * c,
         )
 
-    def __truediv__(self, other: Quaternionr | float) -> Quaternionr:
+    def __truediv__(self, other: Quaternionr | Number) -> Quaternionr:
         if isinstance(other, Quaternionr):
             return self * other.inverse()
         divisor = _number(other, "/", self)

@@ -21,15 +21,20 @@ class MsgpackMixin:
     @classmethod
     def from_msgpack(cls, encoded: Mapping[str, Any]) -> Self:
         """The object of a map; fields that the type does not have are kept, missing ones have their defaults."""
-        self = cls()
-        nested: dict[str, type[MsgpackMixin]] = _nested(cls)  # type: ignore[arg-type]
+        self = cls.__new__(cls)
+        fields = vars(self)
+        nested: dict[str, type[MsgpackMixin] | None] = _fields(cls)  # type: ignore[arg-type]
         for key, value in encoded.items():
-            inner = nested.get(key) if isinstance(value, Mapping) else None
-            setattr(self, key, inner.from_msgpack(value) if inner else value)
+            inner = nested.get(key) if type(value) is dict else None
+            fields[key] = inner.from_msgpack(value) if inner else value
+        if not nested.keys() <= fields.keys():
+            self.__dict__ = vars(cls()) | fields
         return self
 
 
 @cache
-def _nested(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin]]:
-    """Fields that are objects of AirSim's types themselves."""
-    return {key: type(value) for key, value in vars(cls()).items() if isinstance(value, MsgpackMixin)}
+def _fields(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin] | None]:
+    """The fields of a type, and the types of those that are objects of AirSim's types themselves."""
+    return {
+        key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()
+    }

@@ -164,11 +164,12 @@ class SimulatedFlight:
         if call.deferred is not None:
             self._calls_since_wait = 0
         if not self._transport.wait(call, self._until_ns):
-            raise Enough
+            self._stop_at_the_end()
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 
     def _stop_at_the_end(self) -> None:
         if self._until_ns is not None and self._clock.now_ns() >= self._until_ns:
+            self._transport.catch_up()
             raise Enough
 
     def _check_thread(self) -> None:

@@ -121,9 +121,9 @@ class WallFlight:
 
 
 @contextmanager
-def serving(options: FlightOptions, clock_speed: float) -> Iterator[int]:
-    """A server for one flight, recording; gives its port. Raises UserError with its line if it does not start."""
-    command = [sys.executable, "-m", "uavaccel", "serve", "--port", "0", "--clock", f"{clock_speed:g}"]
+def serving(options: FlightOptions, clock_speed: float, port: int = 0) -> Iterator[int]:
+    """A server for one flight; gives its port, `port` or a free one. Raises UserError if it does not start."""
+    command = [sys.executable, "-m", "uavaccel", "serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
     command += ["--profile", options.profile, "--scene", options.scene]
     command += ["--recordings", str(options.folder / RECORDINGS)]
     if options.settings:

@@ -197,6 +197,7 @@ class Latency:
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
         self._drawn: dict[tuple[str, str], int] = {}
         self._wait_ns: int | None = None
+        self._never_fails = config.platform.faults == _NO_FAULTS
         self.stall_ns = round(config.platform.stall_us * 1e3)
 
     def waited(self, wait_ns: int) -> None:
@@ -225,7 +226,7 @@ class Latency:
     def _fault_ns(self, direction: str) -> int:
         """How long a fault of the connection holds up the next message of a direction."""
         faults, key = self._config.platform.faults, ("fault", direction)
-        if faults == _NO_FAULTS:
+        if self._never_fails:
             return 0
         if key not in self._streams:
             drawn = self._drawn.setdefault(key, 0)
