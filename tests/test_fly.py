@@ -242,6 +242,7 @@ def test_flights_that_differ_stop_at_the_first_message_that_does(
         client.enableApiControl(True)
         if reference is None:
             client.moveByVelocityAsync(speed, 0, 0, 1).join()
+            flight._log.close()
     with pytest.raises(
         DifferenceError, match=r"differ at call 2\n  first: .*1.0, 0, 0, 1.*\n  second: .*2.0, 0, 0, 1"
     ):
