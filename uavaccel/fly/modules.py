@@ -31,18 +31,22 @@ def client_modules() -> dict[str, ModuleType]:
         found[name] = airsim
         parts = {"client": client, "types": types, "utils": utils, "pfm": pfm}
         found |= {f"{name}.{part}": module for part, module in parts.items()}
-    return found | _msgpackrpc() | {"setup_path": _module("setup_path", SetupPath=type("SetupPath", (), {}))}
+    return (
+        found
+        | _msgpackrpc()
+        | {"setup_path": named_module("setup_path", SetupPath=type("SetupPath", (), {}))}
+    )
 
 
 def _msgpackrpc() -> dict[str, ModuleType]:
     """The errors that scripts catch."""
-    error = _module(
+    error = named_module(
         "msgpackrpc.error", RPCError=RpcError, TransportError=ConnectionError, TimeoutError=TimeoutError
     )
-    return {"msgpackrpc": _module("msgpackrpc", error=error), "msgpackrpc.error": error}
+    return {"msgpackrpc": named_module("msgpackrpc", error=error), "msgpackrpc.error": error}
 
 
-def _module(name: str, **attributes: Any) -> ModuleType:
+def named_module(name: str, **attributes: Any) -> ModuleType:
     module = ModuleType(name)
     vars(module).update(attributes)
     return module

@@ -16,6 +16,7 @@ from uavaccel.fly import shims
 from uavaccel.fly.film import filming
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
+from uavaccel.fly.old_gym import gym_modules
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.sent import as_sent
@@ -86,7 +87,7 @@ class SimulatedFlight:
             if options.film:
                 stack.enter_context(filming(self._simulation, self._world, options.folder))
             stack.enter_context(connect_with(lambda host, port, timeout_s: self))
-            stack.enter_context(importing(client_modules(), clocks))
+            stack.enter_context(importing(client_modules() | gym_modules(), clocks))
             outcome = run_script(options.script, options.arguments)
             self._transport.catch_up()  # what the script still waited for
             return outcome

@@ -24,6 +24,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.fly import shims
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
+from uavaccel.fly.old_gym import gym_modules
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.sent import as_sent
@@ -95,7 +96,7 @@ class WallFlight:
 
             with (
                 connect_with(connect),
-                importing(client_modules(), {}),
+                importing(client_modules() | gym_modules(), {}),
                 stopping_after(options.until_s, self._clock_speed),
             ):
                 return run_script(options.script, options.arguments)
