@@ -172,9 +172,9 @@ def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
     before = client.getMultirotorState().timestamp
     for _ in range(3):
         client.simPause(False)
-        flight.sleep(0.2)
+        flight.pass_time(0.2)
         client.simPause(True)
-        flight.sleep(0.7)
+        flight.pass_time(0.7)
     flown = client.getMultirotorState().timestamp - before
     assert flown == round(0.6 * clock_speed * NS_PER_S)
 
@@ -190,7 +190,7 @@ def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(
     flight_in: FlightMaker, tmp_path: Path
 ) -> None:
     flight = flight_in(tmp_path)
-    time = time_module(flight.epoch_now_ns, flight.sleep)
+    time = time_module(flight.epoch_now_ns, flight.pass_time)
     assert time.time_ns() == EPOCH_NS + READING_NS
     assert time.monotonic_ns() == EPOCH_NS + 2 * READING_NS
     time.sleep(90)
@@ -203,7 +203,7 @@ def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(
 def test_loops_that_poll_come_to_an_end(flight_in: FlightMaker, tmp_path: Path) -> None:
     """Without latencies a loop that waits for a time, or for a state, would never see it."""
     flight = flight_in(tmp_path)
-    client, time = client_of(flight), time_module(flight.epoch_now_ns, flight.sleep)
+    client, time = client_of(flight), time_module(flight.epoch_now_ns, flight.pass_time)
     start = time.perf_counter()
     while time.perf_counter() < start + 0.01:
         pass

@@ -17,7 +17,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import to_json
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.script import compiled, flush_output
+from uavaccel.fly.script import compiled, flush_output, unraisable
 from uavaccel.fly.simulated import SimulatedFlight
 from uavaccel.fly.wall import WallFlight
 from uavaccel.wire.settings import Settings, read_settings
@@ -28,6 +28,7 @@ SUMMARY = "flight.json"
 
 def main() -> None:
     options = FlightOptions.from_json(sys.argv[1])
+    sys.unraisablehook = unraisable
     try:
         status = fly(options)
     except DifferenceError as error:

@@ -7,7 +7,7 @@ import sys
 import traceback
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -15,7 +15,29 @@ from uavaccel.units import NS_PER_S
 
 
 class Enough(BaseException):
-    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up."""
+    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
+
+    Raised by every call from then on. A script that catches even this for ever ends its process.
+    """
+
+    MOST = 1000
+    raised = 0
+
+    def __init__(self) -> None:
+        Enough.raised += 1
+        if Enough.raised > self.MOST:
+            flush_output()
+            print(
+                "uavaccel: the script catches every exception and does not end; it is ended here",
+                file=sys.stderr,
+            )
+            os._exit(1)
+
+
+def unraisable(event: Any) -> None:
+    """sys.unraisablehook: an end that reaches a destructor is no news."""
+    if not isinstance(event.exc_value, Enough):
+        sys.__unraisablehook__(event)
 
 
 class Outcome(NamedTuple):

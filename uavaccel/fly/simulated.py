@@ -77,9 +77,9 @@ class SimulatedFlight:
 
     def run(self) -> Outcome:
         """Run the script with our client, its clock and what its Python lacks. Raises UserError."""
-        shims.supply(self.sleep)
+        shims.supply(self.pass_time)
         clocks = {
-            "time": time_module(self.epoch_now_ns, self.sleep),
+            "time": time_module(self.epoch_now_ns, self.pass_time),
             "datetime": datetime_module(self.epoch_now_ns),
         }
         options = self._options
@@ -117,7 +117,7 @@ class SimulatedFlight:
         self._stop_at_the_end()
         return EPOCH_NS + self._clock.now_ns()
 
-    def sleep(self, seconds: float) -> None:
+    def pass_time(self, seconds: float) -> None:
         """The script waits so long; the simulation goes on. Raises ValueError below 0, as time.sleep does."""
         self._check_thread()
         if seconds < 0:
