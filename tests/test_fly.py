@@ -22,6 +22,7 @@ from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.script import Enough, run_script
+from uavaccel.fly.sent import as_received
 from uavaccel.fly.simulated import EPOCH_NS, FREE_CALLS, READING_NS, SimulatedFlight
 from uavaccel.fly.trajectory import largest_difference_m
 from uavaccel.units import NS_PER_S
@@ -312,3 +313,9 @@ def test_flights_are_compared_at_equal_simulated_times(tmp_path: Path) -> None:
         rows[10:, 1] = shift
         write_trajectory(tmp_path / name, np.arange(samples) * 50_000_000, rows)
     assert largest_difference_m(tmp_path / "a", tmp_path / "b") == 3.0
+
+
+def test_answers_are_those_that_a_wire_carries() -> None:
+    response = {"image_data_float": np.array([[0.1, 2.0]]), "width": 2}
+    assert as_received([response]) == [{"image_data_float": [float(np.float32(0.1)), 2.0], "width": 2}]
+    assert as_received({"time_stamp": 3, "pose": {"x_val": 0.1}}) == {"time_stamp": 3, "pose": {"x_val": 0.1}}

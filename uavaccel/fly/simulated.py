@@ -19,7 +19,7 @@ from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.old_gym import gym_modules
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.script import Enough, Outcome, run_script
-from uavaccel.fly.sent import as_sent
+from uavaccel.fly.sent import as_received, as_sent
 from uavaccel.fly.trajectory import INTERVAL_NS, Trajectory
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.watched import WatchedWorld
@@ -166,6 +166,7 @@ class SimulatedFlight:
             self._calls_since_wait = 0
         if not self._transport.wait(call, self._until_ns):
             self._stop_at_the_end()
+        call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 
     def _stop_at_the_end(self) -> None:
