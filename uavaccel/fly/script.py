@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
 from typing import Any, NamedTuple
@@ -48,8 +49,8 @@ class Outcome(NamedTuple):
     wall_s: float
 
 
-def run_script(path: Path, arguments: tuple[str, ...]) -> Outcome:
-    """Run the file as `__main__`. What it raises is shown as its own traceback, status 1.
+def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> Outcome:
+    """Run the file as `__main__`, and `outlive` what it has started. What it raises is shown as its own traceback.
 
     Raises UserError where it cannot be read, or is no Python.
     """
@@ -57,6 +58,7 @@ def run_script(path: Path, arguments: tuple[str, ...]) -> Outcome:
     begun_ns = clock.now_ns()
     try:
         status, finished = _run(code, path, arguments), True
+        outlive()
     except Enough:
         status, finished = 0, False
     return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)

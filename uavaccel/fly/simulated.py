@@ -1,10 +1,9 @@
-"""A flight on a simulated wall clock: the script's connection, its time and its waits, in one thread."""
+"""A flight on a simulated wall clock: the script's connection, its time and its waits, the waits of its threads."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-import threading
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,9 @@ from uavaccel.fly.old_gym import gym_modules
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.sent import as_received, as_sent
+from uavaccel.fly.threads import Thread, thread_modules
 from uavaccel.fly.trajectory import INTERVAL_NS, Trajectory
+from uavaccel.fly.turns import LOOK_NS, Turns
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.watched import WatchedWorld
 from uavaccel.units import NS_PER_S
@@ -29,7 +30,7 @@ from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig, shipped_
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.transport import Call, VirtualTransport
 
-EPOCH_NS = 1_767_225_600 * NS_PER_S  # what the script's clock shows at the start: 2026-01-01, 0:00 UTC
+EPOCH_NS = 1_577_836_800 * NS_PER_S  # what the script's clock shows at the start: 2020-01-01, 0:00 UTC
 READING_NS = 10_000  # what a look at the clock costs the script, so that a loop that waits for a time ends
 FREE_CALLS = 100  # without latencies, so many calls since the last wait are taken for granted;
 POLL_NS = 1_000_000  # each one more costs so much, so that a loop that waits for a state ends
@@ -64,7 +65,7 @@ class SimulatedFlight:
         until_s = options.until_s
         self._until_ns = None if until_s is None else round(until_s * NS_PER_S / clock_speed)
         self._calls_since_wait = 0
-        self._thread = threading.get_ident()
+        self._turns = Turns(self._clock)
 
     def _watched(self) -> Trajectory:
         """A trajectory that grows with the flight, from the start on."""
@@ -78,6 +79,7 @@ class SimulatedFlight:
     def run(self) -> Outcome:
         """Run the script with our client, its clock and what its Python lacks. Raises UserError."""
         shims.supply(self.pass_time)
+        threads, running = thread_modules(self._turns)
         clocks = {
             "time": time_module(self.epoch_now_ns, self.pass_time),
             "datetime": datetime_module(self.epoch_now_ns),
@@ -87,8 +89,8 @@ class SimulatedFlight:
             if options.film:
                 stack.enter_context(filming(self._simulation, self._world, options.folder))
             stack.enter_context(connect_with(lambda host, port, timeout_s: self))
-            stack.enter_context(importing(client_modules() | gym_modules(), clocks))
-            outcome = run_script(options.script, options.arguments)
+            stack.enter_context(importing(client_modules() | gym_modules(), clocks | threads))
+            outcome = run_script(options.script, options.arguments, lambda: self._outlive(running))
             self._transport.catch_up()  # what the script still waited for
             return outcome
 
@@ -124,7 +126,7 @@ class SimulatedFlight:
             raise ValueError("sleep length must be non-negative")
         self._calls_since_wait = 0
         end_ns = self._clock.now_ns() + round(seconds * NS_PER_S)
-        self._clock.sleep_until(end_ns if self._until_ns is None else min(end_ns, self._until_ns))
+        self._turns.wait_until(end_ns if self._until_ns is None else min(end_ns, self._until_ns))
         self._transport.catch_up()
         self._stop_at_the_end()
 
@@ -164,10 +166,28 @@ class SimulatedFlight:
     def _wait(self, call: Call, number: int) -> None:
         if call.deferred is not None:
             self._calls_since_wait = 0
-        if not self._transport.wait(call, self._until_ns):
+        while not self._transport.wait(call, self._earliest_ns()):
             self._stop_at_the_end()
+            self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
         call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
+
+    def _expected_ns(self, call: Call) -> int:
+        """When the answer is there, or may be due, or the flight ends."""
+        event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
+        if event_ns is None:
+            event_ns = self._simulation.next_event_wall_ns()
+        expected_ns = now_ns + LOOK_NS if event_ns is None else max(now_ns, event_ns)
+        return expected_ns if self._until_ns is None else min(expected_ns, self._until_ns)
+
+    def _earliest_ns(self) -> int | None:
+        """When the flight ends, or another thread goes on."""
+        times = [time for time in (self._until_ns, self._turns.earliest_ns()) if time is not None]
+        return min(times, default=None)
+
+    def _outlive(self, running: list[Thread]) -> None:
+        """The script's first thread is done; wait for the others, but for daemons."""
+        self._turns.until(lambda: all(thread.is_daemon for thread in running))
 
     def _stop_at_the_end(self) -> None:
         if self._until_ns is not None and self._clock.now_ns() >= self._until_ns:
@@ -175,9 +195,9 @@ class SimulatedFlight:
             raise Enough
 
     def _check_thread(self) -> None:
-        if threading.get_ident() != self._thread:
+        if not self._turns.is_mine():
             raise UserError(
-                "a second thread of the script calls; on a simulated clock one thread flies: --timing wall"
+                "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
             )
 
 
