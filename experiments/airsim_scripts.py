@@ -39,11 +39,11 @@ FLY_LIMIT_S = 300.0
 
 HEADER = """# AirSim's example scripts
 
-The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning, eventcamera_sim), unmodified
-and headless: under `uavaccel fly` in virtual time, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve` at
-ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of it was refused;
-and if what it is for has happened: the vehicle has flown, or images have come. Positions are metres NED.
-Made by `experiments/airsim_scripts.py`.
+The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning,
+eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking 1 ms before each call, and by
+the `airsim` 1.8.1 client over TCP against `uavaccel serve` at ClockSpeed 10. A script passes if it ends well, or flies
+on until it is stopped where it has no end; if no call of it was refused; and if what it is for has happened: the
+vehicle has flown, or images have come. Positions are metres NED. Made by `experiments/airsim_scripts.py`.
 """
 
 LIDARS = {
@@ -73,13 +73,14 @@ def camera(image_type: int, width: int, height: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a script is flown, and what has to happen: the vehicle flies, or images come."""
+    """How a script is flown, and what has to happen: the vehicle flies, or images come; `endless` ones are stopped."""
 
     script: str
     flies: bool = False
     images: bool = False
     arguments: tuple[str, ...] = ()
     until_s: float = FLY_LIMIT_S
+    endless: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     unfit: str = ""
     not_by_wire: str = ""
@@ -89,7 +90,7 @@ PLANS = (
     Plan("multirotor/add_drone.py", images=True),
     Plan("multirotor/arm.py"),
     Plan("multirotor/box.py", flies=True),
-    Plan("multirotor/clock_speed.py", flies=True, until_s=60),
+    Plan("multirotor/clock_speed.py", flies=True, until_s=60, endless=True),
     Plan("multirotor/disarm.py"),
     Plan(
         "multirotor/drone_lidar.py",
@@ -119,18 +120,19 @@ PLANS = (
         images=True,
         settings={"Vehicles": vehicles(Drone1={"X": 4, "Y": 0, "Z": -2}, Drone2={"X": 8, "Y": 0, "Z": -2})},
     ),
-    Plan("multirotor/navigate.py", flies=True, images=True, until_s=30),
-    Plan("multirotor/opencv_show.py", images=True, until_s=5),
+    Plan("multirotor/navigate.py", flies=True, images=True, until_s=30, endless=True),
+    Plan("multirotor/opencv_show.py", images=True, until_s=5, endless=True),
     Plan(
         "multirotor/orbit.py", flies=True, arguments=("--radius", "10", "--speed", "3", "--iterations", "1")
     ),
-    Plan("multirotor/path.py", flies=True),
+    Plan("multirotor/path.py", flies=True, until_s=600),
     Plan("multirotor/pause_continue_drone.py", flies=True),
     Plan("multirotor/point_cloud.py", images=True),
     Plan("multirotor/reset_test_drone.py"),
     Plan(
         "multirotor/sensorframe_lidar_pointcloud.py",
         until_s=5,
+        endless=True,
         settings={"Vehicles": vehicles(Drone1={"Sensors": LIDARS})},
     ),
     Plan("multirotor/set_fog.py", flies=True),
@@ -144,6 +146,7 @@ PLANS = (
     Plan(
         "multirotor/vehicleframe_lidar_pointcloud.py",
         until_s=5,
+        endless=True,
         settings={"Vehicles": vehicles(Drone1={"Sensors": LIDARS})},
     ),
     Plan("computer_vision/capture_ir_segmentation.py", unfit="needs the African environment's animals"),
@@ -151,7 +154,11 @@ PLANS = (
     Plan("computer_vision/cv_capture.py", images=True),
     Plan("computer_vision/cv_mode.py", images=True),
     Plan(
-        "computer_vision/cv_navigate.py", images=True, until_s=60, not_by_wire="SciPy 1.2's scipy.misc.imsave"
+        "computer_vision/cv_navigate.py",
+        images=True,
+        until_s=60,
+        endless=True,
+        not_by_wire="SciPy 1.2's scipy.misc.imsave",
     ),
     Plan(
         "computer_vision/external_camera.py",
@@ -160,7 +167,7 @@ PLANS = (
     ),
     Plan("computer_vision/fov_change.py", images=True),
     Plan("computer_vision/getpos.py"),
-    Plan("computer_vision/ground_truth.py", until_s=10),
+    Plan("computer_vision/ground_truth.py", until_s=10, endless=True),
     Plan("computer_vision/image_benchmarker.py", images=True, arguments=("--time", "3")),
     Plan("computer_vision/objects.py"),
     Plan("computer_vision/seg_palette.py"),
@@ -175,6 +182,7 @@ PLANS = (
         "eventcamera_sim/test_event_sim.py",
         images=True,
         until_s=2,
+        endless=True,
         not_by_wire="numba and pandas in that environment",
     ),
     Plan(
@@ -182,6 +190,7 @@ PLANS = (
         flies=True,
         images=True,
         until_s=120,
+        endless=True,
         not_by_wire="gym 0.21 and stable-baselines3 1",
     ),
     Plan("reinforcement_learning/dqn_car.py", unfit="drives a car"),
@@ -203,7 +212,17 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
     """Fly a script by `uavaccel fly`, and judge the flight by what it left."""
     out = scratch / "out"
     command = [sys.executable, "-m", "uavaccel", "fly", "--out", str(out), "--until", str(plan.until_s)]
-    command += ["--timing", timing, "--profile", profile, *settings_option(plan, scratch), "--seed", "0"]
+    command += [
+        "--timing",
+        timing,
+        "--profile",
+        profile,
+        *settings_option(plan, scratch),
+        "--seed",
+        "0",
+        "--think",
+        "0.001",
+    ]
     work = copied(folder, plan, scratch)
     done = run([*command, Path(plan.script).name, *plan.arguments], work, FLY_LIMIT_S)
     summary_file = out / "flight.json"
@@ -288,6 +307,8 @@ def judged(
         shown.append(f"flew {path_m:.1f} m, to " + " ".join(f"{value:.1f}" for value in position_m))
     if images >= 0 and plan.images:
         shown.append(f"{images} calls for images answered")
+    if end and not plan.endless:
+        return Result(False, ", ".join(["did not end", *shown]))
     happened = (not plan.flies or path_m >= FLOWN_M) and (not plan.images or images != 0)
     return Result(happened, ", ".join(shown) or "every call was answered")
 
