@@ -332,3 +332,15 @@ def test_answers_are_those_that_a_wire_carries() -> None:
     response = {"image_data_float": np.array([[0.1, 2.0]]), "width": 2}
     assert as_received([response]) == [{"image_data_float": [float(np.float32(0.1)), 2.0], "width": 2}]
     assert as_received({"time_stamp": 3, "pose": {"x_val": 0.1}}) == {"time_stamp": 3, "pose": {"x_val": 0.1}}
+
+
+def test_a_wait_without_an_end_is_worth_a_line(
+    flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = flight_in(tmp_path, until_s=5000.0)
+    client = client_of(flight)
+    client.enableApiControl(True)
+    with pytest.raises(Enough):
+        client.moveByVelocityAsync(0, 0, 0, 3e38).join()
+    line = "the script has waited 3600 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
+    assert capsys.readouterr().err.count(line) == 1

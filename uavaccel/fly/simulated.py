@@ -34,6 +34,7 @@ EPOCH_NS = 1_577_836_800 * NS_PER_S  # what the script's clock shows at the star
 READING_NS = 10_000  # what a look at the clock costs the script, so that a loop that waits for a time ends
 FREE_CALLS = 100  # without latencies, so many calls since the last wait are taken for granted;
 POLL_NS = 1_000_000  # each one more costs so much, so that a loop that waits for a state ends
+PATIENCE_NS = 3600 * NS_PER_S  # simulated time of a wait after which it is worth a line: AirSim's have no end
 KEEP_NS = 10 * NS_PER_S  # between two looks at the recorder, whose buffer is bounded
 
 
@@ -64,6 +65,7 @@ class SimulatedFlight:
         self._poll_ns = POLL_NS if latency is ZERO_LATENCY else 0
         until_s = options.until_s
         self._until_ns = None if until_s is None else round(until_s * NS_PER_S / clock_speed)
+        self._patience_ns = round(PATIENCE_NS / self._simulation.clock_speed)
         self._calls_since_wait = 0
         self._turns = Turns(self._clock)
 
@@ -166,9 +168,16 @@ class SimulatedFlight:
     def _wait(self, call: Call, number: int) -> None:
         if call.deferred is not None:
             self._calls_since_wait = 0
-        while not self._transport.wait(call, self._earliest_ns()):
+        patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
+        while not self._transport.wait(
+            call, earliest(patient_until_ns, self._until_ns, self._turns.earliest_ns())
+        ):
             self._stop_at_the_end()
-            self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
+            if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
+                patient_until_ns = None
+                self._say_that_it_waits(call.method)
+            else:
+                self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
         call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 
@@ -178,12 +187,15 @@ class SimulatedFlight:
         if event_ns is None:
             event_ns = self._simulation.next_event_wall_ns()
         expected_ns = now_ns + LOOK_NS if event_ns is None else max(now_ns, event_ns)
-        return expected_ns if self._until_ns is None else min(expected_ns, self._until_ns)
+        return earliest(expected_ns, self._until_ns) or now_ns
 
-    def _earliest_ns(self) -> int | None:
-        """When the flight ends, or another thread goes on."""
-        times = [time for time in (self._until_ns, self._turns.earliest_ns()) if time is not None]
-        return min(times, default=None)
+    def _say_that_it_waits(self, method: str) -> None:
+        position = " ".join(f"{metres:.1f}" for metres in self._simulation.kinematics().position_m)
+        touch = self._world.touches.latest
+        where = f"{position} m" + (f", last touched {touch.object}" if touch else "")
+        _tell(
+            f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {method}; the vehicle is at {where}"
+        )
 
     def _outlive(self, running: list[Thread]) -> None:
         """The script's first thread is done; wait for the others, but for daemons."""
@@ -199,6 +211,11 @@ class SimulatedFlight:
             raise UserError(
                 "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
             )
+
+
+def earliest(*times_ns: int | None) -> int | None:
+    """The first of the times that there are."""
+    return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
 
 
 def _profile(latency: LatencyConfig, options: FlightOptions, clock_speed: float) -> Any:
