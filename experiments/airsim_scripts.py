@@ -158,7 +158,7 @@ PLANS = (
         images=True,
         until_s=60,
         endless=True,
-        not_by_wire="SciPy 1.2's scipy.misc.imsave",
+        not_by_wire="needs SciPy 1.1",
     ),
     Plan(
         "computer_vision/external_camera.py",

@@ -64,7 +64,11 @@ def importing(everywhere: Mapping[str, ModuleType], in_scripts: Mapping[str, Mod
     ) -> ModuleType:
         if level == 0 and name in in_scripts and of_a_script(globals):
             return in_scripts[name]
-        return original(name, globals, locals, fromlist, level)
+        found = original(name, globals, locals, fromlist, level)
+        if level == 0 and name in everywhere and "." in name:  # nobody has put it into its package
+            package, _, part = name.rpartition(".")
+            setattr(sys.modules[package], part, everywhere[name])
+        return found
 
     builtins.__import__ = import_for
     try:

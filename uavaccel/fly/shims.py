@@ -10,12 +10,14 @@ import functools
 import os
 import warnings
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import cv2
 import numpy as np
 
 from uavaccel.airsim import utils
+from uavaccel.fly.modules import named_module
 
 OLD_NAMES = {  # of NumPy, gone since 1.24 and 2.0
     "bool": bool,
@@ -85,6 +87,23 @@ def supply_windows(sleep: Callable[[float], None]) -> None:
     for name in WINDOWS:
         setattr(cv2, name, lambda *arguments, **options: None)
     cv2.waitKey = cv2.waitKeyEx = wait_key
+
+
+def old_modules() -> dict[str, ModuleType]:
+    """scipy.misc, whose images went in SciPy 1.2."""
+    misc = named_module(
+        "scipy.misc", imsave=_save_image, imread=lambda name: cv2.imread(str(name))[..., ::-1]
+    )
+    return {"scipy.misc": misc}
+
+
+def _save_image(name: str, image: Any) -> None:
+    """Stretched to 0 to 255 where it is not of bytes, red first."""
+    pixels = np.asarray(image)
+    if pixels.dtype != np.uint8:
+        low, high = float(pixels.min()), float(pixels.max())
+        pixels = ((pixels - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
+    cv2.imwrite(str(name), pixels[..., ::-1] if pixels.ndim == 3 else pixels)
 
 
 def _no_input(prompt: object = "") -> str:

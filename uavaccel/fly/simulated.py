@@ -91,7 +91,9 @@ class SimulatedFlight:
             if options.film:
                 stack.enter_context(filming(self._simulation, self._world, options.folder))
             stack.enter_context(connect_with(lambda host, port, timeout_s: self))
-            stack.enter_context(importing(client_modules() | gym_modules(), clocks | threads))
+            stack.enter_context(
+                importing(client_modules() | gym_modules() | shims.old_modules(), clocks | threads)
+            )
             outcome = run_script(options.script, options.arguments, lambda: self._outlive(running))
             self._transport.catch_up()  # what the script still waited for
             return outcome

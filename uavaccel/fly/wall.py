@@ -96,7 +96,7 @@ class WallFlight:
 
             with (
                 connect_with(connect),
-                importing(client_modules() | gym_modules(), {}),
+                importing(client_modules() | gym_modules() | shims.old_modules(), {}),
                 stopping_after(options.until_s, self._clock_speed),
             ):
                 return run_script(options.script, options.arguments)
