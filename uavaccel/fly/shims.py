@@ -91,10 +91,15 @@ def supply_windows(sleep: Callable[[float], None]) -> None:
 
 def old_modules() -> dict[str, ModuleType]:
     """scipy.misc, whose images went in SciPy 1.2."""
-    misc = named_module(
-        "scipy.misc", imsave=_save_image, imread=lambda name: cv2.imread(str(name))[..., ::-1]
-    )
-    return {"scipy.misc": misc}
+    return {"scipy.misc": named_module("scipy.misc", imsave=_save_image, imread=_read_image)}
+
+
+def _read_image(name: str) -> Any:
+    """Red first. Raises FileNotFoundError where there is no image."""
+    pixels = cv2.imread(str(name))
+    if pixels is None:
+        raise FileNotFoundError(f"no image in {name}")
+    return pixels[..., ::-1]
 
 
 def _save_image(name: str, image: Any) -> None:
