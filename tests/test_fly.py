@@ -156,6 +156,7 @@ def test_a_scripts_exception_is_its_own_traceback(tmp_path: Path) -> None:
     (["--timing", "real", "none.py"], "--timing real: there are wall, virtual, lockstep", 2),
     (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
     (["--film", "tests/scenes.py"], "--film needs --out", 2),
+    (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
 ])  # fmt: skip
 def test_mistakes_are_one_line(
     arguments: list[str],
@@ -344,3 +345,19 @@ def test_a_wait_without_an_end_is_worth_a_line(
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
     line = "the script has waited 3600 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
     assert capsys.readouterr().err.count(line) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.slow
+def test_an_interrupted_flight_keeps_what_was_flown(tmp_path: Path) -> None:
+    path = script(tmp_path, """
+        import airsim, os, signal
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+        client.moveByVelocityAsync(1, 0, 0, 2).join()
+        os.kill(os.getpid(), signal.SIGINT)
+    """)  # fmt: skip
+    done = fly("--out", tmp_path / "out", path)
+    assert done.returncode == 130
+    assert done.stdout.startswith("interrupted; 2.00 simulated s")
+    assert np.load(tmp_path / "out" / "trajectory.npz")["time_ns"][-1] == 2_000_000_000

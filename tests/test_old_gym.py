@@ -49,7 +49,7 @@ def test_a_script_steps_through_the_old_interface(gym: ModuleType) -> None:
 
 
 def test_wrappers_of_a_script_are_old_too(gym: ModuleType) -> None:
-    class Doubled(gym.ObservationWrapper):  # type: ignore[misc,name-defined]
+    class Doubled(gym.ObservationWrapper):  # type: ignore[name-defined]
         def observation(self, observation: Any) -> Any:
             return 2 * observation
 

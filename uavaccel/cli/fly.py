@@ -68,6 +68,10 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
         )
     if request.out is not None and request.out.exists() and any(request.out.iterdir()):
         raise UserError(f"{request.out}: is there already; choose another --out")
+    if flight.timing == "wall" and (flight.film or flight.think_s):
+        raise UsageError(
+            "--film and --think need --timing virtual or lockstep: in wall time they would cost flight time"
+        )
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
 
@@ -119,12 +123,9 @@ def _say_how_it_went(flown: Flown) -> None:
     if flown.summary is None:
         return
     summary = flown.summary
-    north, east, down = summary["position_m"]
-    stopped = "" if summary["finished"] else "stopped by --until; "
-    print(
-        f"{stopped}{_speed_text(summary)}; {summary['calls']} calls; at {north:.2f} {east:.2f} {down:.2f} m",
-        flush=True,
-    )
+    stopped = "" if summary["finished"] else "interrupted; " if flown.status else "stopped by --until; "
+    place = "".join(f" {metres:.2f}" for metres in summary["position_m"] or ())
+    print(f"{stopped}{_speed_text(summary)}; {summary['calls']} calls; at{place} m", flush=True)
 
 
 def _speed_text(summary: dict[str, Any]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -41,11 +40,15 @@ def fly(options: FlightOptions, quiet: bool = False) -> Flown:
 
 
 def _wait(process: subprocess.Popen[bytes]) -> int:
-    while True:
+    """A terminal sends Ctrl-C to the script too, which ends, and keeps what it flew; a second one ends it at once."""
+    try:
+        return process.wait()
+    except KeyboardInterrupt:
         try:
             return process.wait()
-        except KeyboardInterrupt:  # the terminal has sent it to the script too
-            process.send_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            process.kill()
+            return process.wait()
 
 
 def check(options: FlightOptions, first: Path) -> Flown:

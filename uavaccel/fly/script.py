@@ -14,6 +14,8 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S
 
+INTERRUPTED = 130  # exit status
+
 
 class Enough(BaseException):
     """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
@@ -61,6 +63,8 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
         outlive()
     except Enough:
         status, finished = 0, False
+    except KeyboardInterrupt:
+        status, finished = INTERRUPTED, False
     return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
 
 

@@ -6,7 +6,6 @@ that starts or stops recordings itself cuts it short.
 
 from __future__ import annotations
 
-import math
 import signal
 import subprocess
 import sys
@@ -20,7 +19,7 @@ import numpy as np
 
 from uavaccel.airsim.connection import Future, SocketConnection, connect_with
 from uavaccel.clock import MonotonicClock
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UserError
 from uavaccel.fly import shims
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
@@ -81,10 +80,6 @@ class WallFlight:
     def run(self) -> Outcome:
         """Run the script against a server, at most for `until_s`. Raises UserError."""
         options = self._options
-        if options.film:
-            raise UsageError(
-                "--film needs --timing virtual or lockstep: in wall time it would cost flight time"
-            )
         clock = MonotonicClock()
         shims.supply(lambda seconds: clock.sleep_until(clock.now_ns() + round(seconds * NS_PER_S)))
         with serving(options, self._clock_speed) as port:
@@ -117,7 +112,7 @@ class WallFlight:
         times = self._time_ns / NS_PER_S
         return {
             "simulated_s": float(times[-1] - times[0]) if len(times) else 0.0,
-            "position_m": self._poses[-1, :3].tolist() if len(times) else [math.nan] * 3,
+            "position_m": self._poses[-1, :3].tolist() if len(times) else None,
         }
 
 
