@@ -177,7 +177,8 @@ class SimulatedFlight:
             self._stop_at_the_end()
             if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
                 patient_until_ns = None
-                self._say_that_it_waits(call.method)
+                if not self._simulation.paused:
+                    self._say_that_it_waits(call.method)
             else:
                 self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
         call.value = as_received(call.value)
