@@ -67,6 +67,7 @@ class SimulatedFlight:
         self._until_ns = None if until_s is None else round(until_s * NS_PER_S / clock_speed)
         self._patience_ns = round(PATIENCE_NS / self._simulation.clock_speed)
         self._calls_since_wait = 0
+        self._over = False
         self._turns = Turns(self._clock)
 
     def _watched(self) -> Trajectory:
@@ -99,7 +100,8 @@ class SimulatedFlight:
             return outcome
 
     def end(self) -> None:
-        """Write what was flown, and say what was refused."""
+        """Write what was flown, and say what was refused. Calls from then on, of destructors, raise Enough."""
+        self._over = True
         self._api.recorder.stop()
         self._trajectory.write(self._options.folder)
         if refused := self._api.refusals.lines():
@@ -156,6 +158,8 @@ class SimulatedFlight:
         return self._transport.send(method, sent, blocking), number
 
     def _think(self) -> None:
+        if self._over:
+            raise Enough
         self._stop_at_the_end()
         self._clock.charge(self._think_ns)
         self._calls_since_wait += 1
