@@ -17,6 +17,7 @@ from uavaccel.airsim import MultirotorClient
 from uavaccel.airsim.connection import connect_with
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
+from uavaccel.fly import simulated
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
@@ -336,14 +337,18 @@ def test_answers_are_those_that_a_wire_carries() -> None:
 
 
 def test_a_wait_without_an_end_is_worth_a_line(
-    flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flight_in: FlightMaker,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    flight = flight_in(tmp_path, until_s=5000.0)
+    monkeypatch.setattr(simulated, "PATIENCE_NS", 20 * NS_PER_S)
+    flight = flight_in(tmp_path, until_s=30.0)
     client = client_of(flight)
     client.enableApiControl(True)
     with pytest.raises(Enough):
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
-    line = "the script has waited 3600 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
+    line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
     assert capsys.readouterr().err.count(line) == 1
 
 
