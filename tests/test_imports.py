@@ -21,13 +21,15 @@ ROOMS: dict[str, set[str]] = {
     "commands": {"units", "kinematics", "errors", "clock"},  # these could drive a real AirSim
     "vision": GROUND,
     "metrics": GROUND,
+    "airsim": {"units", "errors", "clock", "wire"},
 }
-ROOMS["envs"] = set(ROOMS) - {"__init__"}
+ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim"}
 ROOMS["rl"] = ROOMS["envs"] | {"envs"}
 ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["bench"] = ROOMS["rl"]
 ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench"}
-ROOMS["cli"] = ROOMS["suites"] | {"suites", "__init__"}
+ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
+ROOMS["cli"] = ROOMS["suites"] | {"suites", "fly", "__init__"}
 ROOMS["__main__"] = {"cli"}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

@@ -50,6 +50,8 @@ def test_commands_run(line: str, tmp_path: Path) -> None:
     program, command, *options = line.split()
     assert program == "uavaccel"
     arguments = [sys.executable, "-m", program, command, *options]
+    [airsim_script] = [code for code in PYTHON if "import airsim" in code]
+    (tmp_path / "script.py").write_text(airsim_script)
     if command == "serve":
         serve_and_stop([*arguments, "--port", "0"])
     else:

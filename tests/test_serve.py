@@ -82,6 +82,24 @@ def test_a_signal_ends_it_in_one_line(kind: signal.Signals, tmp_path: Path) -> N
     assert len(recording.read_text().splitlines()) > 20  # closed with what had not been written yet
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_calls_that_nobody_knows_are_named_once_and_listed_at_the_end() -> None:
+    with serving() as process, MultirotorClient(port=port_of(process)) as client:
+        line_of(process)
+        for _ in range(3):
+            client.call_async("moveNowhere", 1).join()  # says nothing of its error, as AirSim's
+        client.call_async("moveByVelocity", "fast", 0, 0, 1, 0, {}).join()
+        client.call_async("move\x1b[2J\n").join()
+        assert line_of(process) == "warning: moveNowhere is not known here\n"
+        assert line_of(process) == "warning: moveByVelocity was refused: vx must be a number, not str\n"
+        assert line_of(process) == "warning: move?[2J? is not known here\n"
+        os.kill(process.pid, signal.SIGINT)
+        rest, _ = process.communicate(timeout=60)
+    lines = rest.splitlines()
+    assert lines[1] == "  3 x moveNowhere is not known here"
+    assert len(lines) == 4
+
+
 def test_settings_are_read_and_what_is_passed_over_is_named(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text('{"ClockSpeed": 3, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')

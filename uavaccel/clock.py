@@ -7,14 +7,15 @@ says how many ticks of simulated time are due at a wall time.
 from __future__ import annotations
 
 import ctypes
+import datetime
 import select
 import selectors
 import sys
 import time
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Any, Protocol, Self
 
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, ceil_div, exact
@@ -155,4 +156,63 @@ def timer_grain_ns(samples: int = 50) -> list[int]:
 
 def calendar_time() -> str:
     """Date and time of day in UTC, ISO 8601, for names and manifests; never for measuring."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None]) -> ModuleType:
+    """A stand-in for the module `time`, for programs that shall live on another clock.
+
+    `epoch_now_ns` is read for every clock of the module, in ns since 1970 in UTC; `sleep` waits so many seconds.
+    """
+    module = ModuleType("time", time.__doc__)
+    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+    for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        setattr(module, f"{name}_ns", lambda: epoch_now_ns())
+        setattr(module, name, lambda: epoch_now_ns() / NS_PER_S)
+
+    def seconds(given: float | None) -> float:
+        return epoch_now_ns() / NS_PER_S if given is None else given
+
+    def clock_gettime(clock: int) -> float:
+        return seconds(None)
+
+    vars(module).update(
+        sleep=sleep,
+        clock_gettime=clock_gettime,
+        clock_gettime_ns=lambda clock: epoch_now_ns(),
+        gmtime=lambda secs=None: time.gmtime(seconds(secs)),
+        localtime=lambda secs=None: time.localtime(seconds(secs)),
+        ctime=lambda secs=None: time.ctime(seconds(secs)),
+        asctime=lambda t=None: time.asctime(time.localtime(seconds(None)) if t is None else t),
+        strftime=lambda form, t=None: time.strftime(form, time.localtime(seconds(None)) if t is None else t),
+    )
+    return module
+
+
+def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
+    """A stand-in for the module `datetime` whose present is `epoch_now_ns`, in ns since 1970 in UTC."""
+
+    class Date(datetime.date):
+        @classmethod
+        def today(cls) -> Self:
+            return cls.fromtimestamp(epoch_now_ns() / NS_PER_S)
+
+    class DateTime(datetime.datetime):
+        @classmethod
+        def now(cls, tz: datetime.tzinfo | None = None) -> Self:
+            return cls.fromtimestamp(epoch_now_ns() / NS_PER_S, tz)
+
+        @classmethod
+        def today(cls) -> Self:
+            return cls.now()
+
+        @classmethod
+        def utcnow(cls) -> Self:
+            return cls.now(datetime.UTC).replace(tzinfo=None)
+
+    for own, original in ((Date, datetime.date), (DateTime, datetime.datetime)):
+        own.__name__, own.__qualname__, own.__module__ = original.__name__, original.__qualname__, "datetime"
+    module = ModuleType("datetime", datetime.__doc__)
+    vars(module).update({name: value for name, value in vars(datetime).items() if not name.startswith("__")})
+    vars(module).update(date=Date, datetime=DateTime)
+    return module

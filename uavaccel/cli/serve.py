@@ -50,6 +50,7 @@ def serve(options: ServeOptions) -> None:
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
+    api.refusals.tell = lambda line: say(f"warning: {line}")
     report = Report(server)
     with stopped_by_signals(server):
         greet(server, options, settings)
@@ -183,9 +184,11 @@ class Report:
             self._each_period()
 
     def finish(self) -> None:
-        """Close the recording; say in one line how fast it went."""
+        """Close the recording; say in one line how fast it went, and below it what was refused."""
         self._upkeep(self._server.api.recorder.stop)
         say(f"stopped; {self._text()}")
+        for line in self._server.api.refusals.lines():
+            say(f"  {line}")
 
     def _each_period(self) -> None:
         self._upkeep(self._server.api.recorder.keep)

@@ -5,26 +5,21 @@ Everything is drawn from plain arrays, so whoever keeps images of a lane can sho
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.lane_map import draw_lane, draw_track, follow, whole_lane
+from uavaccel.draw.movie import Bgr, movie
 from uavaccel.errors import UserError
-from uavaccel.files import replacing
 from uavaccel.sim.lane.layout import LaneLayout
 
-Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
-
 FRAMES_PER_S = 12
-CRF = "33"  # of x264: a game of 156 s is 1.4 MB, and a pixel's event still shows
-BT709, LIMITED_RANGE = 1, 1  # as FFmpeg and H.264 number them: players need not guess
 WIDTH, HEIGHT = 1280, 480
 PANEL = (512, 288)  # width and height of camera and DVS: twice the camera's own
 CAMERA_AT, DVS_AT, NEAR_AT, LANE_AT = (12, 64), (536, 64), (1060, 64), (12, 380)
@@ -59,32 +54,11 @@ class Film:
 
 
 def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Path:
-    """Write an MP4, a frame per sample, whole or not at all; returns `path`. Raises UserError where it cannot be.
-
-    H.264 in 4:2:0, the index in front: what every browser plays, and from the first byte on. One thread and no
-    dates, so that equal films are equal files.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as file:
-            _encode(frames(film, frames_per_s), file.name, frames_per_s)
-    except (OSError, av.FFmpegError, av.codec.codec.UnknownCodecError) as error:
-        raise UserError(f"{path}: cannot be written: {error}") from error
+    """Write an MP4, a frame per sample, whole or not at all; returns `path`. Raises UserError where it cannot be."""
+    with movie(path, (WIDTH, HEIGHT), frames_per_s) as add:
+        for picture in frames(film, frames_per_s):
+            add(picture)
     return path
-
-
-def _encode(pictures: Iterable[Bgr], name: str, frames_per_s: int) -> None:
-    with av.open(name, "w", format="mp4", options={"movflags": "+faststart", "fflags": "+bitexact"}) as file:
-        stream = file.add_stream("libx264", rate=frames_per_s, options={"crf": CRF, "preset": "medium"})
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        context = stream.codec_context
-        context.thread_count = 1
-        context.color_primaries = context.color_trc = context.colorspace = BT709
-        context.color_range = LIMITED_RANGE
-        for picture in pictures:
-            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-            file.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace=BT709)))
-        file.mux(stream.encode(None))
 
 
 def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:

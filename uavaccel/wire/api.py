@@ -25,6 +25,7 @@ from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.refusals import Refusals
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
@@ -59,6 +60,7 @@ class Api:
         self._vehicles = VehicleApi(self.scenery, self.pilot_of)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0
+        self.refusals = Refusals()
         self.methods = self._airsim_methods() | self._image_methods() | self._own_methods()
         self.methods |= self._flight() | self._vehicles.methods() | self._senses()
 
@@ -85,7 +87,15 @@ class Api:
         """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
         entry = self.methods.get(method)
         if entry is None:
+            self.refusals.unknown(method)
             raise rpc.unknown_method(method, len(params))
+        try:
+            return self._call(entry, method, params, wall_ns)
+        except rpc.RpcError as error:
+            self.refusals.command(method, error.reason)
+            raise
+
+    def _call(self, entry: Method, method: str, params: Sequence[Any], wall_ns: int) -> Any:
         if not entry.required <= len(params) <= entry.most:
             raise rpc.wrong_arity(method, entry.most, len(params))
         self._wall_ns = wall_ns

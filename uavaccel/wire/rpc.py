@@ -5,7 +5,7 @@ Request [0, id, method, params], response [1, id, error, result], notification [
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,11 @@ _FLOAT32, _ARRAY32 = 0xCA, b"\xdd"  # MessagePack's
 
 
 class RpcError(Exception):
-    """A call failed; the text is what the client gets."""
+    """A call failed; the text is what the client gets, `reason` what of it is not rpclib's phrase."""
+
+    def __init__(self, text: str, reason: str = "") -> None:
+        super().__init__(text)
+        self.reason = reason or text
 
 
 class ProtocolError(Exception):
@@ -76,8 +80,11 @@ def parse_request(message: list[Any]) -> RpcRequest:
     return RpcRequest(message_id, method, params)
 
 
-def pack_request(message_id: int, method: str, params: Sequence[Any]) -> bytes:
-    return bytes(msgpack.packb([REQUEST, message_id, method, list(params)]))
+def pack_request(
+    message_id: int, method: str, params: Sequence[Any], default: Callable[[Any], Any] | None = None
+) -> bytes:
+    """A request's bytes; `default` gives what msgpack packs in place of a value that it does not know."""
+    return bytes(msgpack.packb([REQUEST, message_id, method, list(params)], default=default))
 
 
 def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
@@ -132,5 +139,6 @@ def wrong_arity(method: str, expected: int, got: int) -> RpcError:
 def threw(method: str, count: int, message: str) -> RpcError:
     return RpcError(
         f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
-        f"The exception contained this information: {message}."
+        f"The exception contained this information: {message}.",
+        reason=message,
     )

@@ -234,6 +234,10 @@ class VirtualTransport:
     def close(self) -> None:
         pass
 
+    def catch_up(self) -> None:
+        """Let the simulation's wall time pass up to the clock's, as it does before the next message."""
+        self._run_to(max(self._handled_ns, self.clock.now_ns()))
+
     def _let_through_ns(self) -> int:
         """When Nagle's algorithm lets a request go that follows an unanswered command, on a modelled client's socket.
 

@@ -1,0 +1,165 @@
+"""uavaccel.airsim against a real server: AirSim's names, types and futures, from any number of threads."""
+
+import math
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.serving import running_server
+from uavaccel import airsim
+from uavaccel.airsim.connection import plain
+from uavaccel.fly.sent import as_sent
+from uavaccel.wire.rpc import RpcError
+
+pytestmark = pytest.mark.wall_clock
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[airsim.MultirotorClient]:
+    with running_server(clock_speed=50) as server:
+        yield airsim.MultirotorClient(port=server.address[1])
+
+
+def test_flies_and_reads_the_state_as_airsims_types(client: airsim.MultirotorClient) -> None:
+    client.confirmConnection()
+    client.reset()
+    client.enableApiControl(True)
+    future = client.moveByVelocityAsync(np.float32(2), 0, 0, 2)  # type: ignore[arg-type]
+    future.join()
+    assert future.result is True
+    assert future.error is None
+    state = client.getMultirotorState()
+    assert isinstance(state, airsim.MultirotorState)
+    assert isinstance(state.kinematics_estimated.position, airsim.Vector3r)
+    assert 1.0 < state.kinematics_estimated.position.x_val < 20
+    assert state.ready is False  # not on the wire: the class's default
+    assert client.simGetVehiclePose().orientation.get_length() == pytest.approx(1.0)
+
+
+def test_an_error_is_raised_by_get_and_told_once_by_join(
+    client: airsim.MultirotorClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(2):
+        future = client.client.call_async("moveNowhere", 1)
+        future.join()
+        assert future.error is not None
+        assert "moveNowhere" in future.error
+    assert capsys.readouterr().err.count("moveNowhere failed") == 1
+    with pytest.raises(RpcError, match="moveNowhere"):
+        future.get()
+    with pytest.raises(RpcError, match="could not find function 'nothing'"):
+        client.client.call("nothing")
+
+
+def test_threads_share_a_client(client: airsim.MultirotorClient) -> None:
+    """Each gets the answers to its own calls, while another thread waits for a long one."""
+    client.enableApiControl(True)
+    long = client.moveByVelocityAsync(0, 0, 0, 20)  # 0.4 s of wall time
+    wrong: list[object] = []
+
+    def ask(number: int) -> None:
+        for count in range(40):
+            try:
+                client.client.call(f"method{number}_{count}")
+            except RpcError as error:
+                if f"'method{number}_{count}'" not in str(error):
+                    wrong.append(error)
+
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(6)]
+    waiting = threading.Thread(target=long.join)
+    for thread in (waiting, *threads):
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not long.done
+    waiting.join()
+    assert long.result is True
+    assert not wrong
+
+
+def test_nobody_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with pytest.raises(ConnectionError, match=f"no server at 127.0.0.1:{port}"):
+        airsim.MultirotorClient(port=port)
+
+
+def test_an_answer_that_does_not_come() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        client = airsim.VehicleClient(port=silent.getsockname()[1], timeout_value=0.05)
+        with pytest.raises(TimeoutError, match="ping: no answer within"):
+            client.ping()
+
+
+class Colour(IntEnum):
+    RED = 3
+
+
+numbers = st.integers(-(2**40), 2**40) | st.floats(allow_nan=False)
+leaves: st.SearchStrategy[Any] = st.one_of(
+    *(numbers, st.booleans(), st.none(), st.text(max_size=5), st.binary(max_size=5), st.just(Colour.RED)),
+    *(st.floats(width=32, allow_nan=False).map(np.float32), st.integers(0, 9).map(np.int64)),
+    *(
+        st.builds(airsim.Vector3r, numbers, numbers, numbers),
+        st.builds(airsim.YawMode, st.booleans(), numbers),
+    ),
+)
+values = st.recursive(
+    leaves,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+)
+
+
+@given(values)
+def test_arguments_of_a_flight_are_those_that_a_wire_carries(value: object) -> None:
+    wired = msgpack.unpackb(msgpack.packb(value, default=plain))
+    sent = as_sent(value)
+    assert sent == wired
+    assert repr(sent) == repr(wired)  # of the same types too
+
+
+@given(*[st.floats(-1.5, 1.5)] * 3)
+def test_angles_and_quaternions_are_inverse(pitch: float, roll: float, yaw: float) -> None:
+    turned = airsim.to_quaternion(pitch, roll, yaw)
+    assert airsim.to_eularian_angles(turned) == pytest.approx((pitch, roll, yaw), abs=1e-9)
+    there_and_back = turned * turned.inverse()
+    assert [*there_and_back] == pytest.approx([0, 0, 0, 1], abs=1e-12)
+
+
+def test_a_quarter_turn_by_yaw_turns_north_to_east() -> None:
+    turn = airsim.to_quaternion(0, 0, math.pi / 2)
+    north = airsim.Vector3r(1, 0, 0).to_Quaternionr()
+    assert [*north.rotate(turn)] == pytest.approx([0, 1, 0, 0], abs=1e-12)
+
+
+def test_vectors_take_numpys_numbers_and_refuse_others() -> None:
+    assert [*airsim.Vector3r(1, 2, 3) * np.float32(2)] == [2, 4, 6]
+    assert [*airsim.Vector3r(1, 2, 3).cross(airsim.Vector3r(0, 0, 1))] == [2, -1, 0]
+    with pytest.raises(TypeError, match="Vector3r and str"):
+        airsim.Vector3r() * "2"  # type: ignore[operator]
+
+
+def test_pfm_files_are_read_as_written(tmp_path: str) -> None:
+    image = np.arange(12, dtype=np.float32).reshape(3, 4)
+    airsim.write_pfm(f"{tmp_path}/depth.pfm", image)
+    read, scale = airsim.read_pfm(f"{tmp_path}/depth.pfm")
+    assert (read == image).all()
+    assert scale == 1
+    with pytest.raises(ValueError, match="float32"):
+        airsim.write_pfm(f"{tmp_path}/depth.pfm", image.astype(float))
+
+
+def test_it_loads_nothing_heavy() -> None:
+    program = "import sys, uavaccel.airsim; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"cv2", "mujoco", "numba", "pydantic", "scipy"} & set(done.stdout.split())

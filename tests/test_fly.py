@@ -1,0 +1,374 @@
+"""Scripts on a simulated clock: exact, repeatable, and without a way to fail in silence."""
+
+import contextlib
+import datetime
+import json
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaccel.airsim import MultirotorClient
+from uavaccel.airsim.connection import connect_with
+from uavaccel.clock import datetime_module, time_module
+from uavaccel.errors import UserError
+from uavaccel.fly import simulated
+from uavaccel.fly.messages import FILE_NAME as MESSAGES
+from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.fly.modules import client_modules, importing
+from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.script import Enough, run_script
+from uavaccel.fly.sent import as_received
+from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
+from uavaccel.fly.trajectory import largest_difference_m
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.rpc import RpcError
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import EPOCH_NS
+
+ROOT = Path(__file__).parents[1]
+
+
+FlightMaker = Callable[..., SimulatedFlight]
+
+
+@pytest.fixture
+def flight_in() -> Iterator[FlightMaker]:
+    """Makes flights without a script, in lockstep unless told otherwise."""
+    with contextlib.ExitStack() as stack:
+
+        def make(folder: Path, clock_speed: float = 1.0, **options: Any) -> SimulatedFlight:
+            folder.mkdir(exist_ok=True)
+            asked = FlightOptions(Path("script.py"), (), folder, **{"timing": "lockstep", **options})
+            log = MessageLog(folder, asked.reference)
+            stack.callback(log.close_file)
+            return SimulatedFlight(asked, Settings(), clock_speed, log)
+
+        yield make
+
+
+def client_of(flight: SimulatedFlight) -> MultirotorClient:
+    with connect_with(lambda host, port, timeout_s: flight):
+        return MultirotorClient()
+
+
+def script(folder: Path, text: str) -> Path:
+    path = folder / "script.py"
+    path.write_text(textwrap.dedent(text))
+    return path
+
+
+def fly(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-m", "uavaccel", "fly", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+
+
+PACED = """
+    import setup_path
+    import airsim
+    import queue, sys, threading, time
+    from datetime import datetime
+
+    client = airsim.MultirotorClient()
+    client.confirmConnection()
+    client.enableApiControl(True)
+    client.simPause(True)
+    for step in range(4):
+        client.moveByVelocityAsync(2, 0, 0, 1)
+        client.simPause(False)
+        time.sleep(0.25)
+        client.simPause(True)
+        print(client.getMultirotorState().timestamp)
+    client.client.call_async("moveNowhere").join()
+    client.simPause(False)
+    watched, over = queue.Queue(), threading.Event()
+    def watch():
+        while not over.is_set():
+            watched.put(airsim.MultirotorClient().getMultirotorState().timestamp)
+            time.sleep(0.02)
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    client.moveByVelocityAsync(0, 1, 0, 1).join()
+    over.set()
+    watcher.join()
+    print("watched", watched.qsize())
+    print(sys.argv[1:], datetime.now().year, __name__, airsim.wait_key("key?") == chr(10), input() == "")
+"""
+
+
+# --- the whole way, in processes -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = fly("--check", "--seed", "3", "--out", out, script(tmp_path, PACED), "-a", "--clock", "7")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    paused = [int(line) for line in lines if line.isdigit()]
+    assert [time_ns - EPOCH_NS for time_ns in paused] == [
+        250_000_000,
+        500_000_000,
+        750_000_000,
+        1_000_000_000,
+    ]
+    assert "['-a', '--clock', '7'] 2020 __main__ True True" in lines
+    assert "watched 50" in lines
+    assert lines[-1].startswith("checked: flown twice, ")
+    assert done.stderr.count("warning: moveNowhere is not known here") == 2  # once a flight
+    summary = json.loads((out / "flight.json").read_text())
+    assert summary["refused"] == ["1 x moveNowhere is not known here"]
+    arrays = np.load(out / "trajectory.npz")
+    assert arrays["time_ns"].tolist() == list(range(0, 2_000_000_001, 50_000_000))
+    assert 0.3 < arrays["position_m"][-1, 0] < 2.0
+
+
+@pytest.mark.slow
+def test_several_clock_speeds_are_compared_with_the_first(tmp_path: Path) -> None:
+    path = script(tmp_path, """
+        import airsim
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+        client.moveByVelocityAsync(1, 0, 0, 2).join()
+    """)  # fmt: skip
+    done = fly("--clock", "1,20", path)
+    first, second = done.stdout.splitlines()
+    assert first.startswith("clock 1: 2.00 simulated s in ")
+    assert second.startswith("clock 20: 2.0")
+    assert second.endswith(" m from 1x at equal times")
+    assert done.returncode == 0
+
+
+@pytest.mark.slow
+def test_a_scripts_exception_is_its_own_traceback(tmp_path: Path) -> None:
+    path = script(tmp_path, "import airsim\ndef fall():\n    raise ValueError('down')\nfall()\n")
+    done = fly(path)
+    assert done.returncode == 1
+    assert done.stderr.startswith(
+        f'Traceback (most recent call last):\n  File "{path}", line 4, in <module>\n'
+    )
+    assert done.stderr.endswith("ValueError: down\n")
+    assert "uavaccel" not in done.stderr
+
+
+@pytest.mark.parametrize(("arguments", "text", "status"), [
+    (["none.py"], "none.py: no such file", 1),
+    (["--clock", "1,x", "none.py"], "--clock 1,x: should be numbers with commas between", 2),
+    (["--clock", "0", "none.py"], "every ClockSpeed must be above 0", 2),
+    (["--timing", "real", "none.py"], "--timing real: there are wall, virtual, lockstep", 2),
+    (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
+    (["--film", "tests/scenes.py"], "--film needs --out", 2),
+    (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
+])  # fmt: skip
+def test_mistakes_are_one_line(
+    arguments: list[str],
+    text: str,
+    status: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from uavaccel.cli.main import main
+
+    monkeypatch.setattr(sys, "argv", ["uavaccel", "fly", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == status
+    assert text in capsys.readouterr().err
+
+
+# --- time ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clock_speed", [1.0, 3.5])
+def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
+    flight_in: FlightMaker, tmp_path: Path, clock_speed: float
+) -> None:
+    flight = flight_in(tmp_path, clock_speed)
+    client = client_of(flight)
+    client.simPause(True)
+    before = client.getMultirotorState().timestamp
+    for _ in range(3):
+        client.simPause(False)
+        flight.pass_time(0.2)
+        client.simPause(True)
+        flight.pass_time(0.7)
+    flown = client.getMultirotorState().timestamp - before
+    assert flown == round(0.6 * clock_speed * NS_PER_S)
+
+
+def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path, clock_speed=2.0, think_s=0.05)
+    client = client_of(flight)
+    first = client.getMultirotorState().timestamp
+    assert client.getMultirotorState().timestamp - first == 100_000_000
+
+
+def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(
+    flight_in: FlightMaker, tmp_path: Path
+) -> None:
+    flight = flight_in(tmp_path)
+    time = time_module(flight.epoch_now_ns, flight.pass_time)
+    assert time.time_ns() == EPOCH_NS + READING_NS
+    assert time.monotonic_ns() == EPOCH_NS + 2 * READING_NS
+    time.sleep(90)
+    assert time.strftime("%M:%S", time.gmtime()) == "01:30"
+    present = datetime_module(flight.epoch_now_ns).datetime
+    assert present.now(datetime.UTC).isoformat()[:19] == "2020-01-01T00:01:30"
+    assert present.utcnow() - present(2020, 1, 1) > datetime.timedelta(seconds=90)
+
+
+def test_loops_that_poll_come_to_an_end(flight_in: FlightMaker, tmp_path: Path) -> None:
+    """Without latencies a loop that waits for a time, or for a state, would never see it."""
+    flight = flight_in(tmp_path)
+    client, time = client_of(flight), time_module(flight.epoch_now_ns, flight.pass_time)
+    start = time.perf_counter()
+    while time.perf_counter() < start + 0.01:
+        pass
+    polls = 0
+    while client.getMultirotorState().timestamp < EPOCH_NS + NS_PER_S:
+        polls += 1
+    assert FREE_CALLS < polls < FREE_CALLS + 1001
+
+
+def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path, clock_speed=4.0, until_s=8.0)
+    client = client_of(flight)
+    client.enableApiControl(True)
+    client.moveByVelocityAsync(1, 0, 0, 7).join()
+    with pytest.raises(Enough), contextlib.suppress(Exception):  # what a script may do
+        client.moveByVelocityAsync(1, 0, 0, 3).join()
+    assert flight.summary()["simulated_s"] == 8.0
+
+
+def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path, timing="virtual")
+    client = client_of(flight)
+    times = [client.getMultirotorState().timestamp for _ in range(200)]
+    assert times[-1] > times[0] + 10_000_000
+
+
+# --- nothing fails silently ----------------------------------------------------------------------------------------
+
+
+def test_flights_that_differ_stop_at_the_first_message_that_does(
+    flight_in: FlightMaker, tmp_path: Path
+) -> None:
+    for speed, reference in ((1.0, None), (2.0, tmp_path / "1.0")):
+        flight = flight_in(tmp_path / str(speed), reference=reference)
+        client = client_of(flight)
+        client.enableApiControl(True)
+        if reference is None:
+            client.moveByVelocityAsync(speed, 0, 0, 1).join()
+            flight._log.close()
+    with pytest.raises(
+        DifferenceError, match=r"differ at call 2\n  first: .*1.0, 0, 0, 1.*\n  second: .*2.0, 0, 0, 1"
+    ):
+        client.moveByVelocityAsync(speed, 0, 0, 1)
+
+
+def test_images_are_logged_as_digests(tmp_path: Path) -> None:
+    log = MessageLog(tmp_path)
+    log.answer(1, 0, None, [{"image_data_uint8": b"abc", "image_data_float": [0.5] * 1000}])
+    log.close()
+    row = json.loads((tmp_path / MESSAGES).read_text())
+    assert row["result"]["bytes"] > 9000
+    assert len(row["result"]["sha256"]) == 32
+
+
+def test_refused_commands_are_told_once(
+    flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = client_of(flight_in(tmp_path))
+    for _ in range(3):
+        client.moveByVelocityAsync(float("nan"), 0, 0, 1).join()
+        with pytest.raises(RpcError):
+            client.client.call("simNothing")
+    said = capsys.readouterr().err
+    assert said.count("moveByVelocity was refused: vx must be finite") == 1
+    assert said.count("simNothing is not known here") == 1
+
+
+# --- imports -------------------------------------------------------------------------------------------------------
+
+
+def test_a_script_imports_our_client_and_its_clock_and_libraries_theirs(tmp_path: Path) -> None:
+    (tmp_path / "helper.py").write_text("from time import monotonic\nimport random\nseen = monotonic()\n")
+    path = script(tmp_path, """
+        import airsim, cosysairsim, setup_path, helper, time, logging, sys, os
+        from airsim.types import Vector3r
+        import airsim.client
+        from msgpackrpc.error import RPCError
+        import uavaccel.airsim
+        same = airsim is cosysairsim is uavaccel.airsim and airsim.client.VehicleClient is airsim.VehicleClient
+        own, library, place = time.time(), logging.time.time(), (sys.argv, sys.path[0], __file__)
+        sys.exit(0 if same and own == 5 and helper.seen == 5 and library > 1e9 and place == (
+            [__file__, "x"], os.path.dirname(os.path.abspath(__file__)), place[2]) else "unexpected")
+    """)  # fmt: skip
+    before = (sys.argv[:], sys.path[:], sys.modules["__main__"])
+    clock = time_module(lambda: 5 * NS_PER_S, lambda seconds: None)
+    try:
+        with importing(client_modules(), {"time": clock}):
+            assert run_script(path, ("x",)).status == 0
+        assert "airsim" not in sys.modules
+    finally:
+        sys.argv[:], sys.path[:], sys.modules["__main__"] = before
+        sys.modules.pop("helper", None)
+
+
+def test_no_python_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"script\.py:2: not Python: "):
+        run_script(script(tmp_path, "import airsim\nclient = = 1\n"), ())
+
+
+def test_flights_are_compared_at_equal_simulated_times(tmp_path: Path) -> None:
+    from uavaccel.fly.trajectory import write_trajectory
+
+    for name, shift, samples in (("a", 0.0, 20), ("b", 3.0, 30)):
+        (tmp_path / name).mkdir()
+        rows = np.zeros((samples, 10))
+        rows[10:, 1] = shift
+        write_trajectory(tmp_path / name, np.arange(samples) * 50_000_000, rows)
+    assert largest_difference_m(tmp_path / "a", tmp_path / "b") == 3.0
+
+
+def test_answers_are_those_that_a_wire_carries() -> None:
+    response = {"image_data_float": np.array([[0.1, 2.0]]), "width": 2}
+    assert as_received([response]) == [{"image_data_float": [float(np.float32(0.1)), 2.0], "width": 2}]
+    assert as_received({"time_stamp": 3, "pose": {"x_val": 0.1}}) == {"time_stamp": 3, "pose": {"x_val": 0.1}}
+
+
+def test_a_wait_without_an_end_is_worth_a_line(
+    flight_in: FlightMaker,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(simulated, "PATIENCE_NS", 20 * NS_PER_S)
+    flight = flight_in(tmp_path, until_s=30.0)
+    client = client_of(flight)
+    client.enableApiControl(True)
+    with pytest.raises(Enough):
+        client.moveByVelocityAsync(0, 0, 0, 3e38).join()
+    line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
+    assert capsys.readouterr().err.count(line) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.slow
+def test_an_interrupted_flight_keeps_what_was_flown(tmp_path: Path) -> None:
+    path = script(tmp_path, """
+        import airsim, os, signal
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+        client.moveByVelocityAsync(1, 0, 0, 2).join()
+        os.kill(os.getpid(), signal.SIGINT)
+    """)  # fmt: skip
+    done = fly("--out", tmp_path / "out", path)
+    assert done.returncode == 130
+    assert done.stdout.startswith("interrupted; 2.00 simulated s")
+    assert np.load(tmp_path / "out" / "trajectory.npz")["time_ns"][-1] == 2_000_000_000

@@ -1,0 +1,127 @@
+"""Threads of a script on a simulated clock: in order of time, one at a time, and never stuck."""
+
+import threading
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from uavaccel.clock import VirtualClock
+from uavaccel.fly.threads import thread_modules
+from uavaccel.fly.turns import LOOK_NS, Turns
+from uavaccel.units import NS_PER_S
+
+
+@pytest.fixture
+def script() -> Any:
+    """What a script with threads has: its modules, its clock, and what it writes down."""
+    clock = VirtualClock()
+    turns = Turns(clock)
+    modules, running = thread_modules(turns)
+    written: list[Any] = []
+
+    def sleep(seconds: float) -> None:
+        turns.wait_until(clock.now_ns() + round(seconds * NS_PER_S))
+
+    def start(*targets: Any) -> list[Any]:
+        threads = [modules["threading"].Thread(target=target) for target in targets]
+        for thread in threads:
+            thread.start()
+        return threads
+
+    return SimpleNamespace(
+        **modules, turns=turns, clock=clock, running=running, written=written, sleep=sleep, start=start
+    )
+
+
+def seconds(script: Any) -> float:
+    return round(script.clock.now_ns() / NS_PER_S, 2)
+
+
+def test_they_run_in_order_of_the_time_for_which_they_wait(script: Any) -> None:
+    def beat(name: str, period_s: float) -> None:
+        for _ in range(3):
+            script.sleep(period_s)
+            script.written.append((name, seconds(script)))
+
+    threads = script.start(lambda: beat("slow", 0.5), lambda: beat("fast", 0.2))
+    for thread in threads:
+        thread.join()
+    assert script.written == [
+        ("fast", 0.2), ("fast", 0.4), ("slow", 0.5), ("fast", 0.6), ("slow", 1.0), ("slow", 1.5),
+    ]  # fmt: skip
+    assert not script.running
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_a_lock_lets_one_in_at_a_time(script: Any) -> None:
+    lock = script.threading.Lock()
+
+    def work(name: int) -> None:
+        with lock:
+            script.sleep(1.0)
+            script.written.append((name, seconds(script)))
+
+    for thread in script.start(*(lambda name=name: work(name) for name in range(3))):
+        thread.join()
+    names, times = zip(*script.written, strict=True)
+    assert names == (0, 1, 2)
+    assert times == pytest.approx((1.0, 2.0, 3.0), abs=3 * LOOK_NS / NS_PER_S)
+    assert lock.acquire(timeout=0.1)
+    assert not lock.acquire(blocking=False)
+    assert not lock.acquire(timeout=0.5)
+
+
+def test_events_conditions_and_queues_wake_who_waits(script: Any) -> None:
+    event, full = script.threading.Event(), script.queue.Queue(maxsize=2)
+    condition = script.threading.Condition()
+
+    def produce() -> None:
+        event.wait()
+        for item in range(5):
+            full.put(item)
+        with condition:
+            condition.notify_all()
+
+    [thread] = script.start(produce)
+    assert event.wait(0.3) is False
+    with pytest.raises(script.queue.Empty):
+        full.get(timeout=0.1)
+    event.set()
+    assert [full.get() for _ in range(3)] == [0, 1, 2]
+    with condition:
+        assert condition.wait(5.0)
+    thread.join()
+    assert [full.get_nowait(), full.get_nowait(), full.empty()] == [3, 4, True]
+
+
+def test_who_waits_for_nobody_is_told(script: Any) -> None:
+    with pytest.raises(RuntimeError, match="would wait for ever"):
+        script.threading.Event().wait()
+
+
+def test_a_timer_calls_unless_cancelled(script: Any) -> None:
+    timers = [script.threading.Timer(period_s, script.written.append, (period_s,)) for period_s in (1.0, 2.0)]
+    for timer in timers:
+        timer.start()
+    timers[1].cancel()
+    script.sleep(3.0)
+    assert script.written == [1.0]
+
+
+def test_an_exception_ends_its_thread_alone(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda event: script.written.append(event.exc_value))
+
+    def fall() -> None:
+        raise ValueError("down")
+
+    [thread] = script.start(fall)
+    thread.join()
+    assert [str(error) for error in script.written] == ["down"]
+    assert script.turns.is_mine()
+
+
+def test_the_rest_of_the_modules_is_pythons(script: Any) -> None:
+    assert isinstance(script.threading, ModuleType)
+    assert script.threading.current_thread() is threading.main_thread()
+    assert isinstance(script.threading.Thread(), threading.Thread)

@@ -1,0 +1,76 @@
+"""Environments of gym 0.21's interface, as AirSim's samples have them, between a script and libraries of today."""
+
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from uavaccel.fly import old_gym
+
+pytestmark = pytest.mark.skipif(not old_gym.gym_modules(), reason="a gym is installed")
+
+
+class Walk(old_gym.Env):
+    """One step to the right or the left, until 3."""
+
+    action_space = spaces.Discrete(2)
+    observation_space = spaces.Box(-9, 9, (1,), np.float32)
+    metadata = {"render.modes": ["rgb_array"]}  # noqa: RUF012
+
+    def __init__(self, start: int = 0) -> None:
+        self.start, self.place = start, 0
+
+    def reset(self) -> Any:
+        self.place = self.start
+        return np.array([self.place], np.float32)
+
+    def step(self, action: int) -> Any:
+        self.place += 1 if action else -1
+        return np.array([self.place], np.float32), self.place, abs(self.place) == 3, {"place": self.place}
+
+
+@pytest.fixture
+def gym() -> Iterator[ModuleType]:
+    gym = old_gym.gym_modules()["gym"]
+    gym.envs.registration.register(id="walk-v0", entry_point=Walk, kwargs={"start": 1})
+    yield gym
+    old_gym._registered.clear()
+
+
+def test_a_script_steps_through_the_old_interface(gym: ModuleType) -> None:
+    env = gym.make("walk-v0", start=2)
+    assert env.reset().tolist() == [2]
+    observation, reward, done, info = env.step(1)
+    assert (observation.tolist(), reward, done, info) == ([3], 3, True, {"place": 3})
+    assert env.place == 3
+
+
+def test_wrappers_of_a_script_are_old_too(gym: ModuleType) -> None:
+    class Doubled(gym.ObservationWrapper):  # type: ignore[name-defined]
+        def observation(self, observation: Any) -> Any:
+            return 2 * observation
+
+    env = Doubled(gym.make("walk-v0"))
+    assert env.reset().tolist() == [2]
+    assert env.step(1)[0].tolist() == [4]
+
+
+def test_stable_baselines_sees_gymnasiums_interface(gym: ModuleType) -> None:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    env: Any = DummyVecEnv([lambda: Monitor(gym.make("walk-v0"))])
+    assert env.reset().tolist() == [[1]]
+    env.step([1])
+    observation, reward, done, info = env.step([1])
+    assert (done.tolist(), reward.tolist(), info[0]["terminal_observation"].tolist()) == ([True], [3.0], [3])
+    assert info[0]["episode"]["r"] == 5
+    assert observation.tolist() == [[1]]  # reset
+
+
+def test_an_environment_that_nobody_registered(gym: ModuleType) -> None:
+    with pytest.raises(ValueError, match=r"'run-v0' is registered; there are walk-v0"):
+        gym.make("run-v0")

@@ -1,0 +1,209 @@
+"""A client's connection to a server: calls that wait, and calls whose answer is waited for later.
+
+Names of the future's parts are those of msgpack-rpc, which AirSim's scripts know: `join`, `get`, `result`, `error`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+from uavaccel.clock import MonotonicClock, wait_for_sockets
+from uavaccel.units import NS_PER_S
+from uavaccel.wire import rpc
+
+_READ_BYTES = 1 << 18
+_MESSAGE_BYTES = 1 << 28  # images are large answers
+_ITEMS = 1 << 24
+_told: set[str] = set()
+
+
+class Future:
+    """A call under way. `result` and `error` hold once it was joined; `error` is the server's text, or None."""
+
+    def __init__(self, method: str, wait: Callable[[Future], None]) -> None:
+        self.method = method
+        self.done = False
+        self.result: Any = None
+        self.error: str | None = None
+        self._wait = wait
+
+    def join(self) -> None:
+        """Wait for the answer. An error is not raised, as in AirSim, but it is told once on standard error."""
+        if not self.done:
+            self._wait(self)
+
+    def get(self) -> Any:
+        """Wait for the answer, and return it. Raises rpc.RpcError with the server's text."""
+        self.join()
+        if self.error is not None:
+            raise rpc.RpcError(self.error)
+        return self.result
+
+    def answer(self, error: str | None, result: Any) -> None:
+        """What the server said."""
+        self.error, self.result, self.done = error, result, True
+
+
+class Connection(Protocol):
+    """What AirSim's clients need: calls by name, with values that msgpack knows or that `plain` makes such."""
+
+    def call(self, method: str, *params: Any) -> Any:
+        """Call and wait. Raises rpc.RpcError with the server's text."""
+        ...
+
+    def call_async(self, method: str, *params: Any) -> Future:
+        """Call, and go on."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def tell_once(method: str, error: str) -> None:
+    """Say what became of a call whose error nobody may ask for; the same text is said once per process."""
+    if error not in _told:
+        _told.add(error)
+        print(f"airsim: {method} failed: {error}", file=sys.stderr, flush=True)
+
+
+def plain(value: Any) -> Any:
+    """What msgpack packs in place of AirSim's types (by their fields) and of NumPy's (by their values).
+
+    Raises TypeError for anything else.
+    """
+    for name in ("to_msgpack", "tolist"):
+        if hasattr(value, name):
+            return getattr(value, name)()
+    if isinstance(value, set | frozenset | range) or hasattr(value, "__iter__"):
+        return list(value)
+    raise TypeError(
+        f"{type(value).__name__} cannot be sent; numbers, text, lists, maps and AirSim's types can"
+    )
+
+
+class SocketConnection:
+    """msgpack-rpc over TCP; any number of threads may use it, and whoever waits reads for all.
+
+    `timeout_s` is how long an answer may take. Raises ConnectionError if nobody listens there.
+    """
+
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        try:
+            self._socket = socket.create_connection((host, port), timeout=10)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ConnectionError(
+                f"no server at {host}:{port} ({reason}); start one with `uavaccel serve`"
+            ) from None
+        self._socket.settimeout(None)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._close = weakref.finalize(self, _close, self._selector, self._socket)  # scripts close nothing
+        self._decoder = rpc.Decoder(_MESSAGE_BYTES, _ITEMS)
+        self._timeout_ns = round(timeout_s * NS_PER_S)
+        self._clock = MonotonicClock()
+        self._state = threading.Condition()  # guards all below
+        self._sending = threading.Lock()
+        self._open: dict[int, Future] = {}
+        self._next_id = 0
+        self._read_by_somebody = False
+
+    def call(self, method: str, *params: Any) -> Any:
+        future = self._send(method, params, self._wait)
+        self._wait(future)
+        return future.get()
+
+    def call_async(self, method: str, *params: Any) -> Future:
+        return self._send(method, params, self._join)
+
+    def close(self) -> None:
+        self._close()
+
+    def _send(self, method: str, params: tuple[Any, ...], wait: Callable[[Future], None]) -> Future:
+        future = Future(method, wait)
+        with self._state:
+            self._next_id = message_id = (self._next_id + 1) & 0xFFFFFFFF
+            self._open[message_id] = future
+        try:
+            message = rpc.pack_request(message_id, method, params, default=plain)
+            with self._sending:
+                self._socket.sendall(message)
+        except BaseException:
+            with self._state:
+                del self._open[message_id]
+            raise
+        return future
+
+    def _join(self, future: Future) -> None:
+        """Wait for the answer of a call that was not waited for at once; say what went wrong with it."""
+        self._wait(future)
+        if future.error is not None:
+            tell_once(future.method, future.error)
+
+    def _wait(self, future: Future) -> None:
+        """Until the answer is there. Raises TimeoutError, and ConnectionError if the server has gone."""
+        deadline_ns = self._clock.now_ns() + self._timeout_ns
+        while True:
+            with self._state:
+                while self._read_by_somebody and not future.done:
+                    left_ns = deadline_ns - self._clock.now_ns()
+                    if not self._state.wait(min(left_ns / NS_PER_S, threading.TIMEOUT_MAX)):
+                        raise TimeoutError(self._late(future))
+                if future.done:
+                    return
+                self._read_by_somebody = True
+            try:
+                self._receive(future, deadline_ns)
+            finally:
+                with self._state:
+                    self._read_by_somebody = False
+                    self._state.notify_all()
+
+    def _receive(self, future: Future, deadline_ns: int) -> None:
+        if not wait_for_sockets(self._selector, deadline_ns):
+            raise TimeoutError(self._late(future))
+        data = self._socket.recv(_READ_BYTES)
+        if not data:
+            raise ConnectionError("the server closed the connection")
+        for message in self._decoder.messages(data):
+            if len(message) == 4 and message[0] == rpc.RESPONSE:
+                _, message_id, error, result = message
+                with self._state:
+                    answered = self._open.pop(message_id, None)
+                if answered is not None:
+                    answered.answer(None if error is None else str(error), result)
+
+    def _late(self, future: Future) -> str:
+        return f"{future.method}: no answer within {self._timeout_ns / NS_PER_S:g} s"
+
+
+def _close(selector: selectors.BaseSelector, connection: socket.socket) -> None:
+    selector.close()
+    connection.close()
+
+
+Connect = Callable[[str, int, float], Connection]
+_connect: Connect = SocketConnection
+
+
+def connect(host: str, port: int, timeout_s: float) -> Connection:
+    """A connection for a client: over TCP, unless `connect_with` said otherwise."""
+    return _connect(host, port, timeout_s)
+
+
+@contextlib.contextmanager
+def connect_with(other: Connect) -> Iterator[None]:
+    """Let clients that are made in the `with` block connect otherwise than over TCP."""
+    global _connect
+    before, _connect = _connect, other
+    try:
+        yield
+    finally:
+        _connect = before

@@ -1,0 +1,1 @@
+"""AirSim scripts, unmodified, flown in one process with their simulation; see `uavaccel fly`."""

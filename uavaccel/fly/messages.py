@@ -1,0 +1,81 @@
+"""The messages of a flight, a line of JSON each, and the first one in which two flights differ."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from uavaccel.errors import UserError
+
+FILE_NAME = "messages.jsonl"
+LONG_BYTES = 200  # of a state or an image, of which polling scripts ask a million
+
+
+_encode = json.JSONEncoder(ensure_ascii=False, default=bytes.hex).encode
+
+
+class DifferenceError(UserError):
+    """Two flights that should be equal are not."""
+
+
+class MessageLog:
+    """Writes calls and answers in order. With a `reference`, a folder, stops at the first line that is not as there.
+
+    Raises DifferenceError then.
+    """
+
+    def __init__(self, folder: Path, reference: Path | None = None) -> None:
+        self._file = (folder / FILE_NAME).open("w", encoding="utf-8", newline="\n")
+        self._expected = None if reference is None else _lines(reference / FILE_NAME)
+        self.calls = 0
+
+    def call(self, wall_ns: int, time_ns: int | None, method: str, params: Sequence[Any]) -> int:
+        """A call as it is handled, at wall and simulated time; returns its number."""
+        self.calls += 1
+        row = {"call": self.calls, "wall_ns": wall_ns, "time_ns": time_ns, "method": method}
+        self._write(row | {"params": [brief(value) for value in params]})
+        return self.calls
+
+    def answer(self, number: int, wall_ns: int, error: str | None, result: Any) -> None:
+        """An answer, at the wall time from which it is on its way."""
+        outcome = {"result": brief(result)} if error is None else {"error": error}
+        self._write({"answer": number, "wall_ns": wall_ns, **outcome})
+
+    def _write(self, row: Mapping[str, Any]) -> None:
+        line = _encode(row)
+        self._file.write(line + "\n")
+        if self._expected is not None and (expected := next(self._expected, "(has ended)")) != line:
+            raise differs(self.calls, expected, line)
+
+    def close_file(self) -> None:
+        self._file.close()
+
+    def close(self) -> None:
+        """Raises DifferenceError if the reference has more lines."""
+        self.close_file()
+        if self._expected is not None and (expected := next(self._expected, None)) is not None:
+            raise differs(self.calls, expected, "(has ended)")
+
+
+def differs(call: int, first: str, second: str) -> DifferenceError:
+    """What the user is told: the last call that was made, and the two lines."""
+    return DifferenceError(f"the flights differ at call {call}\n  first:  {first}\n  second: {second}")
+
+
+def brief(value: Any) -> Any:
+    """A value as it is, or, of what is long on the wire, the length there and a digest."""
+    packed = msgpack.packb(value)
+    if len(packed) <= LONG_BYTES:
+        return value
+    return {"bytes": len(packed), "sha256": hashlib.sha256(packed).hexdigest()[:32]}
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with path.open(encoding="utf-8") as file:
+        for line in file:
+            yield line.rstrip("\n")

@@ -1,0 +1,197 @@
+"""A stand-in for OpenAI's gym of AirSim's time, 0.21, on Gymnasium: for scripts where no gym is installed.
+
+Environments keep the old interface: `reset()` returns an observation, `step()` four values. Libraries of today, such as
+stable-baselines3, see Gymnasium's: what `make` returns speaks as its caller does, a script's own file or a library.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+import gymnasium
+from gymnasium import spaces
+from gymnasium.utils import seeding
+
+from uavaccel.fly.modules import named_module, of_a_script
+
+
+class Env:
+    """gym.Env: what a script's own environments derive from."""
+
+    metadata: dict[str, Any] = {"render.modes": []}  # noqa: RUF012  as scripts read it
+    reward_range = (-float("inf"), float("inf"))
+    spec: Any = None
+    action_space: spaces.Space[Any]
+    observation_space: spaces.Space[Any]
+
+    def step(self, action: Any) -> tuple[Any, float, bool, dict[str, Any]]:
+        raise NotImplementedError
+
+    def reset(self) -> Any:
+        raise NotImplementedError
+
+    def render(self, mode: str = "human") -> Any:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        pass
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        return [seed]
+
+    @property
+    def unwrapped(self) -> Env:
+        return self
+
+    def __enter__(self) -> Env:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+class Adapted(gymnasium.Env[Any, Any]):
+    """An old environment, for libraries of today; to a script's own file it stays an old one."""
+
+    def __init__(self, env: Any) -> None:
+        self.env = env
+        self.action_space, self.observation_space = env.action_space, env.observation_space
+        self.metadata = {"render_modes": [*env.metadata.get("render.modes", ())]}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        if of_a_script(sys._getframe(1).f_globals):
+            return self.env.reset()
+        if seed is not None and hasattr(self.env, "seed"):
+            self.env.seed(seed)
+        return self.env.reset(), {}
+
+    def step(self, action: Any) -> Any:
+        observation, reward, done, info = self.env.step(action)
+        if of_a_script(sys._getframe(1).f_globals):
+            return observation, reward, done, info
+        truncated = bool(info.get("TimeLimit.truncated", False))
+        return observation, float(reward), bool(done) and not truncated, truncated, dict(info)
+
+    def render(self) -> Any:
+        return self.env.render()
+
+    def close(self) -> None:
+        self.env.close()
+
+    def seed(self, seed: int | None = None) -> Any:
+        return self.env.seed(seed)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+
+class Wrapper(Env):
+    """gym.Wrapper, in the old interface."""
+
+    def __init__(self, env: Any) -> None:
+        self.env = env.env if isinstance(env, Adapted) else env
+        self.action_space, self.observation_space = env.action_space, env.observation_space
+        self.metadata = env.metadata
+
+    def step(self, action: Any) -> Any:
+        return self.env.step(action)
+
+    def reset(self, **options: Any) -> Any:
+        return self.env.reset(**options)
+
+    def render(self, mode: str = "human", **options: Any) -> Any:
+        return self.env.render(mode, **options)
+
+    def close(self) -> None:
+        self.env.close()
+
+    @property
+    def unwrapped(self) -> Any:
+        return self.env.unwrapped
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+
+class ObservationWrapper(Wrapper):
+    def observation(self, observation: Any) -> Any:
+        raise NotImplementedError
+
+    def reset(self, **options: Any) -> Any:
+        return self.observation(self.env.reset(**options))
+
+    def step(self, action: Any) -> Any:
+        observation, *rest = self.env.step(action)
+        return self.observation(observation), *rest
+
+
+class ActionWrapper(Wrapper):
+    def action(self, action: Any) -> Any:
+        raise NotImplementedError
+
+    def step(self, action: Any) -> Any:
+        return self.env.step(self.action(action))
+
+
+class RewardWrapper(Wrapper):
+    def reward(self, reward: float) -> float:
+        raise NotImplementedError
+
+    def step(self, action: Any) -> Any:
+        observation, reward, done, info = self.env.step(action)
+        return observation, self.reward(reward), done, info
+
+
+_registered: dict[str, tuple[Any, Mapping[str, Any]]] = {}
+
+
+def register(id: str, entry_point: str | Callable[..., Any] = "", **options: Any) -> None:
+    """Keep where an environment is made; `kwargs` are its arguments."""
+    _registered[id] = entry_point, options.get("kwargs") or {}
+
+
+def make(id: str, **arguments: Any) -> Adapted:
+    """An environment that was registered; "module:id" imports the module first, which registers it.
+
+    Raises ValueError for an id that nobody registered.
+    """
+    module, _, name = id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    if name not in _registered:
+        raise ValueError(f"no environment {id!r} is registered; there are {', '.join(_registered) or 'none'}")
+    entry_point, defaults = _registered[name]
+    if isinstance(entry_point, str):
+        home, _, attribute = entry_point.partition(":")
+        entry_point = getattr(importlib.import_module(home), attribute)
+    return Adapted(entry_point(**{**defaults, **arguments}))
+
+
+def gym_modules() -> dict[str, ModuleType]:
+    """gym, and shimmy, by which stable-baselines3 takes old environments; nothing where a gym is installed."""
+    if importlib.util.find_spec("gym") is not None:
+        return {}
+    registration = named_module("gym.envs.registration", register=register, make=make)
+    envs = named_module("gym.envs", registration=registration)
+    core = named_module("gym.core", Env=Env, Wrapper=Wrapper, ObservationWrapper=ObservationWrapper)
+    utils = named_module("gym.utils", seeding=seeding)
+    wrappers = (Wrapper, ObservationWrapper, ActionWrapper, RewardWrapper)
+    gym = named_module(
+        "gym", Env=Env, spaces=spaces, envs=envs, core=core, utils=utils, make=make, register=register
+    )
+    vars(gym).update({wrapper.__name__: wrapper for wrapper in wrappers}, __path__=[], __version__="0.21.0")
+    shimmy = named_module("shimmy", GymV21CompatibilityV0=lambda env: Adapted(env))
+    modules = (gym, envs, registration, core, utils, shimmy)
+    return {module.__name__: module for module in modules} | {
+        "gym.spaces": spaces,
+        "gym.utils.seeding": seeding,
+    }

@@ -1,0 +1,124 @@
+"""A script run as `python script.py` runs it: its name, arguments, folder and tracebacks."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import CodeType, ModuleType, TracebackType
+from typing import Any, NamedTuple
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.errors import UserError
+from uavaccel.units import NS_PER_S
+
+INTERRUPTED = 130  # exit status
+
+
+class Enough(BaseException):
+    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
+
+    Raised by every call from then on. A script that catches even this for ever ends its process.
+    """
+
+    MOST = 1000
+    raised = 0
+
+    def __init__(self) -> None:
+        Enough.raised += 1
+        if Enough.raised > self.MOST:
+            flush_output()
+            print(
+                "uavaccel: the script catches every exception and does not end; it is ended here",
+                file=sys.stderr,
+            )
+            os._exit(1)
+
+
+def unraisable(event: Any) -> None:
+    """sys.unraisablehook: an end that reaches a destructor is no news."""
+    if not isinstance(event.exc_value, Enough):
+        sys.__unraisablehook__(event)
+
+
+class Outcome(NamedTuple):
+    """How a script ended: exit status, whether of itself, and the machine's wall time that it took."""
+
+    status: int
+    finished: bool
+    wall_s: float
+
+
+def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> Outcome:
+    """Run the file as `__main__`, and `outlive` what it has started. What it raises is shown as its own traceback.
+
+    Raises UserError where it cannot be read, or is no Python.
+    """
+    code, clock = compiled(path), MonotonicClock()
+    begun_ns = clock.now_ns()
+    try:
+        status, finished = _run(code, path, arguments), True
+        outlive()
+    except Enough:
+        status, finished = 0, False
+    except KeyboardInterrupt:
+        status, finished = INTERRUPTED, False
+    return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
+
+
+def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
+    main = ModuleType("__main__")
+    main.__file__, main.__builtins__ = str(path), __builtins__  # type: ignore[attr-defined]
+    sys.modules["__main__"] = main
+    sys.argv[:] = [str(path), *arguments]
+    sys.path[0:1] = [str(path.absolute().parent)]
+    try:
+        exec(code, vars(main))
+    except SystemExit as end:
+        return _status_of(end)
+    except UserError:
+        raise
+    except Exception as error:
+        error.__traceback__ = _of_the_script(error.__traceback__, code.co_filename)
+        traceback.print_exception(error)
+        return 1
+    return 0
+
+
+def compiled(path: Path) -> CodeType:
+    """The script's code. Raises UserError."""
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return compile(source, str(path), "exec")
+    except (SyntaxError, ValueError) as error:
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise UserError(f"{path}{line}: not Python: {error.args[0]}") from None
+
+
+def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
+    """The trace from the script's first frame on."""
+    first = trace
+    while first is not None and first.tb_frame.f_code.co_filename != file:
+        first = first.tb_next
+    return first or trace
+
+
+def _status_of(end: SystemExit) -> int:
+    if end.code is None or isinstance(end.code, int):
+        return end.code or 0
+    print(end.code, file=sys.stderr)
+    return 1
+
+
+def flush_output() -> None:
+    """Let nothing that the script printed come after what is printed about it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

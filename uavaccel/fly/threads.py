@@ -1,0 +1,255 @@
+"""Stand-ins for `threading` and `queue` whose threads take turns on a simulated clock (uavaccel.fly.turns).
+
+Only one thread of a script ever runs, so locks are plain flags.
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, Self, TypeVar
+
+from uavaccel.fly.script import Enough
+from uavaccel.fly.turns import Turns
+
+Class = TypeVar("Class", bound=type)
+
+
+def bound(kind: Class, turns: Turns) -> Class:
+    """A class whose objects wait by `turns`."""
+    return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
+
+
+class Lock:
+    turns: Turns
+
+    def __init__(self) -> None:
+        self._held = False
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        if self._held and not (
+            blocking and self.turns.until(self._is_free, None if timeout < 0 else timeout)
+        ):
+            return False
+        self._held = True
+        return True
+
+    def release(self) -> None:
+        if not self._held:
+            raise RuntimeError("release unlocked lock")
+        self._held = False
+
+    def locked(self) -> bool:
+        return self._held
+
+    def _is_free(self) -> bool:
+        return not self._held
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class RLock(Lock):
+    def __init__(self) -> None:
+        super().__init__()
+        self._owner, self._depth = 0, 0
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        me = threading.get_ident()
+        if self._owner != me and not super().acquire(blocking, timeout):
+            return False
+        self._owner, self._depth = me, self._depth + 1
+        return True
+
+    def release(self) -> None:
+        if self._owner != threading.get_ident():
+            raise RuntimeError("cannot release un-acquired lock")
+        self._depth -= 1
+        if self._depth == 0:
+            self._owner = 0
+            super().release()
+
+
+class Condition:
+    turns: Turns
+
+    def __init__(self, lock: Any = None) -> None:
+        self._lock = bound(RLock, self.turns)() if lock is None else lock
+        self.acquire, self.release = self._lock.acquire, self._lock.release
+        self._sleepers: deque[object] = deque()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        me = object()
+        self._sleepers.append(me)
+        self.release()
+        try:
+            return self.turns.until(lambda: me not in self._sleepers, timeout)
+        finally:
+            if me in self._sleepers:
+                self._sleepers.remove(me)
+            self.acquire()
+
+    def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
+        self.release()
+        self.turns.until(lambda: bool(predicate()), timeout)
+        self.acquire()
+        return predicate()
+
+    def notify(self, n: int = 1) -> None:
+        for _ in range(min(n, len(self._sleepers))):
+            self._sleepers.popleft()
+
+    def notify_all(self) -> None:
+        self._sleepers.clear()
+
+    def __enter__(self) -> Self:
+        self.acquire()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class Event:
+    turns: Turns
+
+    def __init__(self) -> None:
+        self._flag = False
+
+    def is_set(self) -> bool:
+        return self._flag
+
+    def set(self) -> None:
+        self._flag = True
+
+    def clear(self) -> None:
+        self._flag = False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        return self.turns.until(self.is_set, timeout)
+
+
+class Semaphore:
+    turns: Turns
+
+    def __init__(self, value: int = 1) -> None:
+        self._value = value
+
+    def acquire(self, blocking: bool = True, timeout: float | None = None) -> bool:
+        if self._value == 0 and not (blocking and self.turns.until(lambda: self._value > 0, timeout)):
+            return False
+        self._value -= 1
+        return True
+
+    def release(self, n: int = 1) -> None:
+        self._value += n
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class Thread(threading.Thread):
+    """A thread that runs in its turns. The process does not wait for it; the flight does, unless it is a daemon."""
+
+    turns: Turns
+    running: list[Thread]
+    is_daemon = False
+    over = False
+
+    def start(self) -> None:
+        turn, run = self.turns.announce(), self.run
+        self.run = lambda: self._in_turns(turn, run)  # type: ignore[method-assign]
+        self.is_daemon, self.daemon = self.daemon, True
+        self.running.append(self)
+        super().start()
+
+    def _in_turns(self, turn: Any, run: Callable[[], None]) -> None:
+        self.turns.begin(turn)
+        try:
+            run()
+        except Enough:
+            pass
+        except BaseException:
+            threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), self)))
+        finally:
+            self.over = True
+            self.running.remove(self)
+            self.turns.end()
+
+    def is_alive(self) -> bool:
+        return super().is_alive() and not self.over
+
+    def join(self, timeout: float | None = None) -> None:
+        self.turns.until(lambda: self.over, timeout)
+
+
+class Timer(Thread):
+    def __init__(
+        self, interval: float, function: Callable[..., Any], args: Any = None, kwargs: Any = None
+    ) -> None:
+        super().__init__()
+        self.finished = bound(Event, self.turns)()
+        self._call = lambda: function(*(args or ()), **(kwargs or {}))
+        self._interval = interval
+
+    def cancel(self) -> None:
+        self.finished.set()
+
+    def run(self) -> None:
+        if not self.finished.wait(self._interval):
+            self._call()
+        self.finished.set()
+
+
+class Queue(queue.Queue[Any]):
+    turns: Turns
+
+    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
+        room = lambda: self.maxsize <= 0 or self._qsize() < self.maxsize  # noqa: E731
+        if not room() and not (block and self.turns.until(room, timeout)):
+            raise queue.Full
+        self._put(item)
+        self.unfinished_tasks += 1
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        if not self._qsize() and not (block and self.turns.until(lambda: self._qsize() > 0, timeout)):
+            raise queue.Empty
+        return self._get()
+
+    def join(self) -> None:
+        self.turns.until(lambda: self.unfinished_tasks == 0)
+
+
+class LifoQueue(Queue, queue.LifoQueue[Any]):
+    pass
+
+
+class PriorityQueue(Queue, queue.PriorityQueue[Any]):
+    pass
+
+
+def thread_modules(turns: Turns) -> tuple[dict[str, ModuleType], list[Thread]]:
+    """`threading` and `queue` for a script, and the list of its threads that run."""
+    running: list[Thread] = []
+    kinds = (Lock, RLock, Condition, Event, Semaphore, Thread, Timer, Queue, LifoQueue, PriorityQueue)
+    own: dict[str, Any] = {kind.__name__: bound(kind, turns) for kind in kinds}
+    for name in ("Thread", "Timer"):
+        own[name].running = running
+    own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
+    modules = {}
+    for original in (threading, queue):
+        module = modules[original.__name__] = ModuleType(original.__name__, original.__doc__)
+        names = {name for name in vars(original) if not name.startswith("__")}
+        vars(module).update({name: getattr(original, name) for name in names})
+        vars(module).update({name: kind for name, kind in own.items() if name in names})
+    return modules, running

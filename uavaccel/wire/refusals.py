@@ -1,0 +1,54 @@
+"""Calls that a server refused where their caller may never learn of it, counted, and each told once.
+
+AirSim's `join` swallows the error of a command, so that a script can end well although nothing ever flew.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+COMMANDS = (
+    "takeoff",
+    "land",
+    "goHome",
+    "hover",
+    "move",
+    "rotate",
+)  # how the names of asynchronous calls begin
+MOST = 200  # kinds that are told apart: names and texts come from clients
+LONGEST = 300  # characters of a text
+
+
+class Refusals:
+    """By method and reason, how often a call was refused; `tell` gets a line the first time."""
+
+    def __init__(self) -> None:
+        self.tell: Callable[[str], None] = lambda line: None
+        self._count: Counter[tuple[str, str]] = Counter()
+
+    def unknown(self, method: str) -> None:
+        """A call of a method that there is not."""
+        self._add(method, "is not known here")
+
+    def command(self, method: str, reason: str) -> None:
+        """An error; it counts if the method is a command, which is joined without a look at its error."""
+        if method.startswith(COMMANDS):
+            self._add(method, f"was refused: {reason}")
+
+    def _add(self, method: str, reason: str) -> None:
+        key = printable(method), printable(reason)
+        if key not in self._count and len(self._count) >= MOST:
+            key = "other calls", "were refused"
+        self._count[key] += 1
+        if self._count[key] == 1:
+            self.tell(" ".join(key))
+
+    def lines(self) -> list[str]:
+        """What was refused, and how often, most often first."""
+        return [f"{count} x {method} {reason}" for (method, reason), count in self._count.most_common()]
+
+
+def printable(text: str) -> str:
+    """A client's text on one line, without what would steer a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST])
