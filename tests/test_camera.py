@@ -15,6 +15,7 @@ from tests.scenes import Scene
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
+from uavaccel.sim import gl
 from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
@@ -213,3 +214,20 @@ def test_pictures_fill_what_is_given_and_are_not_reused(lane: Scene) -> None:
 def test_a_camera_that_is_not_there(posts: mujoco.MjModel) -> None:
     with pytest.raises(UserError, match="no camera 'tail' in the scene; there is front_center"):
         Camera(posts, camera="tail")
+
+
+@needs_opengl
+def test_pixels_are_those_of_mujocos_own_buffer(lane_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Software draws without the stencil that MuJoCo's off-screen buffer has beside its depths."""
+    model, data = lane_scene
+    seen: list[bytes] = []
+    for drop in (gl.drop_stencil, lambda *_: None):
+        monkeypatch.setattr(gl, "drop_stencil", drop)
+        with Camera(model) as camera:
+            for seed in range(4):
+                apply_layout(model, data, draw_layout(seed))
+                data.qpos[:] = (30.0 * seed, 1.0 - seed, 2.0, 1.0, 0.03 * seed, -0.05, 0.1)
+                pictures = (camera.colour(data), camera.depth(data), camera.segmentation(data))
+                seen.append(b"".join(picture.tobytes() for picture in pictures))
+    assert seen[:4] == seen[4:]
+    assert len(set(seen[:4])) == 4

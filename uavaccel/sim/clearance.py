@@ -41,7 +41,7 @@ class Clearance:
             data.qpos,
             (model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb),
         )
-        self._alone = model.nbody == 2  # the world and the vehicle: nothing else moves
+        self.alone = model.nbody == 2  # the world and the vehicle: nothing else moves
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._next_look_tick = 0
@@ -70,10 +70,14 @@ class Clearance:
             self._next_look_tick = tick + (NEAR_TICKS if near else free_ticks)
         return min(ticks, self._next_look_tick - tick)
 
+    @property
+    def left_out(self) -> bool:
+        """Whether contacts are not looked for."""
+        return bool(self._model.opt.disableflags != self._with_contacts)
+
     def get_state(self) -> dict[str, Any]:
         """The schedule."""
-        left_out = self._model.opt.disableflags != self._with_contacts
-        return {"next_look_tick": self._next_look_tick, "left_out": left_out}
+        return {"next_look_tick": self._next_look_tick, "left_out": self.left_out}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave."""
@@ -83,7 +87,7 @@ class Clearance:
 
     def free_s(self, parameters: Record, state: Record) -> float:
         """Seconds of flight, 0 or more, in which nothing can be touched, whatever the autopilot does."""
-        if not self._alone:
+        if not self.alone:
             return 0.0
         distance_m = _distance(self._qpos, self._still, *self._places)
         speed = math.hypot(*state["velocity"].tolist())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -104,7 +104,16 @@ class Vehicle:
 
     def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
         """What the hot loop works on, in the order of hotloop.views."""
-        arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
+        return self._pointing(model, data, (self.qpos, self.qvel, self._force, self._contact, self._push))
+
+    def addresses_alone_in(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
+        """The same for a model that holds nothing but this vehicle."""
+        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
+        return self._pointing(model, data, arrays)
+
+    def _pointing(
+        self, model: mujoco.MjModel, data: mujoco.MjData, arrays: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.int64]:
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]  # type: ignore[union-attr]
         fixed = [hotloop.mj_step_address(), model._address, data._address]

@@ -18,6 +18,7 @@ from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.led import Led
+from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
@@ -78,6 +79,7 @@ class World(Led):
             vehicle.bind(self.model, self.data, self.name_of)
         self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
         rows = [vehicle.handles for vehicle in self.vehicles]
+        self._open_air = OpenAir(self.scene, self.model, self.data) if self.clearance.alone else None
         self._handles = np.concatenate([[len(rows)], *rows]).astype(np.int64)
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -270,6 +272,9 @@ class World(Led):
         while flown < ticks:
             tick = int(field["tick"][0])
             due = self.clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
+            if self._open_air and self.clearance.left_out and not field["contacts"][0]:
+                flown += self._open_air.fly(lead, due)
+                continue
             flown += lead.fly(due)
             if field["contacts_changed"][0]:
                 self._look_at_contacts(lead)

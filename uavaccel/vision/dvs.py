@@ -42,6 +42,7 @@ Mask = NDArray[np.bool_]
 
 LINEAR_UP_TO = 20  # intensity up to which a line replaces the logarithm
 SHOT_NOISE_AT_WHITE = 0.25  # shot noise of the brightest pixel relative to that of a black one
+NO_STAMPS = np.empty(0, np.float32)
 NO_EVENTS = np.empty((0, 4), np.float32)
 
 
@@ -136,7 +137,7 @@ def _advance(
     rng = _noise(sensor, state.noise_seed, index)
     log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
     base = _leaked(sensor, state.base_log, dt_s, rng)
-    due = _due_events(sensor, state, log, base, t_s)
+    due = _due_events(sensor, state, log, base, t_s, listed)
     kept, last_event_s = _after_refractory(due)
     base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
     on, off = kernels.split_polarities(kept)
@@ -172,14 +173,17 @@ def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Gen
     return base_log - dt_s * rate_hz * sensor.positive_threshold.astype(np.float32)
 
 
-def _due_events(sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float) -> _FrameEvents:
+def _due_events(
+    sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float, listed: bool
+) -> _FrameEvents:
     count = kernels.count_single if log.dtype == np.float32 else kernels.count_double
     signed = count(log, base, sensor.positive_threshold, sensor.negative_threshold)
     stamp_count = int(max(1, signed.max(), -signed.min()))
     refractory_s = sensor.parameters.refractory_s
     if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then lets everything pass and keeps no times
         refractory_s = -math.inf
-    stamps_s = time_stamps(state.time_s, t_s, stamp_count)
+    asked_for = listed or not math.isinf(refractory_s)
+    stamps_s = time_stamps(state.time_s, t_s, stamp_count) if asked_for else NO_STAMPS
     return _FrameEvents(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
 
 
