@@ -432,6 +432,17 @@ def test_gains_act_until_the_next_simulation() -> None:
     assert again.world.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
     with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
         call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
+    with pytest.raises(rpc.RpcError, match="ki must be within 1000, not"):
+        call(api, "setPositionControllerGains", [0.25] * 3, [0.0, 1e30, 0.0], [0.0] * 3)
+
+
+@pytest.mark.parametrize("level", ["Velocity", "Position", "AngleLevel", "AngleRate"])
+def test_without_gains_a_reset_still_begins_a_hover(level: str) -> None:
+    api = hovering()
+    call(api, f"set{level}ControllerGains", [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    call(api, "reset")
+    np.testing.assert_allclose(place(api), (0.0, 0.0, -10.0))
+    assert np.isfinite(api.simulation.world.state["goal"]).all()
 
 
 def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:

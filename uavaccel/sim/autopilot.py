@@ -239,7 +239,9 @@ def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:
         state[name] = hover
     hold_position.py_func(flight.view(np.recarray)[0])
     gathered = gains["tick_s"] * gains["z_integral_gain"] / (1.0 - gains["z_integral_keep"])
-    error_m_s = (1.0 - 2.0 * hover) / (gains["velocity_gain"][2] + gathered)
+    stiffness = gains["velocity_gain"][2] + gathered
+    error_m_s = (1.0 - 2.0 * hover) / stiffness if stiffness else 0.0  # a client's gains may be none
+    reach_m_s = gains["position_gain"][2] * gains["velocity_limit_m_s"]
     state["z_integral"] = gathered * error_m_s
     state["z_integral_mode"] = POSITION
-    state["goal"][2] += error_m_s / (gains["position_gain"][2] * gains["velocity_limit_m_s"])
+    state["goal"][2] += error_m_s / reach_m_s if reach_m_s else 0.0

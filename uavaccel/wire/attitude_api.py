@@ -23,6 +23,7 @@ from uavaccel.wire.method import Method
 
 TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
 MAX_SPEED_RAD_S = 669.857
+LARGEST_GAIN = 1e3  # thousands of times SimpleFlight's own
 STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
 
@@ -125,4 +126,6 @@ def _three(numbers: Any, name: str) -> tuple[float, float, float]:
     if not isinstance(numbers, list) or len(numbers) != 3:
         raise ValueError(f"{name} must be a list of three gains")
     a, b, c = (types.number(number, name) for number in numbers)
+    if max(abs(a), abs(b), abs(c)) > LARGEST_GAIN:
+        raise ValueError(f"{name} must be within {LARGEST_GAIN:g}, not {numbers}")
     return a, b, c
