@@ -43,7 +43,7 @@ def test_a_change_of_any_file_that_the_hot_loop_reaches_is_flown(tmp_path: Path)
         "from numba import njit\n", "from numba import njit\nfrom uavaccel.sim.signed import signed\n"
     )
     (sim / "autopilot.py").write_text(
-        pilot.replace("pitch_goal = -clip(", "pitch_goal = -signed(1.0) * clip(")
+        pilot.replace("pitch_goal = -tilt_goal(", "pitch_goal = -signed(1.0) * tilt_goal(")
     )
     before = flown_m(tmp_path)
     (sim / "sign.py").write_text("SIGN = -1.0\n")
