@@ -1,5 +1,6 @@
 """Files that a crash leaves whole, in which equal values are equal bytes."""
 
+import hashlib
 import json
 import math
 import os
@@ -21,11 +22,15 @@ UNFINISHED = ".unfinished"
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file to write that takes the place of `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
-    with unfinished.open("wb") as file:
-        yield file
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
+    try:
+        with unfinished.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except BaseException:  # a full disk needs the room that a half file takes
+        unfinished.unlink(missing_ok=True)
+        raise
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -49,6 +54,15 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             return dict(arrays)
     except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: cannot be read: {error}") from error
+
+
+def file_sha256(path: Path) -> str:
+    """Hash of a file's bytes, in hex. Raises UserError if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def to_json(value: Any, indent: int | None = None) -> str:

@@ -62,7 +62,7 @@ def run_suite(
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
         for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
             if game.arrays:
-                game.row["arrays"] = run.save_arrays(case.id, game.arrays)
+                game.row.update(run.save_arrays(case.id, game.arrays))
             run.append_row(game.row)
             run.append_timing({"case": case.id, **game.host})
             on_flown(case, game.row)

@@ -27,11 +27,7 @@ def write_report(run: RunDirectory) -> Summary:
     """
     config = run.config()
     rows = finished_rows(run, "dp2")
-
-    def load_arrays(row: Row) -> Mapping[str, Any]:
-        return run.load_arrays(str(row["arrays"]))
-
-    scores = list(score_games(rows, load_arrays, config["dvs_preset"], config["sensor_seed"]))
+    scores = list(score_games(rows, run.load_arrays, config["dvs_preset"], config["sensor_seed"]))
     summary = summary_of(config, scores, _guard_study(run, rows, config))
     run.write_json("summary.json", summary)
     figure = _figure(scores, run.file("figures/figure7_images.png"))
@@ -46,7 +42,7 @@ def _guard_study(run: RunDirectory, rows: Sequence[Row], config: Mapping[str, An
     row = next((row for row in rows if row["role"] == "lockstep" and row["error"] is None), None)
     if row is None:
         return None
-    images = run.load_arrays(row["arrays"])["colour"]
+    images = run.load_arrays(row)["colour"]
     return dp2_guard.study(images, GuardSettings(**config["guard"]), config["seed"])
 
 
