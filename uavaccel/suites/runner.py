@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,9 @@ from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
 from uavaccel.units import NS_PER_S
+from uavaccel.wire.server_watch import ServerGoneError
+
+MOST_RESTARTS = 3  # of the server in one game
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
@@ -52,21 +56,50 @@ def run_suite(
 ) -> None:
     """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
 
-    Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them.
+    Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them. Where
+    their server dies or hangs it is started again, and the game flown again; its row says how often, `restarts`.
     `on_flown` is told of each game. Raises UserError, and UsageError as `check_jobs`.
     """
     check_jobs(suite, config, jobs)
+    restarts = Counter[str]()
+    while True:
+        left = _without_row(suite, config, run)
+        try:
+            _fly(suite, config, left, run, jobs, on_flown, restarts)
+            suite.finish(config, run)
+            return
+        except ServerGoneError as error:
+            case = next((case.id for case in _without_row(suite, config, run)), "after the last game")
+            restarts[case] += 1
+            if restarts[case] > MOST_RESTARTS:
+                raise UserError(f"{case}: {error}, {restarts[case]} times; go on with --resume") from error
+            suite.prepare(config, run)
+
+
+def _without_row(suite: AnySuite, config: Experiment, run: RunDirectory) -> list[Case]:
     done = run.done_cases()
-    left = [case for case in suite.cases(config) if case.id not in done]
-    for timing, group in _by_timing(left):
+    return [case for case in suite.cases(config) if case.id not in done]
+
+
+def _fly(
+    suite: AnySuite,
+    config: Experiment,
+    cases: Sequence[Case],
+    run: RunDirectory,
+    jobs: int,
+    on_flown: OnFlown,
+    restarts: Mapping[str, int],
+) -> None:
+    for timing, group in _by_timing(cases):
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
         for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
+            if case.id in restarts:
+                game.row["restarts"] = restarts[case.id]
             if game.arrays:
                 game.row.update(run.save_arrays(case.id, game.arrays))
             run.append_row(game.row)
             run.append_timing({"case": case.id, **game.host})
             on_flown(case, game.row)
-    suite.finish(config, run)
 
 
 def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
