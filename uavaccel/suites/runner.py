@@ -17,6 +17,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
@@ -93,8 +94,8 @@ def _fly(
     for timing, group in _by_timing(cases):
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
         for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
-            if case.id in restarts:
-                game.row["restarts"] = restarts[case.id]
+            if timing == "wall":
+                game.row.update(disturbances(game.row, restarts.get(case.id, 0)))
             if game.arrays:
                 game.row.update(run.save_arrays(case.id, game.arrays))
             run.append_row(game.row)

@@ -93,6 +93,11 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"Warning: {failed} games failed and are left out; rows.jsonl says why.")
     if lost_s:
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if disturbed := sum(cell.get("disturbed_games", 0) for cell in cells):
+        warnings.append(
+            f"Warning: {disturbed} games were disturbed: they lost wall time, or their server stalled or was started "
+            "again; rows.jsonl says which."
+        )
     if any(cell["reference"] is None for cell in cells):
         warnings.append("Warning: some cells have no real-time ADSC games to compare with.")
     return warnings

@@ -107,6 +107,10 @@ def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) 
         warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")
     if lost_s:
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if disturbed := [row["case"] for row in rows if row.get("disturbed")]:
+        warnings.append(
+            f"Warning: {', '.join(disturbed)} lost wall time, or the server stalled or was started again."
+        )
     if summary["perturbed_share"]:
         warnings.append(
             f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way"
