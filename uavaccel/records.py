@@ -9,7 +9,7 @@ done and the others can be flown again.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,21 +44,29 @@ class RunDirectory:
 
     @classmethod
     def create(
-        cls, path: str | Path, config: Config, manifest: Mapping[str, Any], resume: bool = False
+        cls,
+        path: str | Path,
+        config: Config,
+        manifest: Mapping[str, Any],
+        resume: bool = False,
+        may_grow: Collection[str] = (),
     ) -> "RunDirectory":
         """Start a run at `path`, or with `resume` go on with the one that is there, if one is.
 
         Going on, a line that was cut short is dropped, and `manifest` is added to the run's. As long as the result
         lives no other process can go on with the run. Raises UserError if the folder exists and `resume` is False, if
-        the run has another configuration, or if another process is flying it.
+        the run has another configuration, or if another process is flying it. Numbers of the keys `may_grow` may be
+        larger than the run's.
         """
         path = Path(path)
         if path.exists() and not resume:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
             lock = hold(path)
-            _refuse_other_config(path, config)
+            grown = _refuse_other_config(path, config, may_grow)
             _clear_after_crash(path)
+            if grown:
+                _write_config(path, config)
         else:
             lock = _start(path, config)
         run = cls(path)
@@ -210,8 +218,7 @@ def _start(path: Path, config: Config) -> FolderLock:
         strangers = [entry.name for entry in path.iterdir() if not entry.name.endswith(UNFINISHED)]
         if strangers:
             raise UserError(f"{path}: not a run directory, but holds {min(strangers)}; take another --out")
-        with replacing(path / "config.yaml") as file:
-            file.write(to_yaml(config).encode())
+        _write_config(path, config)
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
     return lock
@@ -224,16 +231,25 @@ def _clear_after_crash(path: Path) -> None:
     drop_cut_line(path / "timing.jsonl")
 
 
-def _refuse_other_config(path: Path, config: Config) -> None:
+def _write_config(path: Path, config: Config) -> None:
+    with replacing(path / "config.yaml") as file:
+        file.write(to_yaml(config).encode())
+
+
+def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
+    """The keys that have grown."""
     there = _leaves(load_yaml(path / "config.yaml"))
     here = _leaves(parse_yaml(to_yaml(config), source="configuration"))
+    other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
+    grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
     differing = [
         f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)"
-        for key in sorted(there.keys() | here.keys())
-        if there.get(key) != here.get(key)
+        for key in other
+        if key not in grown
     ]
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
+    return grown
 
 
 def _leaves(value: Any, key: str = "") -> dict[str, str]:

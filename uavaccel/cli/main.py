@@ -28,7 +28,9 @@ Timing = Annotated[
 Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
 Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with the run in --out, by its own configuration.")
+]
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
 Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
@@ -39,8 +41,11 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=v
 @app.command()
 def run(
     experiment: Annotated[
-        str, typer.Argument(help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file.")
-    ],
+        str | None,
+        typer.Argument(
+            help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file; --resume needs none."
+        ),
+    ] = None,
     clock: Clock = None,
     command: Commands = None,
     t_move: Annotated[
@@ -156,7 +161,9 @@ def advise(
 
 @app.command()
 def train(
-    experiment: Annotated[str, typer.Argument(help="An experiment's YAML file.")] = "train",
+    experiment: Annotated[
+        str | None, typer.Argument(help="An experiment's YAML file; --resume needs none.")
+    ] = None,
     clock: OneClock = None,
     command: OneCommand = None,
     timing: Timing = None,
@@ -172,14 +179,18 @@ def train(
     from uavaccel.cli.run import RunRequest, run_experiment
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed}
-    run_experiment(RunRequest(experiment, options, overrides or [], 1, out, resume, dry_run))
+    named = experiment or (None if resume else "train")
+    run_experiment(RunRequest(named, options, overrides or [], 1, out, resume, dry_run, "train"))
 
 
 @app.command()
 def evaluate(
     agent: Annotated[
-        str, typer.Argument(help="A training's run directory, a policy's folder, straight or offset:METRES.")
-    ] = "default",
+        str | None,
+        typer.Argument(
+            help="A training's run directory, a policy's folder, straight or offset:METRES; else the policy that ships."
+        ),
+    ] = None,
     games: Annotated[int | None, typer.Option(help="Evaluation lanes; 300 without it.")] = None,
     clock: OneClock = None,
     command: OneCommand = None,
@@ -201,7 +212,8 @@ def evaluate(
     from uavaccel.cli.run import RunRequest
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
-    request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run)
+    named = None if agent is None and resume else "evaluate"
+    request = RunRequest(named, options, overrides or [], jobs, out, resume, dry_run, "evaluate")
     evaluate_agent(request, against, films)
 
 

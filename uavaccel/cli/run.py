@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from rich.table import Table
 
 from uavaccel.bench.machine import check_machine
 from uavaccel.cli.progress import Progress
+from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
@@ -34,13 +36,16 @@ console = Console(highlight=False, soft_wrap=True)
 class RunRequest:
     """What was asked for on the command line; an option about which nothing was said is None."""
 
-    experiment: str
+    experiment: str | None
+    """None: that of the run in `out`, to resume."""
     options: Mapping[str, Any] = field(default_factory=dict)
     overrides: Sequence[str] = ()
     jobs: int = 1
     out: Path | None = None
     resume: bool = False
     dry_run: bool = False
+    suite: str | None = None
+    """The only one that the command is for."""
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
@@ -48,25 +53,34 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
     cases = list(suite.cases(config))
-    out = (
-        request.out
-        or Path("runs") / f"{Path(request.experiment).stem}-{calendar_time()[:19].replace(':', '')}"
-    )
-    console.print(plan(suite, config, cases, request.jobs, out))
+    name = Path(request.experiment or suite.name).stem
+    out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
+    console.print(plan(suite, config, cases, request.jobs, out), markup=False)
     if request.dry_run:
         return None
-    run = begin_run(suite, config, out, manifest_of(suite, config), request.resume)
     with resumable(out):
+        manifest = manifest_of(suite, config)
+        run = begin_run(suite, config, out, manifest, request.resume)
+        if "resumed" in run.manifest():
+            for line in going_on(run, config, len(cases), manifest):
+                console.print(line, markup=False)
         fly(suite, config, cases, run, request.jobs)
     report_run(run)
     return run
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
-    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly."""
-    mapping, source = read_mapping(request.experiment)
-    own_file = is_file(request.experiment)
-    suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
+    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly.
+
+    Without an experiment they are those of the folder that is gone on with.
+    """
+    own_file = request.experiment is None or is_file(request.experiment)
+    if request.experiment is None:
+        suite, mapping = folders_own(request.out, request.resume, request.suite)
+        source = str(request.out)
+    else:
+        mapping, source = read_mapping(request.experiment)
+        suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
     given = {key: value for key, value in request.options.items() if value is not None}
     if not own_file and suite.quick is not None and len(_values(given.get("clock_speed", ()))) == 1:
         mapping |= suite.quick
@@ -163,7 +177,7 @@ def resumable(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise Interrupted(
-            f"interrupted; go on with --out {out} --resume, the other options as they were"
+            f"interrupted; go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
         ) from None
 
 

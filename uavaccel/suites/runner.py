@@ -43,7 +43,7 @@ def begin_run(
     """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
     folder = own_folder(suite)  # where a report finds the suite again, from whatever folder it is asked for
     found = {} if folder is None else {"suite_folder": str(folder)}
-    run = RunDirectory.create(out, config, {**manifest, **found}, resume)
+    run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     suite.prepare(config, run)
     return run
 

@@ -210,10 +210,10 @@ class SocketTransport:
             raise ServerGoneError("the server closed the connection")
         set_quick_ack(self._socket)
         for message in self._decoder.messages(data):
-            _, message_id, error, value = message
+            _, message_id, text, value = message
             call = self._open.pop(message_id, None)
             if call is not None:
-                call.done, call.error, call.value = True, error, value
+                call.done, call.error, call.value = True, text, value
         if self._silence is not None:
             self.stalled_ns += self._silence.broken_ns()
 

@@ -9,13 +9,21 @@ from typing import Any
 
 from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import OWN, check_algorithm
+from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
 from uavaccel.suites.training import report
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.flights import Case, Trainer, cases, drop_games_after_checkpoint, open_trainer
+from uavaccel.suites.training.flights import (
+    CHECKPOINTS,
+    Case,
+    Trainer,
+    cases,
+    drop_games_after_checkpoint,
+    open_trainer,
+)
 from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
 from uavaccel.suites.training.rows import RECENT
 from uavaccel.suites.training.summary import headline
@@ -37,6 +45,10 @@ class Training(Suite[TrainConfig, Case]):
 
     def cases(self, config: TrainConfig) -> Iterator[Case]:
         return cases(config)
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        """More games are learned from where there is a checkpoint to go on from."""
+        return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """A finished training stays as it is; another one goes on from its last checkpoint."""
