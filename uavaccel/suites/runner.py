@@ -16,6 +16,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
+from uavaccel.parent import end_with_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.experiment import Experiment, timing_of
@@ -159,6 +160,8 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     key = (str(folder), case.timing)
     if key not in _OPENED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if not _OPENED:
+            end_with_parent()
         # drawing in software, it leaves the other cores to its siblings
         os.environ.setdefault("LP_NUM_THREADS", "0")
         run = RunDirectory(folder)
