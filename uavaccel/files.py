@@ -1,5 +1,6 @@
 """Files that a crash leaves whole, in which equal values are equal bytes."""
 
+import errno
 import hashlib
 import json
 import math
@@ -12,10 +13,23 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, mistake_of
 
 UNFINISHED = ".unfinished"
 """Suffix of a file that is still being written; a crash may leave one behind."""
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Raises a UserError that names the file where the system refuses to write it: writing alone does not say which."""
+    try:
+        yield
+    except OSError as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        more = "; make room, what is finished is not lost" if error.errno == errno.ENOSPC else ""
+        name = path if error.filename is None else error.filename
+        raise type(refused)(f"{name}: {error.strerror}{more}") from error
 
 
 @contextmanager
@@ -23,7 +37,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file to write that takes the place of `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
     try:
-        with unfinished.open("wb") as file:
+        with naming(path), unfinished.open("wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -85,7 +99,7 @@ def _plain(value: Any) -> Any:
 def append_line(path: Path, entry: Mapping[str, Any]) -> None:
     """Add a line of JSON, on disk on return."""
     line = to_json(entry).encode() + b"\n"
-    with path.open("ab") as file:
+    with naming(path), path.open("ab") as file:
         file.write(line)
         file.flush()
         os.fsync(file.fileno())

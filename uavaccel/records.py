@@ -22,6 +22,7 @@ from uavaccel.files import (
     append_line,
     drop_cut_line,
     file_sha256,
+    naming,
     read_arrays,
     read_lines,
     replacing,
@@ -128,7 +129,8 @@ class RunDirectory:
         """
         self._refuse_gone()
         path = self.path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
     def write_text(self, name: str, text: str) -> Path:

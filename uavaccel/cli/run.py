@@ -19,7 +19,7 @@ from uavaccel.bench.machine import check_machine
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
-from uavaccel.errors import Interrupted, UsageError
+from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
@@ -172,13 +172,16 @@ def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Turns Ctrl-C into a line that says how to go on."""
+    """Turns Ctrl-C, and what the system refuses, into a line that says how to go on."""
+    how = f"go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(
-            f"interrupted; go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
-        ) from None
+        raise Interrupted(f"interrupted; {how}") from None
+    except (OSError, MemoryError) as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        raise UserError(f"{refused}; {how}") from error
 
 
 def report_run(run: RunDirectory) -> Summary:
