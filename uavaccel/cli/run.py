@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -16,10 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from uavaccel.bench.machine import check_machine
+from uavaccel.cli.paths import check_out
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
+from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
@@ -52,7 +55,11 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
-    cases = list(suite.cases(config))
+    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if len(cases) > MOST_GAMES:
+        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    if request.out is not None and not request.dry_run:
+        check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
     console.print(plan(suite, config, cases, request.jobs, out), markup=False)

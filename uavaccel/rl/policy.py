@@ -19,7 +19,7 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256, replacing, to_json
-from uavaccel.rl.algorithms import check_algorithm, greedy, make_policy
+from uavaccel.rl.algorithms import OWN, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
@@ -94,7 +94,8 @@ def load_policy(path: Path) -> Policy:
     weights = _read_weights(path / WEIGHTS, manifest)
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
-    check_algorithm(config)
+    if config.algorithm != OWN:
+        baseline_class(config.algorithm)
     network = make_policy(config, lambda _: 0.0)
     network.set_training_mode(False)
     target = {

@@ -16,6 +16,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
+from uavaccel.limits import MOST_PROCESSES
 from uavaccel.parent import end_with_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbances
@@ -32,6 +33,8 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
     """Raises UsageError for a number of processes that cannot be."""
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if jobs > MOST_PROCESSES:
+        raise UsageError(f"--jobs {jobs}: must be at most {MOST_PROCESSES}")
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
