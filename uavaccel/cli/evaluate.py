@@ -12,6 +12,7 @@ from uavaccel.sim.gl import describe_renderer
 from uavaccel.suites.evaluation.film import best_first
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.evaluation.summary import compare
+from uavaccel.suites.runner import check_jobs
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
@@ -31,6 +32,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:
     """Raises UserError for a comparison without a lane in common, and where films are wanted and nothing can draw."""
     suite, config = configure(request)
+    check_jobs(suite, config, request.jobs)
     if other is not None:
         theirs = {row["lane"] for row in other.rows() if row.get("suite") == suite.name}
         if not theirs & {case.lane for case in suite.cases(config)}:

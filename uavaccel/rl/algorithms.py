@@ -58,7 +58,7 @@ def check_algorithm(config: LearnerConfig) -> None:
 
 
 def _check_keywords(config: LearnerConfig, algorithm: type[BaseAlgorithm]) -> int:
-    """Observations that a baseline with the configuration's options keeps. Raises UserError for one it does not have."""
+    """How many observations a baseline keeps. Raises UserError for an option that it does not have."""
     known = inspect.signature(algorithm).parameters
     for name, value in config.options.items():
         if name not in known or name in NOT_TO_SET:
