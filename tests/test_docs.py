@@ -57,7 +57,7 @@ def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     keys = {key: given[key] for key in ("command", "timing", "profile", "games", "seed")}
     keys |= {"clock_speed": given["clock"], "agent": given.get("agent")}
     keys = {key: value or None for key, value in keys.items()}  # typer has no empty lists
-    configure(RunRequest(given.get("experiment", name), keys, given["overrides"] or []))
+    configure(RunRequest(given.get("experiment") or name, keys, given["overrides"] or []))
 
 
 def test_other_programs_come_with_the_package() -> None:

@@ -138,7 +138,9 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
     run_experiment(request(whole))
     with monkeypatch.context() as patch:
         interrupt_after(7, patch)
-        with pytest.raises(UserError, match=r"^interrupted; go on with --out .*broken --resume"):
+        with pytest.raises(
+            UserError, match=r"^interrupted; go on with: uavaccel run --out .*broken --resume"
+        ):
             run_experiment(request(broken, jobs=2))
     rows = (broken / "rows.jsonl").read_bytes()
     assert rows.count(b"\n") == 7

@@ -234,7 +234,7 @@ def run(tmp_path: Path) -> RunDirectory:
         arrays |= {"orientation_wxyz": yaw(0, 0, 0), "image": images}
         if row["role"] == "lockstep":
             arrays["colour"] = np.repeat(images[..., None], 3, axis=-1)
-        run.append_row(row | {"arrays": run.save_arrays(row["case"], arrays)})
+        run.append_row(row | run.save_arrays(row["case"], arrays))
     return run
 
 

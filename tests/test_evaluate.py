@@ -19,6 +19,7 @@ from uavaccel.cli.report import report_runs
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
 from uavaccel.errors import UsageError, UserError
+from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
@@ -210,7 +211,9 @@ class Trap:
 def test_reading_a_policy_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     th.save({"trap": Trap()}, tmp_path / WEIGHTS)
-    (tmp_path / MANIFEST).write_text((asset("policies/default") / MANIFEST).read_text())
+    manifest = json.loads((asset("policies/default") / MANIFEST).read_text())
+    manifest["weights_file_sha256"] = file_sha256(tmp_path / WEIGHTS)
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
     with pytest.raises(UserError, match=r"policy\.pt: is no state dict of tensors alone$"):
         load_policy(tmp_path)
     assert not (tmp_path / "sprung").exists()

@@ -2,7 +2,9 @@
 
 import json
 import math
+import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.files import read_arrays, to_json, write_arrays
+from uavaccel.lock import hold
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 
@@ -198,9 +201,8 @@ def test_a_crash_between_arrays_and_row_leaves_the_case_to_be_flown(run: RunDire
     again = resume(run)
     assert again.done_cases() == set()
     assert [entry.name for entry in (run.path / "arrays").iterdir()] == ["a.npz"]
-    name = again.save_arrays("a", {"time_s": np.ones(3)})
-    again.append_row({"case": "a", "arrays": name})
-    np.testing.assert_array_equal(again.load_arrays(name)["time_s"], np.ones(3))
+    again.append_row({"case": "a", **again.save_arrays("a", {"time_s": np.ones(3)})})
+    np.testing.assert_array_equal(again.load_arrays(again.rows()[0])["time_s"], np.ones(3))
 
 
 def test_a_crash_before_the_configuration_was_whole_starts_afresh(tmp_path: Path) -> None:
@@ -216,10 +218,10 @@ def test_a_crash_before_the_manifest_is_made_good(run: RunDirectory) -> None:
 
 
 def test_a_writer_that_fails_leaves_the_old_file(run: RunDirectory) -> None:
-    name = run.save_arrays("a", {"time_s": np.zeros(3)})
+    row = {"case": "a", **run.save_arrays("a", {"time_s": np.zeros(3)})}
     with pytest.raises(ValueError, match="Object arrays cannot be saved"):
         run.save_arrays("a", {"position_m": np.ones(3), "time_s": np.array([object()])})
-    assert list(run.load_arrays(name)) == ["time_s"]
+    assert list(run.load_arrays(row)) == ["time_s"]
 
 
 @pytest.mark.parametrize("damage", [b"\x00\x00\n", b"3\n"])
@@ -254,7 +256,8 @@ def test_arrays_read_back_equal_and_equal_arrays_are_equal_bytes(
 
 
 def test_arrays_carry_no_date(run: RunDirectory) -> None:
-    name = run.save_arrays("tcsc-k100-t1-r24-g00", {"time_s": np.zeros(3), "position_m": np.zeros((3, 3))})
+    arrays = {"time_s": np.zeros(3), "position_m": np.zeros((3, 3))}
+    name = run.save_arrays("tcsc-k100-t1-r24-g00", arrays)["arrays"]
     assert name == "arrays/tcsc-k100-t1-r24-g00.npz"
     with zipfile.ZipFile(run.path / name) as archive:
         assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
@@ -262,13 +265,72 @@ def test_arrays_carry_no_date(run: RunDirectory) -> None:
 
 def test_missing_and_damaged_arrays_are_named(run: RunDirectory) -> None:
     with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
-        run.load_arrays("arrays/a.npz")
-    name = run.save_arrays("a", {"time_s": np.zeros(100)})
+        run.load_arrays({"case": "a", "arrays": "arrays/a.npz"})
+    row = {"case": "a", **run.save_arrays("a", {"time_s": np.zeros(100)})}
+    name = row["arrays"]
     whole = (run.path / name).read_bytes()
     for damaged in (whole[:100], whole.replace(bytes(8), b"damaged!", 1), b""):
         (run.path / name).write_bytes(damaged)
         with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
-            run.load_arrays(name)
+            run.load_arrays(row)
+
+
+def test_arrays_that_are_not_the_row_s_own_are_named(run: RunDirectory) -> None:
+    rows = [{"case": case, **run.save_arrays(case, {"time_s": np.full(3, n)})} for n, case in enumerate("ab")]
+    with pytest.raises(UserError, match=r"rows\.jsonl: a: has the arrays of another case, arrays/b\.npz"):
+        run.load_arrays({**rows[0], "arrays": rows[1]["arrays"]})
+    (run.path / rows[0]["arrays"]).write_bytes((run.path / rows[1]["arrays"]).read_bytes())
+    with pytest.raises(UserError, match=r"a\.npz: is not the file of its row: another hash"):
+        run.load_arrays(rows[0])
+    np.testing.assert_array_equal(run.load_arrays(rows[1])["time_s"], np.ones(3))
+
+
+def test_a_row_that_stands_twice_is_named(run: RunDirectory) -> None:
+    run.append_row({"case": "a"})
+    rows = run.path / "rows.jsonl"
+    rows.write_bytes(rows.read_bytes() * 2)
+    for look in (RunDirectory, lambda path: resume(run)):
+        with pytest.raises(UserError, match=r"rows\.jsonl: line 2: a has a row already"):
+            look(run.path)
+
+
+def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None:
+    shutil.rmtree(run.path)
+    for write in (
+        lambda: run.append_row({"case": "a"}),
+        lambda: run.save_arrays("a", {"time_s": np.zeros(3)}),
+        lambda: run.write_text("report.md", "text"),
+    ):
+        with pytest.raises(UserError, match="was deleted"):
+            write()
+    assert not run.path.exists()
+
+
+def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
+    """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
+    program = (
+        "import sys\nfrom uavaccel.lock import hold\nfrom pathlib import Path\n"
+        "held = hold(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
+    )
+    resume(run)
+    command = [sys.executable, "-c", program, str(run.path)]
+    refused = subprocess.run(command, input="", capture_output=True, text=True, check=False)
+    assert "UserError" in refused.stderr
+    assert "another process is flying this run" in refused.stderr
+    path = run.path
+    other = tmp_path / "other"
+    other.mkdir()
+    with subprocess.Popen(
+        [*command[:-1], str(other)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(UserError, match="another process is flying this run"):
+            hold(other)
+        process.kill()
+        process.wait()
+    hold(other)
+    assert RunDirectory(path).done_cases() == set()
 
 
 # --- single files -------------------------------------------------------------------------------------------

@@ -345,7 +345,7 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
     )
     for row in whole.rows():
         if row["case"] in names:
-            run.save_arrays(row["case"], whole.load_arrays(row["arrays"]))
+            run.save_arrays(row["case"], whole.load_arrays(row))
             run.append_row(row)
     return run
 

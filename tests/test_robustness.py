@@ -52,13 +52,13 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path, monkeypatch: 
     keys = ("task.max_commands=6", "task.profile=airsim", "task.command=adsc", "task.latency.scale=0")
     alone = configured("evaluate", *keys, clock_speed=50.0, games=2, agent="straight")
     run_into(tmp_path / "alone", Evaluation(), alone)
-    arrays = run.load_arrays("arrays/latency0-adsc-50x.npz")
+    row_of = {row["case"]: row for row in run.rows()}
+    arrays = run.load_arrays(row_of["latency0-adsc-50x"])
     flown = RunDirectory(tmp_path / "alone").rows()
     assert arrays["distance_m"].tolist() == [row["distance_m"] for row in flown]
     assert arrays["lane"].tolist() == [0, 1]
     assert (
-        arrays["distance_m"].tolist()
-        != run.load_arrays("arrays/latency1-adsc-50x.npz")["distance_m"].tolist()
+        arrays["distance_m"].tolist() != run.load_arrays(row_of["latency1-adsc-50x"])["distance_m"].tolist()
     )
     assert [cell["successes"] for cell in summary["cells"]] == [0] * 4
 

@@ -61,7 +61,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("content", "text"), [
     ({"SimMode": "Car"}, "SimMode = 'Car': should be 'Multirotor', 'ComputerVision' or ''"),
     ({"ClockType": "ScalableClock"}, "ClockType = 'ScalableClock'"),
-    ({"ClockSpeed": 0}, "ClockSpeed = 0: should be greater than 0"),
+    ({"ClockSpeed": 0}, "ClockSpeed = 0"),
     ({"ClockSpeed": "10"}, "ClockSpeed = '10'"),
     ({"ApiServerPort": 65536}, "ApiServerPort = 65536"),
     ({"EnableRpc": False}, "EnableRpc = False"),

@@ -132,7 +132,22 @@ def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:
     first = train_into(tmp_path / "run", config)
     assert train_into(tmp_path / "run", config, resume=True)["games"] == first["games"]
     with pytest.raises(UserError, match="has another configuration: games"):
-        train_into(tmp_path / "run", tiny_config(STATE, mirror=False, games=5), resume=True)
+        train_into(tmp_path / "run", tiny_config(STATE, mirror=False, games=3), resume=True)
+
+
+def test_more_games_are_learned_from_after_the_last_checkpoint(tmp_path: Path) -> None:
+    short, long = (tiny_config(STATE, mirror=False, games=games) for games in (4, 7))
+    train_into(tmp_path / "run", short)
+    before = (tmp_path / "run" / "rows.jsonl").read_bytes().splitlines()
+    kept = int(find_checkpoint(tmp_path / "run" / CHECKPOINTS).name)  # type: ignore[union-attr]
+    assert train_into(tmp_path / "run", long, resume=True)["games"] == 7
+    assert (tmp_path / "run" / "rows.jsonl").read_bytes().splitlines()[:kept] == before[:kept]
+    assert RunDirectory(tmp_path / "run").config()["games"] == 7
+    unsaved = tiny_config(STATE, mirror=False, games=2, checkpoint_games=9)
+    train_into(tmp_path / "unsaved", unsaved)
+    with pytest.raises(UserError, match=r"games \(2 there, 4 here\)"):
+        train_into(tmp_path / "unsaved", unsaved.model_copy(update={"games": 4}), resume=True)
+    assert len(RunDirectory(tmp_path / "unsaved").rows()) == 2
 
 
 def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> None:

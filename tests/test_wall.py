@@ -126,4 +126,4 @@ def test_the_server_ends_with_its_session() -> None:
     session = WallSession("blocks", "native")
     session.start_game(1.0, SEED)
     session.close()
-    assert session._process.returncode == 0
+    assert session.server.returncode == 0

@@ -1,4 +1,6 @@
-"""Errors that are the user's to mend: one clear line each, and an exit status."""
+"""Errors that are the user's to mend: one clear line each, and an exit status. What is one is decided here."""
+
+import errno
 
 
 class UserError(Exception):
@@ -20,3 +22,41 @@ class Interrupted(UserError):
     """Stopped by Ctrl-C; the line says how to go on."""
 
     exit_status = 130
+
+
+_SYSTEM_REFUSES = {
+    errno.EACCES,
+    errno.EDQUOT,
+    errno.EEXIST,
+    errno.EFBIG,
+    errno.EIO,
+    errno.EISDIR,
+    errno.ELOOP,
+    errno.EMFILE,
+    errno.ENAMETOOLONG,
+    errno.ENFILE,
+    errno.ENOENT,
+    errno.ENOSPC,
+    errno.ENOTDIR,
+    errno.ENOTEMPTY,
+    errno.EPERM,
+    errno.EPIPE,
+    errno.EROFS,
+}
+
+
+def mistake_of(error: BaseException) -> UserError | None:
+    """The mistake that an exception comes from; None for one that is a mistake of this program.
+
+    What the system refuses is the user's to mend: a full disk, a folder that may not be written, a name that is too
+    long, memory that is not there.
+    """
+    if isinstance(error, UserError):
+        return error
+    if isinstance(error, OSError) and error.errno in _SYSTEM_REFUSES:
+        if error.filename is not None:
+            return UserError(f"{error.filename}: {error.strerror}")
+        return UserError(f"cannot write: {error.strerror}")  # a file tells its name where it is opened alone
+    if isinstance(error, MemoryError):
+        return UserError("not enough memory: fewer environments, a smaller buffer_size, or fewer --jobs")
+    return None

@@ -1,5 +1,7 @@
 """Files that a crash leaves whole, in which equal values are equal bytes."""
 
+import errno
+import hashlib
 import json
 import math
 import os
@@ -11,21 +13,38 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, mistake_of
 
 UNFINISHED = ".unfinished"
 """Suffix of a file that is still being written; a crash may leave one behind."""
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Raises a UserError that names the file where the system refuses to write it: writing alone does not say which."""
+    try:
+        yield
+    except OSError as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        more = "; make room, what is finished is not lost" if error.errno == errno.ENOSPC else ""
+        name = path if error.filename is None else error.filename
+        raise type(refused)(f"{name}: {error.strerror}{more}") from error
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file to write that takes the place of `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
-    with unfinished.open("wb") as file:
-        yield file
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
+    try:
+        with naming(path), unfinished.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except BaseException:  # a full disk needs the room that a half file takes
+        unfinished.unlink(missing_ok=True)
+        raise
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -51,6 +70,15 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise UserError(f"{path}: cannot be read: {error}") from error
 
 
+def file_sha256(path: Path) -> str:
+    """Hash of a file's bytes, in hex. Raises UserError if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def to_json(value: Any, indent: int | None = None) -> str:
     """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
     return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
@@ -71,7 +99,7 @@ def _plain(value: Any) -> Any:
 def append_line(path: Path, entry: Mapping[str, Any]) -> None:
     """Add a line of JSON, on disk on return."""
     line = to_json(entry).encode() + b"\n"
-    with path.open("ab") as file:
+    with naming(path), path.open("ab") as file:
         file.write(line)
         file.flush()
         os.fsync(file.fileno())

@@ -9,7 +9,7 @@ done and the others can be flown again.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,42 +21,57 @@ from uavaccel.files import (
     UNFINISHED,
     append_line,
     drop_cut_line,
+    file_sha256,
+    naming,
     read_arrays,
     read_lines,
     replacing,
     to_json,
     write_arrays,
 )
+from uavaccel.lock import FolderLock, hold
 from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
 class RunDirectory:
-    """The run directory at `path`. Raises UserError if there is none."""
+    """The run directory at `path`. Raises UserError if there is none, or if a case has two rows."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._lock: FolderLock | None = None
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: not a run directory: no config.yaml in it")
-        self._done = {str(row.get("case")) for row in self.rows()}
+        self._done = self._cases_of_rows()
 
     @classmethod
     def create(
-        cls, path: str | Path, config: Config, manifest: Mapping[str, Any], resume: bool = False
+        cls,
+        path: str | Path,
+        config: Config,
+        manifest: Mapping[str, Any],
+        resume: bool = False,
+        may_grow: Collection[str] = (),
     ) -> "RunDirectory":
         """Start a run at `path`, or with `resume` go on with the one that is there, if one is.
 
-        Going on, a line that was cut short is dropped, and `manifest` is added to the run's. Raises UserError
-        if the folder exists and `resume` is False, or if the run has another configuration.
+        Going on, a line that was cut short is dropped, and `manifest` is added to the run's. As long as the result
+        lives no other process can go on with the run. Raises UserError if the folder exists and `resume` is False, if
+        the run has another configuration, or if another process is flying it. Numbers of the keys `may_grow` may be
+        larger than the run's.
         """
         path = Path(path)
         if path.exists() and not resume:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
-            _refuse_other_config(path, config)
+            lock = hold(path)
+            grown = _refuse_other_config(path, config, may_grow)
             _clear_after_crash(path)
+            if grown:
+                _write_config(path, config)
         else:
-            _start(path, config)
+            lock = _start(path, config)
         run = cls(path)
+        run._lock = lock
         run._add_manifest(manifest)
         return run
 
@@ -64,10 +79,11 @@ class RunDirectory:
         """Add the row of a finished case, whole and on disk on return; `row["case"]` is the case's id.
 
         Keys are sorted, floats read back equal, one that is not finite is null. Raises ValueError if the case
-        has a row already.
+        has a row already, UserError if the run's folder is no longer there.
         """
         if row["case"] in self._done:
             raise ValueError(f"case {row['case']} has a row already")
+        self._refuse_gone()
         append_line(self.path / "rows.jsonl", row)
         self._done.add(row["case"])
 
@@ -91,22 +107,30 @@ class RunDirectory:
         """Drop all rows but the first `count`, and what timing.jsonl has about them."""
         for name, entries in (("rows.jsonl", self.rows()), ("timing.jsonl", self.timings())):
             self.write_text(name, "".join(to_json(entry) + "\n" for entry in entries[:count]))
-        self._done = {str(row.get("case")) for row in self.rows()}
+        self._done = self._cases_of_rows()
 
-    def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> str:
-        """Write a case's arrays, in place of those of an attempt without a row; their path in the run."""
-        name = f"arrays/{case}.npz"
+    def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Write a case's arrays, in place of those of an attempt without a row.
+
+        What its row has to say of them: `arrays`, their path in the run, and `arrays_sha256`, that file's hash.
+        """
+        name = _arrays_name(case)
         write_arrays(self.file(name), arrays)
-        return name
+        return {"arrays": name, "arrays_sha256": file_sha256(self.path / name)}
 
-    def load_arrays(self, name: str) -> dict[str, np.ndarray]:
-        """Arrays by the path that `save_arrays` returned. Raises UserError if missing or damaged."""
-        return read_arrays(self.path / name)
+    def load_arrays(self, row: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """The arrays of a row. Raises UserError as `arrays_of`."""
+        return arrays_of(self.path, row)
 
     def file(self, name: str) -> Path:
-        """Path of a file of the run, e.g. "figures/figure5.png", in a folder that exists."""
+        """Path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
+
+        Raises UserError if the run's own folder is no longer there: it is not begun again behind its user's back.
+        """
+        self._refuse_gone()
         path = self.path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
     def write_text(self, name: str, text: str) -> Path:
@@ -143,6 +167,24 @@ class RunDirectory:
         manifest: dict[str, Any] = self.read_json("manifest.json")
         return manifest
 
+    def _cases_of_rows(self) -> set[str]:
+        done: set[str] = set()
+        for number, row in enumerate(self.rows(), start=1):
+            case = str(row.get("case"))
+            if case in done:
+                raise UserError(
+                    f"{self.path / 'rows.jsonl'}: line {number}: {case} has a row already; "
+                    "delete the line that does not belong here"
+                )
+            done.add(case)
+        return done
+
+    def _refuse_gone(self) -> None:
+        if not (self.path / "config.yaml").is_file():
+            raise UserError(
+                f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown"
+            )
+
     def _add_manifest(self, manifest: Mapping[str, Any]) -> None:
         if (self.path / "manifest.json").exists():
             first = self.manifest()
@@ -150,16 +192,38 @@ class RunDirectory:
         self.write_json("manifest.json", manifest)
 
 
-def _start(path: Path, config: Config) -> None:
+def arrays_of(folder: Path, row: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The arrays of a row of the run in `folder`.
+
+    Raises UserError if the file is missing or damaged, is named after another case, or is not what the row's hash says.
+    Rows of before there were hashes have none.
+    """
+    name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
+    if name != _arrays_name(str(row["case"])):
+        raise UserError(f"{folder / 'rows.jsonl'}: {row['case']}: has the arrays of another case, {name}")
+    arrays = read_arrays(folder / name)
+    if wanted is not None and file_sha256(folder / name) != wanted:
+        raise UserError(
+            f"{folder / name}: is not the file of its row: another hash; delete the row's line and --resume the run"
+        )
+    return arrays
+
+
+def _arrays_name(case: str) -> str:
+    return f"arrays/{case}.npz"
+
+
+def _start(path: Path, config: Config) -> FolderLock:
     try:
         path.mkdir(parents=True, exist_ok=True)
+        lock = hold(path)
         strangers = [entry.name for entry in path.iterdir() if not entry.name.endswith(UNFINISHED)]
         if strangers:
             raise UserError(f"{path}: not a run directory, but holds {min(strangers)}; take another --out")
-        with replacing(path / "config.yaml") as file:
-            file.write(to_yaml(config).encode())
+        _write_config(path, config)
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
+    return lock
 
 
 def _clear_after_crash(path: Path) -> None:
@@ -169,16 +233,25 @@ def _clear_after_crash(path: Path) -> None:
     drop_cut_line(path / "timing.jsonl")
 
 
-def _refuse_other_config(path: Path, config: Config) -> None:
+def _write_config(path: Path, config: Config) -> None:
+    with replacing(path / "config.yaml") as file:
+        file.write(to_yaml(config).encode())
+
+
+def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
+    """The keys that have grown."""
     there = _leaves(load_yaml(path / "config.yaml"))
     here = _leaves(parse_yaml(to_yaml(config), source="configuration"))
+    other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
+    grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
     differing = [
         f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)"
-        for key in sorted(there.keys() | here.keys())
-        if there.get(key) != here.get(key)
+        for key in other
+        if key not in grown
     ]
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
+    return grown
 
 
 def _leaves(value: Any, key: str = "") -> dict[str, str]:

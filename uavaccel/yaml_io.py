@@ -29,6 +29,9 @@ def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
     return rules
 
 
+MOST_VALUES = 1_000_000
+
+
 class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers = _resolvers()
 
@@ -80,13 +83,30 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 def parse_yaml(text: str, source: str) -> Any:
     """The value of a YAML text; `source` names it in the UserError raised if it is none."""
     try:
-        return yaml.load(text, Loader=_Loader)
+        return _bounded(yaml.load(text, Loader=_Loader), source)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}:" if mark else ""
         raise UserError(f"{source}:{line} {error.problem or error.context}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except RecursionError:
+        raise UserError(f"{source}: not YAML: nested too deep") from None
+    except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"{source}: not YAML: {str(error).splitlines()[0]}") from error
+
+
+def _bounded(value: Any, source: str) -> Any:
+    """The value. Raises UserError where aliases make it far larger than a text that anybody wrote."""
+    pending, count = [value], 0
+    while pending:
+        each = pending.pop()
+        count += 1
+        if count > MOST_VALUES:
+            raise UserError(f"{source}: more than {MOST_VALUES:,} values, aliases counted each time")
+        if isinstance(each, dict):
+            pending.extend(each.values())
+        elif isinstance(each, list):
+            pending.extend(each)
+    return value
 
 
 def dump_yaml(mapping: Mapping[str, Any]) -> str:

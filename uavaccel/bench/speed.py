@@ -149,7 +149,7 @@ def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Measur
             clock.sleep_until(start_ns + round(call * NS_PER_S / calls_per_s))
             client.kinematics()
             if call % int(calls_per_s) == 0:
-                memory.append(session.server_memory_mib())
+                memory.append(session.server.memory_mib())
         yield Measurement("achieved speed", client.speed()["real_time_factor"], "x", CLOCK_SPEED)
         settled = memory[len(memory) // 10 :]
         yield Measurement(

@@ -34,6 +34,7 @@ class TracingTransport:
     def __init__(self, inner: Transport) -> None:
         self.clock: WallClock = inner.clock
         self.known = inner.known
+        self.stalled_ns = 0
         self.events: list[ClientEvent] = []
         self._inner = inner
 

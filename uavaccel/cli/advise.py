@@ -11,6 +11,7 @@ from rich.table import Table
 from uavaccel.bench.advice import Advice, advise, sentence
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
+from uavaccel.limits import MOST_SECONDS
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyModel
 
@@ -45,6 +46,10 @@ def show_advice(request: AdviceRequest) -> None:
         raise UserError(f"--error {request.error_m:g}: must be above 0 metres")
     if not 1 <= request.rounds <= MOST_ROUNDS:
         raise UserError(f"--rounds {request.rounds}: must be 1 to {MOST_ROUNDS}")
+    if not 0.0 < request.t_move_s <= MOST_SECONDS:
+        raise UserError(
+            f"--t-move {request.t_move_s:g}: must be above 0 and at most {MOST_SECONDS:g} seconds"
+        )
     PROFILES[request.profile].check_duration(request.t_move_s, "--t-move")
     given = {} if request.latency is None else {"latency": str(request.latency)}
     latency = validate(_Model, {"profile": request.profile, **given}, "advise").latency

@@ -13,10 +13,13 @@ from uavaccel.bench import images as bench_images
 from uavaccel.bench import speed as bench
 from uavaccel.bench.batch import BatchSize, bench_batch
 from uavaccel.bench.machine import check_machine
+from uavaccel.cli.paths import check_file
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
+from uavaccel.limits import MOST_SECONDS
 from uavaccel.manifest import describe_run
 
+RENDERERS = ("shared", "own", "auto")
 Bench = Callable[[], Iterator[bench.Measurement]]
 BENCHES: dict[str, Bench] = {
     "hot-loop": bench.bench_hot_loop,
@@ -37,8 +40,12 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
     unknown = [name for name in names if name not in BENCHES]
     if unknown:
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
-    if out is not None and out.exists():
-        raise UserError(f"{out}: exists; take another --out")
+    if out is not None:
+        check_file(out)
+    if not 0.0 <= soak_s <= MOST_SECONDS:
+        raise UserError(f"--soak-s {soak_s:g}: must be 0 to {MOST_SECONDS:g}")
+    if batch.renderer not in RENDERERS:
+        raise UserError(f"--renderer {batch.renderer}: must be {', '.join(RENDERERS)}")
     benches: dict[str, Bench] = {**BENCHES, "batch": partial(bench_batch, batch)}
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")

@@ -5,13 +5,15 @@ Exit status: 0 done; 1 one clear line on standard error; 2 wrong usage; 130 inte
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from uavaccel.errors import UserError
+from uavaccel.errors import mistake_of
 
 app = typer.Typer(
     name="uavaccel",
@@ -28,7 +30,9 @@ Timing = Annotated[
 Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
 Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with the run in --out, by its own configuration.")
+]
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
 Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
@@ -39,8 +43,11 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=v
 @app.command()
 def run(
     experiment: Annotated[
-        str, typer.Argument(help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file.")
-    ],
+        str | None,
+        typer.Argument(
+            help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file; --resume needs none."
+        ),
+    ] = None,
     clock: Clock = None,
     command: Commands = None,
     t_move: Annotated[
@@ -156,7 +163,9 @@ def advise(
 
 @app.command()
 def train(
-    experiment: Annotated[str, typer.Argument(help="An experiment's YAML file.")] = "train",
+    experiment: Annotated[
+        str | None, typer.Argument(help="An experiment's YAML file; --resume needs none.")
+    ] = None,
     clock: OneClock = None,
     command: OneCommand = None,
     timing: Timing = None,
@@ -172,14 +181,18 @@ def train(
     from uavaccel.cli.run import RunRequest, run_experiment
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed}
-    run_experiment(RunRequest(experiment, options, overrides or [], 1, out, resume, dry_run))
+    named = experiment or (None if resume else "train")
+    run_experiment(RunRequest(named, options, overrides or [], 1, out, resume, dry_run, "train"))
 
 
 @app.command()
 def evaluate(
     agent: Annotated[
-        str, typer.Argument(help="A training's run directory, a policy's folder, straight or offset:METRES.")
-    ] = "default",
+        str | None,
+        typer.Argument(
+            help="A training's run directory, a policy's folder, straight or offset:METRES; else the policy that ships."
+        ),
+    ] = None,
     games: Annotated[int | None, typer.Option(help="Evaluation lanes; 300 without it.")] = None,
     clock: OneClock = None,
     command: OneCommand = None,
@@ -201,7 +214,8 @@ def evaluate(
     from uavaccel.cli.run import RunRequest
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
-    request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run)
+    named = None if agent is None and resume else "evaluate"
+    request = RunRequest(named, options, overrides or [], jobs, out, resume, dry_run, "evaluate")
     evaluate_agent(request, against, films)
 
 
@@ -321,21 +335,52 @@ def doctor() -> None:
 
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
+    _open_closed_streams()
     try:
         status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
-    except UserError as error:
-        status = _complain(str(error), error.exit_status)
+        sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
         status = _complain("interrupted", 130)
     except typer.Exit as error:
         status = error.exit_code
+    except SystemExit:  # how the command line's own library ends where nobody reads what is printed
+        status = _complain("standard output was closed", 1)
     except Exception as error:
-        if not hasattr(error, "format_message"):  # not one of the command line's own
-            raise
-        status = _complain(error.format_message(), 2)
+        status = _status_of(error)
+    _leave_unread_output()
     sys.exit(status if isinstance(status, int) else 0)
 
 
+def _status_of(error: Exception) -> int:
+    """Print the one line of a mistake; its exit status. Raises the error where it is none of the user's."""
+    if hasattr(error, "format_message"):  # one of the command line's own
+        return _complain(error.format_message(), 2)
+    mistake = mistake_of(error)
+    if mistake is None:
+        raise error
+    return _complain(str(mistake), mistake.exit_status)
+
+
 def _complain(message: str, status: int) -> int:
-    print(f"uavaccel: error: {message}" if status != 130 else f"uavaccel: {message}", file=sys.stderr)
+    line = " ".join(message.split("\n"))
+    with contextlib.suppress(OSError):
+        print(f"uavaccel: error: {line}" if status != 130 else f"uavaccel: {line}", file=sys.stderr)
     return status
+
+
+def _open_closed_streams() -> None:
+    """A stream that was closed before we began leaves its number to the next file: into which all would be printed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            if descriptor != number:
+                os.dup2(descriptor, number)
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w"))
+
+
+def _leave_unread_output() -> None:
+    """What cannot be printed is dropped here, else the interpreter would complain of it at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

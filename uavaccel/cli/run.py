@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -15,9 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from uavaccel.bench.machine import check_machine
+from uavaccel.cli.paths import check_out
 from uavaccel.cli.progress import Progress
+from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
-from uavaccel.errors import Interrupted, UsageError
+from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
+from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
@@ -34,39 +39,55 @@ console = Console(highlight=False, soft_wrap=True)
 class RunRequest:
     """What was asked for on the command line; an option about which nothing was said is None."""
 
-    experiment: str
+    experiment: str | None
+    """None: that of the run in `out`, to resume."""
     options: Mapping[str, Any] = field(default_factory=dict)
     overrides: Sequence[str] = ()
     jobs: int = 1
     out: Path | None = None
     resume: bool = False
     dry_run: bool = False
+    suite: str | None = None
+    """The only one that the command is for."""
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
     """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
-    cases = list(suite.cases(config))
-    out = (
-        request.out
-        or Path("runs") / f"{Path(request.experiment).stem}-{calendar_time()[:19].replace(':', '')}"
-    )
-    console.print(plan(suite, config, cases, request.jobs, out))
+    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if len(cases) > MOST_GAMES:
+        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    if request.out is not None and not request.dry_run:
+        check_out(request.out, request.resume)
+    name = Path(request.experiment or suite.name).stem
+    out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
+    console.print(plan(suite, config, cases, request.jobs, out), markup=False)
     if request.dry_run:
         return None
-    run = begin_run(suite, config, out, manifest_of(suite, config), request.resume)
     with resumable(out):
+        manifest = manifest_of(suite, config)
+        run = begin_run(suite, config, out, manifest, request.resume)
+        if "resumed" in run.manifest():
+            for line in going_on(run, config, len(cases), manifest):
+                console.print(line, markup=False)
         fly(suite, config, cases, run, request.jobs)
     report_run(run)
     return run
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
-    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly."""
-    mapping, source = read_mapping(request.experiment)
-    own_file = is_file(request.experiment)
-    suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
+    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly.
+
+    Without an experiment they are those of the folder that is gone on with.
+    """
+    own_file = request.experiment is None or is_file(request.experiment)
+    if request.experiment is None:
+        suite, mapping = folders_own(request.out, request.resume, request.suite)
+        source = str(request.out)
+    else:
+        mapping, source = read_mapping(request.experiment)
+        suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
     given = {key: value for key, value in request.options.items() if value is not None}
     if not own_file and suite.quick is not None and len(_values(given.get("clock_speed", ()))) == 1:
         mapping |= suite.quick
@@ -158,13 +179,16 @@ def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Turns Ctrl-C into a line that says how to go on."""
+    """Turns Ctrl-C, and what the system refuses, into a line that says how to go on."""
+    how = f"go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(
-            f"interrupted; go on with --out {out} --resume, the other options as they were"
-        ) from None
+        raise Interrupted(f"interrupted; {how}") from None
+    except (OSError, MemoryError) as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        raise UserError(f"{refused}; {how}") from error
 
 
 def report_run(run: RunDirectory) -> Summary:

@@ -13,6 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
+from uavaccel.sim.gl import describe_renderer
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.events import lane_events
 from uavaccel.suites.evaluation.film import best_first, film_lane
@@ -33,6 +34,7 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
     training's run directory. Without `case`: the run's most interesting game, a policy's first evaluation lane.
     Raises UserError if there is no such game.
     """
+    describe_renderer()  # where nothing can draw, this says so
     if (policy_folder(source) / MANIFEST).is_file():
         folder = Path("runs") if source == DEFAULT else Path(source)
         name, film = _fly_policy(source, case or lane_case(0))
@@ -73,4 +75,6 @@ def _policy_game(policy: str, case: str) -> tuple[EvaluateConfig, int]:
     if not lane:
         raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
     mapping = completed({"agent": policy, "task": {"timing": "lockstep"}})
-    return resolve(EvaluateConfig, mapping, "view"), int(lane[1])
+    config = resolve(EvaluateConfig, mapping, "view")
+    config.task.wire_lane(int(lane[1]))  # refuses one that there is not
+    return config, int(lane[1])

@@ -93,7 +93,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             self.task.reward(before, self._now),
             terminated,
             truncated,
-            self._info(),
+            self._info() | (self._host_disturbances() if terminated or truncated else {}),
         )
 
     def render(self) -> Any:
@@ -271,6 +271,14 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         if self.task.report_host_times:
             info["host_phase_s"] = self._stopwatches[1].spent_s()
         return info
+
+    def _host_disturbances(self) -> Info:
+        """Of a game that is over in `wall`: wall time lost, and for which the server stalled; else nothing."""
+        if self.task.timing != "wall" or self._client is None:
+            return {}
+        client = self._client.client
+        found = {"lost_wall_s": client.speed()["lost_wall_ns"], "stalled_wall_s": client.transport.stalled_ns}
+        return {name: spent_ns / NS_PER_S for name, spent_ns in found.items() if spent_ns}
 
 
 def make_task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
 from uavaccel.errors import UserError
+from uavaccel.parent import end_with_parent
 from uavaccel.sim.camera import make_cameras_with
 from uavaccel.sim.rendering.camera import RemoteCamera
 
@@ -108,6 +109,7 @@ def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int
 
 def main() -> None:
     options = json.loads(sys.argv[1])
+    end_with_parent()
     os.nice(NICENESS)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
     threads = [threading.Thread(target=fly, args=(options, place)) for place in options["lanes"]]

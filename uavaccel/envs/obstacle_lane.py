@@ -15,12 +15,16 @@ from gymnasium import spaces
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Course, Moment, Positive, Task
+from uavaccel.envs.task import Count, Course, Moment, Task
 from uavaccel.envs.told import Knowledge, Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.limits import Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
+
+Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
+Heading = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 class LaneTask(Task):
@@ -40,18 +44,18 @@ class LaneTask(Task):
     knows: tuple[Knowledge, ...] = ()
     """What the agent is told beside its pictures: last_action, frame_age."""
 
-    t_move_s: Positive = 1.0
-    t_sample_s: Positive = 0.33
-    headings_deg: tuple[float, ...] = (-60.0, -30.0, 0.0, 30.0, 60.0)
+    t_move_s: Seconds = 1.0
+    t_sample_s: Seconds = 0.33
+    headings_deg: tuple[Heading, ...] = (-60.0, -30.0, 0.0, 30.0, 60.0)
     """The actions: directions of flight, 0 along the lane, positive to the east."""
-    altitude_m: Positive = 2.0
+    altitude_m: Height = 2.0
     """Height that every command holds, as AirSim's moveByVelocityZ; SimpleFlight answers slower the higher it is."""
-    max_commands: Annotated[int, Field(ge=1)] = 300
+    max_commands: Count = 300
 
-    progress_reward: float = 0.1
+    progress_reward: Reward = 0.1
     """A metre northwards."""
-    collision_reward: float = -1.0
-    goal_reward: float = 0.0
+    collision_reward: Reward = -1.0
+    goal_reward: Reward = 0.0
 
     @field_validator("lane", mode="before")
     @classmethod

@@ -20,13 +20,14 @@ from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
+from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
-NotNegative = Annotated[float, Field(ge=0.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Course = Mapping[str, Any]
 RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -62,7 +63,7 @@ class Task(Config):
     blank_images: bool = False
     """Frames without content, for the baseline that shows what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
-    dvs_seed: Annotated[int, Field(ge=0)] = 0
+    dvs_seed: Seed = 0
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
 
     dvs_rate_hz: Positive | None = None
@@ -71,21 +72,21 @@ class Task(Config):
     """Whether the event camera keeps its events one by one, for `take_events`."""
 
     command: Literal["adsc", "tcsc"] = "tcsc"
-    t_move_s: Positive = 0.2
-    t_sample_s: Positive = 0.2
-    speed_m_s: Positive = 1.0
-    altitude_m: Positive = 10.0
+    t_move_s: Seconds = 0.2
+    t_sample_s: Seconds = 0.2
+    speed_m_s: Speed = 1.0
+    altitude_m: Height = 10.0
     """Of the start."""
     max_commands: Count = 100
 
     timing: Literal["wall", "virtual", "lockstep"] = "lockstep"
-    clock_speed: Positive = 1.0
+    clock_speed: ClockSpeed = 1.0
     profile: Literal["native", "airsim"] = "native"
-    t_th_wall_s: NotNegative = 0.001
+    t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel = Field(default_factory=of_the_profile)
     """The latency model that `virtual` draws from, or the YAML file of one; the shipped one where none is given."""
-    image_processing_s: NotNegative = 0.0003
+    image_processing_s: Cost = 0.0003
     """What the DVS of one frame costs the simulated wall clock of `virtual`."""
     report_host_times: bool = False
     """Whether infos have `host_phase_s`, measured on this machine's clock: never the same twice."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,6 +14,7 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.rl.policy import WEIGHTS, Policy, load_policy, observed_frames
+from uavaccel.sim.lane.layout import WIDTH_M
 
 DEFAULT = "default"
 STRAIGHT = "straight"
@@ -81,9 +83,14 @@ def make_agent(name: str, task: LaneTask) -> Agent:
         return OffsetAgent(0.0, task)
     if name.startswith(OFFSET):
         try:
-            return OffsetAgent(float(name.removeprefix(OFFSET)), task)
+            offset_m = float(name.removeprefix(OFFSET))
         except ValueError:
-            raise UserError(f"{name}: must be offset:METRES, as in offset:-1.5") from None
+            offset_m = math.nan
+        if not abs(offset_m) <= WIDTH_M:
+            raise UserError(
+                f"{name}: must be offset:METRES, as in offset:-1.5, within the lane of {WIDTH_M:g} m"
+            )
+        return OffsetAgent(offset_m, task)
     policy = load_policy(policy_folder(name))
     _refuse_misfit(name, policy, task)
     return PolicyAgent(policy)

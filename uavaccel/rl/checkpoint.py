@@ -9,7 +9,10 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import zipfile
+import zlib
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -23,6 +26,8 @@ from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.saved import State, part, under
 
 _COMPLETE = "state.json"
+DAMAGE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError)
+"""What reading a damaged file of tensors or arrays raises."""
 
 
 def save_checkpoint(folder: Path, learner: Learner) -> None:
@@ -50,22 +55,44 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
 
 def find_checkpoint(folder: Path) -> Path | None:
     """The newest whole checkpoint below `folder`."""
-    whole = sorted(state.parent for state in folder.glob(f"*/{_COMPLETE}"))
+    whole = _whole(folder)
     return whole[-1] if whole else None
+
+
+def _whole(folder: Path) -> list[Path]:
+    return sorted(state.parent for state in folder.glob(f"*/{_COMPLETE}"))
 
 
 def games_of(checkpoint: Path) -> int:
     """How many games were over when it was taken."""
-    return int(_plain(checkpoint)["games"])
+    try:
+        return int(_plain(checkpoint)["games"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise _damaged(checkpoint, error) from error
 
 
 def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
-    """Put learner, games and every generator back. Raises UserError where the checkpoint is of other lanes."""
+    """Put learner, games and every generator back. Raises UserError where it is damaged, or of other lanes."""
+    try:
+        _put_back(checkpoint, learner)
+    except UserError:
+        raise
+    except (
+        *DAMAGE,
+        AttributeError,
+        IndexError,
+        RuntimeError,
+        TypeError,
+    ) as error:  # whatever its contents bring about
+        raise _damaged(checkpoint, error) from error
+
+
+def _put_back(checkpoint: Path, learner: Learner) -> None:
     plain = _plain(checkpoint)
     observations = _load_games(checkpoint / "games.npz", learner.lanes)
     tensors = th.load(checkpoint / "learner.pt", weights_only=True, map_location="cpu")
-    with np.load(checkpoint / "buffer.npz", allow_pickle=False) as arrays:
-        learner.set_state(LearnerState(tensors, dict(arrays), plain["counters"]), observations)
+    arrays = _read_arrays(checkpoint / "buffer.npz")
+    learner.set_state(LearnerState(tensors, arrays, plain["counters"]), observations)
     version, words, gauss = plain["random"]
     random.setstate((version, tuple(words), gauss))
     learner.lanes.action_space.np_random.bit_generator.state = plain["actions"]
@@ -77,14 +104,25 @@ def _plain(checkpoint: Path) -> dict[str, Any]:
     try:
         plain: dict[str, Any] = json.loads((checkpoint / _COMPLETE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise UserError(
-            f"{checkpoint}: a damaged checkpoint; delete it to go on from the one before"
-        ) from error
+        raise _damaged(checkpoint, error) from error
     return plain
+
+
+def _damaged(checkpoint: Path, error: Exception) -> UserError:
+    older = [path for path in _whole(checkpoint.parent) if path < checkpoint]
+    then = f"go on from {older[-1].name}" if older else "begin the training anew"
+    return UserError(
+        f"{checkpoint}: a damaged checkpoint ({type(error).__name__}); delete it and --resume to {then}"
+    )
 
 
 def _cuda_states() -> list[th.Tensor]:
     return th.cuda.get_rng_state_all() if th.cuda.is_available() else []
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 def _save_games(path: Path, lanes: Lanes) -> None:
@@ -98,8 +136,7 @@ def _save_games(path: Path, lanes: Lanes) -> None:
 
 def _load_games(path: Path, lanes: Lanes) -> NDArray[Any]:
     """Go on with the games that were under way; what the learner last saw of them, (lanes, ...)."""
-    with np.load(path, allow_pickle=False) as arrays:
-        state = dict(arrays)
+    state = _read_arrays(path)
     count = len({name.partition(".")[0] for name in state})
     if lanes.num_envs != count:
         raise UserError(f"the checkpoint has {count} environments; go on with as many")

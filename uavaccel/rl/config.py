@@ -8,17 +8,20 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.task import NotNegative
+from uavaccel.envs.task import Count
+from uavaccel.limits import Cost, Games, Processes, Seed
+
+Width = Annotated[int, Field(ge=1, le=65_536)]
 
 
 class LearnerConfig(Config):
     """What a policy comes from. Network, algorithm and their settings are this project's own choice."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
-    games: Annotated[int, Field(ge=1)] = 5000
-    environments: Annotated[int, Field(ge=1)] = 1
+    seed: Seed = 0
+    games: Games = 5000
+    environments: Processes = 1
     """Lanes flown side by side, each in a process of its own; 1 with wall, where neighbours would disturb."""
-    turns: Annotated[int, Field(ge=1)] = 1
+    turns: Processes = 1
     """Groups of the lanes that take turns, of double_dqn: while one decides and is learned from, the others fly."""
     task: LaneTask = LaneTask()
 
@@ -28,20 +31,20 @@ class LearnerConfig(Config):
     """Keywords of that class, over its defaults and, for double_dqn, over those of rl/algorithms.py."""
     final_learning_rate_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02
     """What is left of the learning rate at the last game; it falls linearly over the games, to settle the policy."""
-    commands_per_gradient_step: Annotated[int, Field(ge=1)] = 4
+    commands_per_gradient_step: Count = 4
     """Of algorithms with a replay buffer."""
     mirror: bool = True
     """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
-    channels: tuple[int, ...] = (16, 32)
-    hidden: tuple[int, ...] = (256,)
+    channels: Annotated[tuple[Width, ...], Field(min_length=1, max_length=4)] = (16, 32)
+    hidden: tuple[Width, ...] = (256,)
 
-    device: str = "cpu"
-    torch_threads: Annotated[int, Field(ge=1)] = 1
+    device: Annotated[str, Field(pattern=r"^(cpu|mps|cuda(:[0-9]+)?)$")] = "cpu"
+    torch_threads: Processes = 1
     """Threads of torch on the CPU; equal weights need an equal number."""
-    checkpoint_games: Annotated[int, Field(ge=1)] = 250
-    inference_s: NotNegative = 0.0005
+    checkpoint_games: Count = 250
+    inference_s: Cost = 0.0005
     """What a decision costs the simulated wall clock of `virtual`."""
-    learning_s: NotNegative = 0.01
+    learning_s: Cost = 0.01
     """What a gradient step costs the simulated wall clock of `virtual`."""
 
     @model_validator(mode="after")

@@ -10,17 +10,17 @@ from uavaccel.config import Config, validate
 from uavaccel.envs.task import Positive
 from uavaccel.rl.config import LearnerConfig
 
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class DqnOptions(Config):
     """Keys of `options` for `algorithm: double_dqn`."""
 
-    learning_rate: Positive = 3e-4
+    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 3e-4
     buffer_size: Count = 150_000
     """Commands that can be learned from, of all lanes together."""
-    learning_starts: Annotated[int, Field(ge=0)] = 2_000
+    learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 2_000
     """Commands flown at random before learning begins."""
     batch_size: Count = 32
     gamma: Ratio = 0.95

@@ -18,8 +18,8 @@ from stable_baselines3.common.policies import BasePolicy
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
-from uavaccel.files import replacing, to_json
-from uavaccel.rl.algorithms import greedy, make_policy
+from uavaccel.files import file_sha256, replacing, to_json
+from uavaccel.rl.algorithms import OWN, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
@@ -86,16 +86,16 @@ def trained_with(folder: Path) -> Mapping[str, Any]:
 
 
 def load_policy(path: Path) -> Policy:
-    """The policy in a run directory or any folder with its two files. Raises UserError if there is none."""
-    try:
-        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
-        weights = th.load(path / WEIGHTS, weights_only=True, map_location="cpu")
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: holds no policy: {error}") from error
-    except UnpicklingError as error:
-        raise UserError(f"{path / WEIGHTS}: is no state dict of tensors alone") from error
+    """The policy in a run directory or any folder with its two files.
+
+    Raises UserError if there is none, if it is damaged, or if its weights are not those that its manifest describes.
+    """
+    manifest = _read_manifest(path)
+    weights = _read_weights(path / WEIGHTS, manifest)
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
+    if config.algorithm != OWN:
+        baseline_class(config.algorithm)
     network = make_policy(config, lambda _: 0.0)
     network.set_training_mode(False)
     target = {
@@ -108,6 +108,45 @@ def load_policy(path: Path) -> Policy:
     except RuntimeError as error:
         raise UserError(f"{path / WEIGHTS}: does not fit the network of {MANIFEST}") from error
     return Policy(network, config, manifest)
+
+
+def _read_manifest(path: Path) -> Mapping[str, Any]:
+    try:
+        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: holds no policy: {error}") from error
+    except ValueError as error:
+        raise UserError(
+            f"{path / MANIFEST}: a damaged policy, not JSON: {error}; train or copy it anew"
+        ) from error
+    if not (isinstance(manifest, dict) and isinstance(manifest.get("config"), dict)):
+        raise UserError(
+            f"{path / MANIFEST}: describes no policy: no mapping under 'config'; train or copy it anew"
+        )
+    return manifest
+
+
+def _read_weights(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, th.Tensor]:
+    """The tensors in a file. Raises UserError if it is not the one that the manifest means."""
+    wanted = manifest.get("weights_file_sha256")
+    if wanted is not None and file_sha256(path) != wanted:
+        raise UserError(
+            f"{path}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
+        )
+    try:
+        weights = th.load(path, weights_only=True, map_location="cpu")
+    except UnpicklingError as error:
+        raise UserError(f"{path}: is no state dict of tensors alone") from error
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError) as error:
+        raise UserError(
+            f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew"
+        ) from error
+    if not (isinstance(weights, dict) and all(isinstance(each, th.Tensor) for each in weights.values())):
+        raise UserError(f"{path}: is no state dict of tensors alone")
+    for name, tensor in weights.items():
+        if not tensor.isfinite().all():
+            raise UserError(f"{path}: {name} is not finite: a training that diverged; train it anew")
+    return weights
 
 
 def observed_frames(task: Task) -> int:

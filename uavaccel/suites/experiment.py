@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
+from uavaccel.limits import CLOCK_SPEEDS, Cost, Seed
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyModel
@@ -21,7 +22,7 @@ CommandName = Literal["adsc", "tcsc"]
 class Experiment(Config):
     """Keys that every suite has. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
 
 
 class FlightExperiment(Experiment):
@@ -33,7 +34,7 @@ class FlightExperiment(Experiment):
     timing: Timing = "virtual"
     """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
     profile: ProfileName = "native"
-    t_th_wall_s: float = 0.001
+    t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel
     """The latency model that `virtual` draws from, or the name of its file; `uavaccel calibrate` writes one."""
@@ -41,7 +42,7 @@ class FlightExperiment(Experiment):
     @field_validator("clock_speed")
     @classmethod
     def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return positive(speeds)
+        return within(speeds, *CLOCK_SPEEDS)
 
     @field_validator("command")
     @classmethod
@@ -49,11 +50,13 @@ class FlightExperiment(Experiment):
         return distinct(commands)
 
 
-def positive(values: tuple[float, ...]) -> tuple[float, ...]:
-    """The values. Raises ValueError unless there is one, each is above 0, and they differ."""
+def within(values: tuple[float, ...], least: float, most: float) -> tuple[float, ...]:
+    """The values. Raises ValueError unless there is one, each is above 0, from `least` to `most`, and they differ."""
     for value in values:
         if value <= 0:
-            raise ValueError(f"must be above 0, not {value:g}")
+            raise ValueError(f"must be above 0, not {value}")
+        if not least <= value <= most:
+            raise ValueError(f"must be {least:g} to {most:g}, not {float(value):g}")
     return distinct(values)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,25 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
+from uavaccel.limits import MOST_PROCESSES
+from uavaccel.parent import end_with_parent
 from uavaccel.records import RunDirectory
+from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
 from uavaccel.units import NS_PER_S
+from uavaccel.wire.server_watch import ServerGoneError
+
+MOST_RESTARTS = 3  # of the server in one game
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
     """Raises UsageError for a number of processes that cannot be."""
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
+    if jobs > MOST_PROCESSES:
+        raise UsageError(f"--jobs {jobs}: must be at most {MOST_PROCESSES}")
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
@@ -38,7 +47,7 @@ def begin_run(
     """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
     folder = own_folder(suite)  # where a report finds the suite again, from whatever folder it is asked for
     found = {} if folder is None else {"suite_folder": str(folder)}
-    run = RunDirectory.create(out, config, {**manifest, **found}, resume)
+    run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     suite.prepare(config, run)
     return run
 
@@ -52,21 +61,50 @@ def run_suite(
 ) -> None:
     """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
 
-    Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them.
+    Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them. Where
+    their server dies or hangs it is started again, and the game flown again; its row says how often, `restarts`.
     `on_flown` is told of each game. Raises UserError, and UsageError as `check_jobs`.
     """
     check_jobs(suite, config, jobs)
+    restarts = Counter[str]()
+    while True:
+        left = _without_row(suite, config, run)
+        try:
+            _fly(suite, config, left, run, jobs, on_flown, restarts)
+            suite.finish(config, run)
+            return
+        except ServerGoneError as error:
+            case = next((case.id for case in _without_row(suite, config, run)), "after the last game")
+            restarts[case] += 1
+            if restarts[case] > MOST_RESTARTS:
+                raise UserError(f"{case}: {error}, {restarts[case]} times; go on with --resume") from error
+            suite.prepare(config, run)
+
+
+def _without_row(suite: AnySuite, config: Experiment, run: RunDirectory) -> list[Case]:
     done = run.done_cases()
-    left = [case for case in suite.cases(config) if case.id not in done]
-    for timing, group in _by_timing(left):
+    return [case for case in suite.cases(config) if case.id not in done]
+
+
+def _fly(
+    suite: AnySuite,
+    config: Experiment,
+    cases: Sequence[Case],
+    run: RunDirectory,
+    jobs: int,
+    on_flown: OnFlown,
+    restarts: Mapping[str, int],
+) -> None:
+    for timing, group in _by_timing(cases):
         flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
         for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
+            if timing == "wall":
+                game.row.update(disturbances(game.row, restarts.get(case.id, 0)))
             if game.arrays:
-                game.row["arrays"] = run.save_arrays(case.id, game.arrays)
+                game.row.update(run.save_arrays(case.id, game.arrays))
             run.append_row(game.row)
             run.append_timing({"case": case.id, **game.host})
             on_flown(case, game.row)
-    suite.finish(config, run)
 
 
 def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
@@ -125,6 +163,8 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     key = (str(folder), case.timing)
     if key not in _OPENED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if not _OPENED:
+            end_with_parent()
         # drawing in software, it leaves the other cores to its siblings
         os.environ.setdefault("LP_NUM_THREADS", "0")
         run = RunDirectory(folder)

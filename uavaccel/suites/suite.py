@@ -108,6 +108,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """`serial`, where that depends on the configuration."""
         return self.serial
 
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        """Keys whose numbers may be larger when the run in `folder` is gone on with: its cases stay as they are."""
+        return ()
+
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
         """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
 

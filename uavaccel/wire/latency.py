@@ -22,6 +22,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
+from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
 from uavaccel.sim.saved import State, number_or_none, optional, part, under
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
@@ -88,7 +89,7 @@ class LatencyConfig(Config):
     """
 
     name: str = ""
-    scale: Annotated[float, Field(ge=0.0)] = 1.0
+    scale: Annotated[float, Field(ge=0.0, le=MOST_SCALE)] = 1.0
     """Requests and replies take so many times what their quantiles say."""
     quantiles: Numbers = QUANTILES
     request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
@@ -127,6 +128,8 @@ class LatencyConfig(Config):
                 raise ValueError(f"needs {count} values, one for each of the quantiles, not {len(table)}")
             if any(later < earlier for earlier, later in pairwise(table)) or min(table, default=0.0) < 0:
                 raise ValueError("quantiles must be 0 or more and must not fall")
+            if max(table, default=0.0) > MOST_LATENCY_US:
+                raise ValueError(f"must be at most {MOST_LATENCY_US:g} us, a minute, not {max(table):g}")
         return value
 
 

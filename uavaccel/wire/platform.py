@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from uavaccel.config import Config
+from uavaccel.limits import LatencyUs
 from uavaccel.sim.executor import Executor
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import AIRSIM, PROFILES, Profile, airsim_variant
 from uavaccel.units import seconds_to_ns
 
-NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
 STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algorithm waits for (TCP_DELACK_MIN)
@@ -23,8 +23,16 @@ STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algori
 class FrameConfig(Config):
     """Unreal's frames (uavaccel.sim.frames)."""
 
-    hz: NotNegative = 0.0
+    hz: Annotated[float, Field(ge=0.0, le=1e5)] = 0.0
     """Frames per wall second; 0: an image is drawn when it is asked for."""
+
+    @field_validator("hz")
+    @classmethod
+    def _comes_to_an_end(cls, hz: float) -> float:
+        if 0.0 < hz < 0.01:
+            raise ValueError("must be 0, or 0.01 or more")
+        return hz
+
     stale_pose: bool = False
     """Images show the pose of the last frame before a pause."""
     after_continue: bool = False
@@ -40,22 +48,22 @@ class FaultConfig(Config):
     """Held until a delayed acknowledgement comes, 40 ms."""
     late: Share = 0.0
     """Late by `late_us`."""
-    late_us: NotNegative = 10_000.0
+    late_us: LatencyUs = 10_000.0
 
 
 class PlatformConfig(Config):
     """The simulator's side of a modelled wall clock; by default it costs nothing and nothing fails."""
 
-    tick_us: NotNegative = 0.0
+    tick_us: LatencyUs = 0.0
     """Wall time that a tick of physics takes; the speed saturates at the tick over it."""
     integer_clock_speed: bool = False
     """A ClockSpeed above 1 loses its fraction, as in AirSim."""
-    stall_us: NotNegative = 0.0
+    stall_us: LatencyUs = 0.0
     """A request that follows a command whose reply is still out waits so long after it: 40 000 for AirSim's client
     on a connection with Nagle's algorithm and delayed acknowledgements."""
     frames: FrameConfig = FrameConfig()
     faults: FaultConfig = FaultConfig()
-    goal_timeout_s: Annotated[float, Field(gt=0.0)] = 0.06
+    goal_timeout_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 0.06
     """AirSim's api_goal_timeout: simulated time without a new goal after which position hold sets in."""
     exact_pauses: bool = False
     """A continue-for ends on the tick, as in the profile `native`, and not with a wall timer."""

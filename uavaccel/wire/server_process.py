@@ -14,6 +14,7 @@ import os
 import sys
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.parent import end_with_parent
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.watched import WatchedWorld
@@ -24,6 +25,7 @@ from uavaccel.wire.server import Server
 
 def main() -> None:
     options = json.loads(sys.argv[1])
+    end_with_parent()
     if options["core"] is not None:
         os.sched_setaffinity(0, {options["core"]})
     simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])

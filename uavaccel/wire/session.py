@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -25,6 +21,7 @@ from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.server_watch import WatchedServer
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
 TIMINGS = ("wall", "virtual", "lockstep")
@@ -57,27 +54,19 @@ class WallSession:
     """A server in a process and, where there are two, on a core of its own, on loopback, paced by the machine's clock.
 
     Until it is closed, this process stays off that core: the kernel likes to put two processes that talk to each other
-    on one, where each waits for the other.
+    on one, where each waits for the other. Calls raise ServerGoneError within 5 s where it has ended or hangs.
     """
 
     def __init__(self, scene: str, profile: str) -> None:
         self._cores = _cores()
         core = max(self._cores) if len(self._cores) > 1 else None
-        options = json.dumps({"scene": scene, "profile": profile, "core": core})
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.wire.server_process", options],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on that core too
-            start_new_session=True,  # Ctrl-C is for the client, which then ends the server
-        )
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if not line:
-            raise RuntimeError(
-                f"the server process ended with status {self._process.wait()} before it listened"
-            )
-        self._client = Client(SocketTransport("127.0.0.1", json.loads(line)["port"], exclusive=True))
+        self.server = WatchedServer({"scene": scene, "profile": profile, "core": core})
+        try:
+            transport = SocketTransport("127.0.0.1", self.server.port, exclusive=True, watch=self.server)
+        except BaseException:
+            self.server.end()
+            raise
+        self._client = Client(transport)
         if core is not None:
             os.sched_setaffinity(0, self._cores - {core})
 
@@ -88,21 +77,14 @@ class WallSession:
         lane: Any = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
+        self._client.transport.stalled_ns = 0
         return _start(self._client, clock_speed, lane, height_m)
-
-    def server_memory_mib(self) -> float:
-        """Resident memory of the server's process (Linux)."""
-        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
     def close(self) -> None:
         if len(self._cores) > 1:
             os.sched_setaffinity(0, self._cores)
         self._client.close()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
-        self._process.wait(timeout=10)
+        self.server.end()
 
     def __enter__(self) -> Self:
         return self

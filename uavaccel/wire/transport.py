@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
@@ -13,9 +14,11 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.saved import State, part, under
 from uavaccel.sim.simulation import DeferredReply
+from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.latency import Latency, channel_of
+from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 1_000_000
@@ -26,6 +29,7 @@ LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next t
     {
         "moveByVelocity",
         "moveByVelocityZ",
+        "ping",
         "uavaccelCollision",
         "uavaccelImage",
         "uavaccelRecording",
@@ -82,6 +86,8 @@ class Transport(Protocol):
 
     clock: WallClock
     known: KnownState
+    stalled_ns: int
+    """Wall time for which a watched server did not answer, since it was last set to 0; to be seen it takes a second."""
 
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         """Issue a call; `blocking` says that the caller waits for it at once.
@@ -114,11 +120,18 @@ def set_quick_ack(connection: socket.socket) -> None:
 
 
 class SocketTransport:
-    """msgpack-rpc over TCP. Raises UserError if nobody listens there."""
+    """msgpack-rpc over TCP. Raises UserError if nobody listens there.
 
-    def __init__(self, host: str, port: int, exclusive: bool = False) -> None:
+    With a `watch`, calls raise ServerGoneError where that finds the server gone; without, they wait for ever.
+    """
+
+    def __init__(
+        self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None
+    ) -> None:
         self.clock: WallClock = MonotonicClock()
         self.known = KnownState(exclusive)
+        self.stalled_ns = 0
+        self._silence = None if watch is None else Silence(watch, self._ask)
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
@@ -126,6 +139,9 @@ class SocketTransport:
                 f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`"
             ) from None
         self._socket.settimeout(None)
+        if watch is not None:  # what waits without a deadline wakes now and then, at no cost to what does not
+            interval = struct.pack("ll", LOOK_NS // NS_PER_S, 0)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
         self._open: dict[int, Call] = {}
@@ -147,16 +163,20 @@ class SocketTransport:
     def _flush(self) -> None:
         if self._unsent:
             unsent, self._unsent = self._unsent, b""
-            self._socket.sendall(unsent)
+            try:
+                self._socket.sendall(unsent)
+            except ConnectionError as error:
+                raise ServerGoneError(f"the server closed the connection: {error}") from None
 
     def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
         self._flush()
         if call.expected_ns is not None:
             self._poll_around(call, call.expected_ns, deadline_ns)
         while not call.done:
-            if deadline_ns is not None and not wait_for_sockets(self._selector, deadline_ns):
+            if deadline_ns is None or self._readable(deadline_ns):
+                self._receive()
+            elif self.clock.now_ns() >= deadline_ns:
                 return False
-            self._receive()
         return True
 
     def _poll_around(self, call: Call, expected_ns: int, deadline_ns: int | None) -> None:
@@ -164,19 +184,43 @@ class SocketTransport:
         last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
         wake_ns = expected_ns - POLL_NS
         while not call.done and self.clock.now_ns() < last_ns:
-            if wait_for_sockets(self._selector, min(wake_ns, last_ns)):
+            if self._readable(min(wake_ns, last_ns)):
                 self._receive()
 
+    def _readable(self, deadline_ns: int) -> bool:
+        """Whether something has come by the deadline; by then or before it a watched server has been asked for."""
+        look_ns = self.clock.now_ns() + LOOK_NS
+        if self._silence is None or deadline_ns < look_ns:
+            return bool(wait_for_sockets(self._selector, deadline_ns))
+        if wait_for_sockets(self._selector, look_ns):
+            return True
+        self._silence.goes_on()
+        return False
+
     def _receive(self) -> None:
-        data = self._socket.recv(_READ_BYTES)
+        try:
+            data = self._socket.recv(_READ_BYTES)
+        except BlockingIOError:  # nothing for LOOK_NS
+            if self._silence is not None:
+                self._silence.goes_on()
+            return
+        except ConnectionError as error:
+            raise ServerGoneError(f"the server closed the connection: {error}") from None
         if not data:
-            raise ConnectionError("the server closed the connection")
+            raise ServerGoneError("the server closed the connection")
         set_quick_ack(self._socket)
         for message in self._decoder.messages(data):
-            _, message_id, error, value = message
+            _, message_id, text, value = message
             call = self._open.pop(message_id, None)
             if call is not None:
-                call.done, call.error, call.value = True, error, value
+                call.done, call.error, call.value = True, text, value
+        if self._silence is not None:
+            self.stalled_ns += self._silence.broken_ns()
+
+    def _ask(self) -> Callable[[], bool]:
+        """Ask the server whether it is there; what is returned says whether it has answered."""
+        ping = self.send("ping", (), blocking=True)
+        return lambda: ping.done
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -191,6 +235,7 @@ class VirtualTransport:
     def __init__(self, api: Api, clock: VirtualClock, latency: Latency, exclusive: bool = False) -> None:
         self.clock: WallClock = clock
         self.known = KnownState(exclusive)
+        self.stalled_ns = 0
         self._api = api
         self._latency = latency
         self._handled_ns = clock.now_ns()

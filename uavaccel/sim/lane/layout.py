@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
 
@@ -35,14 +35,14 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 class Difficulty(Config):
     """The distribution that lanes are sampled from. All published figures use the defaults."""
 
-    first_row_m: Annotated[float, Field(gt=1.0)] = 10.0
+    first_row_m: Annotated[float, Field(gt=1.0, le=1000.0)] = 10.0
     """Distance from the start to the first row."""
-    row_spacing_m: Annotated[float, Field(gt=1.0)] = 10.0
+    row_spacing_m: Annotated[float, Field(gt=1.0, le=1000.0)] = 10.0
     """Distance between rows."""
     obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
     half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
     """Half the side of an obstacle's square cross-section."""
-    min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M)] = 2.0
+    min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M, le=WIDTH_M)] = 2.0
     """Minimum clear width between neighbours in a row."""
     light: tuple[Share, Share] = (0.7, 1.0)
     """Range of the light level; 1 is full daylight."""
@@ -55,6 +55,13 @@ class Difficulty(Config):
     def pitch_m(self) -> float:
         """Minimum distance between the centres of neighbours in a row."""
         return 2 * self.half_width_m + self.min_gap_m
+
+    @field_validator("light")
+    @classmethod
+    def _rises(cls, light: tuple[float, float]) -> tuple[float, float]:
+        if light[0] > light[1]:
+            raise ValueError("must be a range, from the darker to the brighter")
+        return light
 
     @model_validator(mode="after")
     def _row_fits(self) -> Self:

@@ -40,7 +40,7 @@ def write_report(run: RunDirectory) -> dict[str, Any]:
     for variant in config["variants"]:
         own = [row for row in rows if row["variant"] == variant["name"]]
         if own:
-            scores = score_cells(cells_of(own), lambda row: run.load_arrays(str(row["arrays"])))
+            scores = score_cells(cells_of(own), run.load_arrays)
             entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
     summary = {"suite": "ablation", "title": config["title"], "seed": config["seed"], "entries": entries}
     run.write_json("summary.json", summary)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from uavaccel.commands.paths import PATHS
 from uavaccel.commands.slices import check_times
+from uavaccel.limits import MOST_GAMES, MOST_HEIGHT_M, MOST_ROUNDS, MOST_SECONDS, Speed, Velocity
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import FlightExperiment, Timing, positive
+from uavaccel.suites.experiment import FlightExperiment, Timing, within
 
 Path = Literal["square", "two_forward_one_back"]
 
@@ -18,11 +19,11 @@ class Dp1Config(FlightExperiment):
     """`suite: dp1`."""
 
     suite: Literal["dp1"]
-    path: Path | tuple[tuple[float, float, float], ...] = "square"
+    path: Path | tuple[tuple[Velocity, Velocity, Velocity], ...] = "square"
     """A named path, or velocities of one's own: one command each, NED in m/s."""
-    speed_m_s: float = 1.0
+    speed_m_s: Speed = 1.0
     """Of a named path."""
-    height_m: float | None = None
+    height_m: Annotated[float, Field(ge=-MOST_HEIGHT_M, le=MOST_HEIGHT_M)] | None = None
     """NED z to hold, as moveByVelocityZ does; none: plain moveByVelocity, as in the paper."""
     rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
     t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
@@ -34,15 +35,25 @@ class Dp1Config(FlightExperiment):
     """Real-time ADSC games of each T_move and rounds, unless the run flies that cell anyway."""
     reference_timing: Timing = "virtual"
 
-    @field_validator("rounds", "t_move_s")
+    @field_validator("rounds")
     @classmethod
-    def _above_zero(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        return positive(values)
+    def _can_be_held(cls, values: tuple[int, ...]) -> tuple[float, ...]:
+        return within(values, 1, MOST_ROUNDS)
 
-    @field_validator("games", "reference_games", "speed_m_s", "t_sample_s")
+    @field_validator("t_move_s")
     @classmethod
-    def _one_above_zero(cls, value: float | None) -> float | None:
-        return None if value is None else positive((value,))[0]
+    def _can_be_flown(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        return within(values, 0.0, MOST_SECONDS)
+
+    @field_validator("games", "reference_games")
+    @classmethod
+    def _can_be_counted(cls, value: int) -> float:
+        return within((value,), 1, MOST_GAMES)[0]
+
+    @field_validator("t_sample_s")
+    @classmethod
+    def _sample_can_be_flown(cls, value: float | None) -> float | None:
+        return None if value is None else within((value,), 0.0, MOST_SECONDS)[0]
 
     @field_validator("path")
     @classmethod

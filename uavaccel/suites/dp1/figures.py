@@ -20,6 +20,7 @@ from uavaccel.draw.velocity import VelocityPanel, draw_velocity
 from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import command_gaps_s
+from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.dp1.scores import CellScores, LoadArrays, Row
 
 _CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
@@ -33,7 +34,7 @@ def source_line(rows: Sequence[Row]) -> str:
         f"{timing_provenance(timing)} ({_CLOCK[timing]}): {count} game{'s' if count > 1 else ''}"
         for timing, count in sorted(counts.items())
     ]
-    return " · ".join([*games, *_conditions(rows)])
+    return " · ".join([*games, *_conditions(rows), *disturbed_words(rows)])
 
 
 def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) -> Picture:

@@ -9,6 +9,7 @@ import numpy as np
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import velocities
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.suites.disturbed import stalls
 from uavaccel.suites.dp1.cases import Case
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.experiment import t_th_ns
@@ -45,6 +46,7 @@ def fly_game(config: Dp1Config, case: Case, session: Session) -> tuple[dict[str,
         "real_time_factor": speed["real_time_factor"],
         "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
         "error": speed["failure"],
+        **stalls(client.transport.stalled_ns),
     }
     return row, recording.arrays()
 

@@ -10,10 +10,9 @@ from typing import Any
 import joblib
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
-from uavaccel.files import read_arrays
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, arrays_of
 from uavaccel.suites.dp1 import figures
-from uavaccel.suites.dp1.scores import Arrays, CellScores, LoadArrays, Row, cells_of, score_cells
+from uavaccel.suites.dp1.scores import CellScores, LoadArrays, Row, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
 from uavaccel.suites.pages import finished_rows, write_pages
@@ -34,7 +33,7 @@ def write_report(run: RunDirectory, jobs: int | None = None) -> Summary:
     files.
     """
     rows: list[Row] = list(finished_rows(run, "dp1"))
-    load_arrays = partial(_load_arrays, run.path)
+    load_arrays = partial(arrays_of, run.path)
     scores = score_cells(cells_of(rows), load_arrays, jobs or _default_jobs(rows))
     summary = summary_of(rows, scores)
     run.write_json("summary.json", summary)
@@ -52,10 +51,6 @@ def _games(scores: list[CellScores]) -> list[dict[str, Any]]:
         {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
         for score in scores
     ]
-
-
-def _load_arrays(run_dir: Path, row: Row) -> Arrays:
-    return read_arrays(run_dir / str(row["arrays"]))
 
 
 def _default_jobs(rows: list[Row]) -> int:
@@ -98,6 +93,11 @@ def _warnings(summary: Summary) -> list[str]:
         warnings.append(f"Warning: {failed} games failed and are left out; rows.jsonl says why.")
     if lost_s:
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if disturbed := sum(cell.get("disturbed_games", 0) for cell in cells):
+        warnings.append(
+            f"Warning: {disturbed} games were disturbed: they lost wall time, or their server stalled or was started "
+            "again; rows.jsonl says which."
+        )
     if any(cell["reference"] is None for cell in cells):
         warnings.append("Warning: some cells have no real-time ADSC games to compare with.")
     return warnings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 from uavaccel.bench.traces import record_trace
@@ -29,6 +30,9 @@ class Dp1(Suite[Dp1Config, Case]):
 
     def cases(self, config: Dp1Config) -> Iterator[Case]:
         return cases(config)
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("games",)
 
     def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> Session:
         return open_session(timing, config.profile, SCENE, config.latency)

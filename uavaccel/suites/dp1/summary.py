@@ -16,6 +16,7 @@ from uavaccel.metrics.speedup import (
     timing_provenance,
 )
 from uavaccel.metrics.trajectory import duration_error_s, quartiles
+from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.dp1.scores import Cell, CellScores, LoadArrays, Row, cells_of, score_cells
 
 Values = dict[str, Any]
@@ -59,6 +60,8 @@ def _cell_summary(score: CellScores, seed: int) -> Values:
         "seed": seed,
         "reference": _reference(cell),
     }
+    if disturbed := disturbed_games(cell.rows):
+        head["disturbed_games"] = disturbed
     return head | _accuracy(score, seed) | _durations(score) | _speed(cell, seed)
 
 

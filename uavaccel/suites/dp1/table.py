@@ -52,6 +52,7 @@ def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def _line(cell: Cell) -> tuple[str, ...]:
     failed = f" ({cell['failed_games']} failed)" if cell["failed_games"] else ""
+    failed += _disturbed([cell])
     stlc = "-"
     if cell["stlc_median"] is not None:
         stlc = f"{cell['stlc_median']:.3f} [{cell['stlc_q25']:.3f}, {cell['stlc_q75']:.3f}]"
@@ -76,7 +77,7 @@ def _overview_line(cells: Sequence[Cell]) -> tuple[str, ...]:
     return (
         command_name(first["command"]),
         clock_label(first["clock_speed"]),
-        str(sum(cell["games"] for cell in cells)),
+        str(sum(cell["games"] for cell in cells)) + _disturbed(cells),
         _number(_extreme(min, cells, "stlc_median"), ".4f"),
         _metres(_extreme(max, cells, "position_rmse_m")),
         _metres(_extreme(max, cells, "position_rmse_vs_lockstep_m")),
@@ -84,6 +85,12 @@ def _overview_line(cells: Sequence[Cell]) -> tuple[str, ...]:
         _range(cells, "real_time_factor"),
         first["provenance"],
     )
+
+
+def _disturbed(cells: Sequence[Cell]) -> str:
+    """Marks games that lost wall time, or whose server stalled or was started again."""
+    count = sum(cell.get("disturbed_games", 0) for cell in cells)
+    return f" ({count} disturbed)" if count else ""
 
 
 def _mixed(cell: Cell) -> str:

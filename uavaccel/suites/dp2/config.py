@@ -6,25 +6,27 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from uavaccel import limits
 from uavaccel.commands.slices import check_times
 from uavaccel.config import Config
 from uavaccel.envs.task import rate_ticks
+from uavaccel.limits import Seconds, Seed
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import FlightExperiment, Timing, positive
+from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.perturb import PerturbationKind
 from uavaccel.wire.image_api import lane_layout
 
 NotNegative = Annotated[float, Field(ge=0.0)]
-Velocity = tuple[float, float]
+Velocity = tuple[limits.Velocity, limits.Velocity]
 
 
 class DrawnLane(Config):
     """A lane drawn from a seed."""
 
-    seed: Annotated[int, Field(ge=0)]
+    seed: Seed
     difficulty: Difficulty = Difficulty()
 
 
@@ -35,7 +37,7 @@ class GuardConfig(Config):
     """Of the last image's mean brightness."""
     min_brightness: NotNegative = 10.0
     """Mean of 0 to 255 below which an image is too dark."""
-    max_retries: Annotated[int, Field(ge=0)] = 3
+    max_retries: Annotated[int, Field(ge=0, le=1000)] = 3
     accept_identical: bool = True
     """An image asked for again that comes out identical is accepted."""
 
@@ -57,14 +59,14 @@ class Dp2Config(FlightExperiment):
     """`suite: dp2`."""
 
     suite: Literal["dp2"]
-    lane: Annotated[int, Field(ge=0)] | DrawnLane | LaneFile = 3
+    lane: Seed | DrawnLane | LaneFile = 3
     """A seed; a seed with a difficulty; a lane of one's own, written out or the name of its YAML file."""
     path: Literal["planned"] | tuple[Velocity, ...] = "planned"
     """planned: a collision-free path to the lane's end; or velocities of one's own: north, east, m/s."""
-    height_m: Annotated[float, Field(lt=0.0)] = -10.0
+    height_m: Annotated[float, Field(lt=0.0, ge=-limits.MOST_HEIGHT_M)] = -10.0
     """NED z of the start, and held: -10 is 10 m up."""
-    t_move_s: float = 1.0
-    t_sample_s: float = 0.33
+    t_move_s: Seconds = 1.0
+    t_sample_s: Seconds = 0.33
     reference_timing: Timing = "virtual"
     """Of the run at 1x that each command is compared with, unless the run flies that one anyway."""
     guard: GuardConfig = GuardConfig()
@@ -76,7 +78,7 @@ class Dp2Config(FlightExperiment):
     """v2e's parameters of the DVS by which the report looks at the images."""
     dvs_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
     """Frames per simulated second that the DVS sees while a game is flown; else it looks at the images afterwards."""
-    sensor_seed: Annotated[int, Field(ge=0)] = 0
+    sensor_seed: Seed = 0
     """Of the DVS's thresholds: one sensor for all ClockSpeeds."""
 
     @field_validator("lane", mode="before")
@@ -90,11 +92,6 @@ class Dp2Config(FlightExperiment):
         if not path:
             raise ValueError("needs at least one velocity, or: planned")
         return path
-
-    @field_validator("t_move_s", "t_sample_s")
-    @classmethod
-    def _above_zero(cls, value: float) -> float:
-        return positive((value,))[0]
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:

@@ -19,7 +19,7 @@ def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
     """The case's film, by default of the fastest game, TCSC before ADSC. Raises UserError without images."""
     row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
     config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
-    arrays = run.load_arrays(row["arrays"])
+    arrays = run.load_arrays(row)
     if "image" not in arrays:
         raise UserError(f"{run.path / row['arrays']}: holds no images")
     on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)

@@ -10,6 +10,7 @@ from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.suites.disturbed import stalls
 from uavaccel.suites.dp2.cases import Case, velocities
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.dp2.event_client import Arrays, EventClient
@@ -76,6 +77,7 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
         "real_time_factor": speed["real_time_factor"],
         "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
         "error": speed["failure"],
+        **stalls(client.transport.stalled_ns),
     }
     return row, arrays_of(flight, velocities(config)[: flight.commands]) | counts
 

@@ -27,11 +27,7 @@ def write_report(run: RunDirectory) -> Summary:
     """
     config = run.config()
     rows = finished_rows(run, "dp2")
-
-    def load_arrays(row: Row) -> Mapping[str, Any]:
-        return run.load_arrays(str(row["arrays"]))
-
-    scores = list(score_games(rows, load_arrays, config["dvs_preset"], config["sensor_seed"]))
+    scores = list(score_games(rows, run.load_arrays, config["dvs_preset"], config["sensor_seed"]))
     summary = summary_of(config, scores, _guard_study(run, rows, config))
     run.write_json("summary.json", summary)
     figure = _figure(scores, run.file("figures/figure7_images.png"))
@@ -46,7 +42,7 @@ def _guard_study(run: RunDirectory, rows: Sequence[Row], config: Mapping[str, An
     row = next((row for row in rows if row["role"] == "lockstep" and row["error"] is None), None)
     if row is None:
         return None
-    images = run.load_arrays(row["arrays"])["colour"]
+    images = run.load_arrays(row)["colour"]
     return dp2_guard.study(images, GuardSettings(**config["guard"]), config["seed"])
 
 
@@ -111,6 +107,10 @@ def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) 
         warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")
     if lost_s:
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
+    if disturbed := [row["case"] for row in rows if row.get("disturbed")]:
+        warnings.append(
+            f"Warning: {', '.join(disturbed)} lost wall time, or the server stalled or was started again."
+        )
     if summary["perturbed_share"]:
         warnings.append(
             f"Modelled: {summary['perturbed_share']:.1%} of the images of the games were perturbed on their way"

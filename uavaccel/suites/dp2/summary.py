@@ -60,6 +60,7 @@ def _cell(score: GameScore) -> Values:
         "simulated_s_per_wall_s": _rate(row),
         "real_time_factor": row["real_time_factor"],
         "lost_wall_s": row["lost_wall_s"],
+        **{key: row[key] for key in ("disturbed", "stalled_wall_s", "restarts") if key in row},
     }
 
 

@@ -46,7 +46,8 @@ def _line(cell: Cell) -> tuple[str, ...]:
 
 
 def _role(cell: Cell) -> str:
-    return " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else ""
+    reference = " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else ""
+    return reference + (" (disturbed)" if cell.get("disturbed") else "")
 
 
 def _end(cell: Cell) -> str:

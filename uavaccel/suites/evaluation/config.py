@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.task import NotNegative
+from uavaccel.limits import Cost, Games, Processes
 from uavaccel.rl.agents import DEFAULT, trained_keys
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS
 from uavaccel.suites.experiment import Experiment
 
 
@@ -20,14 +21,22 @@ class EvaluateConfig(Experiment):
     agent: str = DEFAULT
     """Folder of a policy (a training's run directory), default (the one that ships), or a baseline: straight,
     offset:METRES."""
-    games: Annotated[int, Field(ge=1)] = 300
+    games: Games = 300
     first_lane: Annotated[int, Field(ge=0)] = 0
-    environments: Annotated[int, Field(ge=1)] = 1
+    environments: Processes = 1
     """Lanes flown side by side, with one renderer where there is a GPU; 1 with wall. Rows are the same."""
-    inference_s: NotNegative = 0.0005
+    inference_s: Cost = 0.0005
     """What a decision costs the simulated wall clock of `virtual`."""
     task: LaneTask = LaneTask(split="evaluation", timing="virtual")
     """Keys left out are those that the agent was trained with; those that its network cannot take are refused."""
+
+    @model_validator(mode="after")
+    def _lanes_exist(self) -> EvaluateConfig:
+        if self.first_lane + self.games > EVALUATION_SEEDS:
+            raise ValueError(
+                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {EVALUATION_SEEDS - 1}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _timing_allows(self) -> EvaluateConfig:

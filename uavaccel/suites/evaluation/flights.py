@@ -10,6 +10,7 @@ import numpy as np
 
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import Agent
+from uavaccel.suites.disturbed import measured_disturbances
 from uavaccel.suites.evaluation.config import EvaluateConfig
 
 
@@ -45,6 +46,7 @@ def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, la
         **{name: infos[-1][name] for name in names},
         "sim_time_s": infos[-1]["commands"] * config.task.t_move_s,
         "actions": [info["action"] for info in infos],
+        **measured_disturbances(infos[-1]),
     }
 
 

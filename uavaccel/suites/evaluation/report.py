@@ -10,6 +10,7 @@ from uavaccel.draw.document import Picture
 from uavaccel.draw.survival import draw_survival
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import headline, summarise
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
@@ -42,7 +43,11 @@ def _source(runs: Sequence[RunDirectory]) -> str:
     timings = {timing_provenance(run.config()["task"]["timing"]) for run in runs}
     games = sorted({len(run.rows()) for run in runs})
     seeds = sorted({run.config()["seed"] for run in runs})
-    return f"{' and '.join(sorted(timings))} · {listed(games)} games each · seed {listed(seeds)}"
+    told = [
+        f"{' and '.join(sorted(timings))} · {listed(games)} games each · seed {listed(seeds)}",
+        *disturbed_words([row for run in runs for row in run.rows()]),
+    ]
+    return " · ".join(told)
 
 
 def _name(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:

@@ -41,6 +41,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def cases(self, config: EvaluateConfig) -> Iterator[Case]:
         return cases(config)
 
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("games",)
+
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
         """What flies the game on a lane: an environment and the agent, or many of them side by side."""

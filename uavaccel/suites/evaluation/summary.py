@@ -11,6 +11,7 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.suite import Row, Summary
 
@@ -21,7 +22,9 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
     low, high = wilson_interval(successes, len(rows))
     task = config.task
     sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
+    disturbed = disturbed_games(rows)
     return {
+        **({"disturbed_games": disturbed} if disturbed else {}),
         "suite": "evaluate",
         "agent": config.agent,
         "profile": task.profile,

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
-from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, positive
+from uavaccel.limits import CLOCK_SPEEDS, ClockSpeed, Games
+from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, within
 from uavaccel.suites.parts import Part
 
 SimulatedTiming = Literal["virtual", "lockstep"]
@@ -28,7 +29,7 @@ class Block(Config):
     @field_validator("clock_speed")
     @classmethod
     def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return positive(speeds)
+        return within(speeds, *CLOCK_SPEEDS)
 
     @field_validator("command")
     @classmethod
@@ -40,14 +41,14 @@ class RlConfig(Experiment):
     """`suite: rl`."""
 
     suite: Literal["rl"]
-    seeds: Annotated[int, Field(ge=1)] = 1
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 1
     """Trainings of each cell, with seeds `seed`, `seed` + 1 and so on; evaluations have seed 0, or their keys'."""
-    games: Annotated[int, Field(ge=1)] = 5000
+    games: Games = 5000
     """Of a training."""
     cells: Annotated[tuple[Block, ...], Field(min_length=1)]
     training: Part = Part(experiment="train")
     evaluation: Part = Part(experiment="evaluate", keys={"games": 100})
-    evaluation_clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
+    evaluation_clock_speed: ClockSpeed = 1.0
     """1: in real time, as the paper's (IV-D), of a simulated wall clock."""
     interchange: bool = True
     """Whether policies that TCSC trained at 1x on the virtual clock are flown with ADSC too (section III-C3)."""

@@ -112,7 +112,7 @@ def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any])
     """Metres north in all evaluation games of a cell, its seeds together."""
     keys = ("variant", "profile", "timing", "command", "clock_speed")
     arrays = [
-        run.load_arrays(str(row["arrays"]))[f"{row['command']}_distance_m"]
+        run.load_arrays(row)[f"{row['command']}_distance_m"]
         for row in rows
         if all(row[key] == cell[key] for key in keys)
     ]

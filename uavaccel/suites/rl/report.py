@@ -48,7 +48,7 @@ Cell = Mapping[str, Any]
 def write_report(run: RunDirectory) -> dict[str, Any]:
     """Write summary.json, figures, report.md and report.html; the summary. Raises UserError without a finished cell."""
     rows = finished_rows(run, "rl")
-    summary = summarise(run.config(), rows, lambda row: run.load_arrays(str(row["arrays"])))
+    summary = summarise(run.config(), rows, run.load_arrays)
     run.write_json("summary.json", summary)
     pictures = draw_figures(run, summary, rows)
     pooled = summary["pooled"]

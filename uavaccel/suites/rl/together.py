@@ -30,8 +30,7 @@ def put_together(runs: Sequence[RunDirectory]) -> RunDirectory:
     for run in runs:
         host = {entry["case"]: entry for entry in run.timings()}
         for row in run.rows():
-            together.save_arrays(row["case"], run.load_arrays(row["arrays"]))
-            together.append_row(row)
+            together.append_row(row | together.save_arrays(row["case"], run.load_arrays(row)))
             if row["case"] in host:
                 together.append_timing(host[row["case"]])
     return together

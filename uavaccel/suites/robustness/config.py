@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
+from uavaccel.limits import CLOCK_SPEEDS, MOST_SCALE, Games
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, positive
+from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, within
 from uavaccel.suites.parts import Part
 
 
@@ -22,20 +23,20 @@ class RobustnessConfig(Experiment):
     clock_speed: tuple[float, ...]
     latency_scale: tuple[float, ...]
     """Times the latencies of the profile's model; flown in this order, so begin with what matters most."""
-    games: Annotated[int, Field(ge=1)] = 100
+    games: Games = 100
     """Evaluation lanes of each cell, the same ones in all."""
     evaluation: Part = Part(experiment="evaluate")
 
     @field_validator("clock_speed")
     @classmethod
     def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return positive(speeds)
+        return within(speeds, *CLOCK_SPEEDS)
 
     @field_validator("latency_scale")
     @classmethod
     def _not_negative(cls, scales: tuple[float, ...]) -> tuple[float, ...]:
-        if any(scale < 0 for scale in scales):
-            raise ValueError("must be 0 or more")
+        if any(not 0 <= scale <= MOST_SCALE for scale in scales):
+            raise ValueError(f"must be 0 to {MOST_SCALE:g}")
         return distinct(scales)
 
     @field_validator("command")

@@ -12,6 +12,7 @@ from types import FrameType
 
 import torch as th
 
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
 from uavaccel.rl.factory import make_learner
@@ -125,4 +126,10 @@ def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
     """Forget the rows that the last checkpoint does not know: a training goes on from there, and flies them again."""
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
-    run.keep_first(0 if checkpoint is None else games_of(checkpoint))
+    games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
+    if rows < games:
+        raise UserError(
+            f"{run.path / 'rows.jsonl'}: has {rows} games, {checkpoint} knows {games}: rows are missing; put them "
+            f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
+        )
+    run.keep_first(games)

@@ -14,6 +14,7 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
+from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.host_time import over_all_starts, wall_s
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
@@ -64,7 +65,9 @@ def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
 def _source(runs: Sequence[RunDirectory]) -> str:
     games = listed(sorted({len(run.rows()) for run in runs}))
     seeds = listed(sorted({run.config()["seed"] for run in runs}))
-    return f"{' and '.join(sorted({_clock(run) for run in runs}))} · {games} games · seed {seeds}"
+    clocks = " and ".join(sorted({_clock(run) for run in runs}))
+    disturbed = disturbed_words([row for run in runs for row in run.rows()])
+    return " · ".join([clocks, f"{games} games", f"seed {seeds}", *disturbed])
 
 
 def _told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:

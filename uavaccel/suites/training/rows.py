@@ -12,6 +12,7 @@ from stable_baselines3.common.logger import configure
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.rl.learner import Game
+from uavaccel.suites.disturbed import measured_disturbances
 from uavaccel.suites.suite import Flown, Row
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.units import NS_PER_S
@@ -43,6 +44,7 @@ class GameRows:
             "exploration": game.exploration_rate,
             "sim_time_s": game.info["commands"] * self._t_move_s,
             **{name: game.info[name] for name in KEPT},
+            **measured_disturbances(game.info),
         }
         self._draw(row, wall_s)
         host = {

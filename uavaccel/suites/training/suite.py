@@ -7,15 +7,25 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import torch as th
+
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.algorithms import OWN, check_algorithm
-from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.algorithms import check_algorithm
+from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
 from uavaccel.suites.training import report
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.flights import Case, Trainer, cases, drop_games_after_checkpoint, open_trainer
+from uavaccel.suites.training.flights import (
+    CHECKPOINTS,
+    Case,
+    Trainer,
+    cases,
+    drop_games_after_checkpoint,
+    open_trainer,
+)
 from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
 from uavaccel.suites.training.rows import RECENT
 from uavaccel.suites.training.summary import headline
@@ -32,11 +42,13 @@ class Training(Suite[TrainConfig, Case]):
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
-        if config.algorithm == OWN:
-            DqnOptions.of(config)
 
     def cases(self, config: TrainConfig) -> Iterator[Case]:
         return cases(config)
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        """More games are learned from where there is a checkpoint to go on from."""
+        return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """A finished training stays as it is; another one goes on from its last checkpoint."""
@@ -59,6 +71,11 @@ class Training(Suite[TrainConfig, Case]):
         return config.task.observation != "state"
 
     def provenance(self, config: TrainConfig) -> Mapping[str, Any]:
+        """Raises UserError for a device that this machine does not have."""
+        try:
+            th.zeros(1, device=config.device)
+        except (RuntimeError, AssertionError) as error:
+            raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
         return {"torch_threads": config.torch_threads}
 
     def cost(self, config: TrainConfig, case: Case) -> Cost:

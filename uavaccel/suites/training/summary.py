@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.host_time import in_words
 from uavaccel.suites.suite import Row, Summary
 from uavaccel.suites.training.config import TrainConfig
@@ -14,7 +15,9 @@ from uavaccel.suites.training.config import TrainConfig
 def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | None) -> dict[str, Any]:
     """The sums over all games, and the hash of what came out."""
     task = config.task
+    disturbed = disturbed_games(rows)
     return {
+        **({"disturbed_games": disturbed} if disturbed else {}),
         "suite": "train",
         "profile": task.profile,
         "command": task.command,

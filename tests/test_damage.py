@@ -1,0 +1,142 @@
+"""Damaged trainings and policies: one line that names the file and says what to do, and no number from them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch as th
+
+from tests.learning import tiny_config, train_into
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.rl.checkpoint import find_checkpoint
+from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy
+from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.flights import CHECKPOINTS
+
+STATE: dict[str, Any] = {"observation": "state"}
+
+
+def config(games: int = 5) -> TrainConfig:
+    return tiny_config(STATE, mirror=False, games=games)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training of three games, its checkpoint at two."""
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    train_into(folder, config(3))
+    return folder
+
+
+@pytest.fixture
+def copy(trained: Path, tmp_path: Path) -> Path:
+    shutil.copytree(trained, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:40])
+
+
+def other_bytes(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 :] = b"\x5a" * (len(content) - len(content) // 2)
+    path.write_bytes(content)
+
+
+def empty_json(path: Path) -> None:
+    path.write_text("{}")
+
+
+# --- checkpoints ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("state.json", cut),
+        ("state.json", empty_json),
+        ("learner.pt", cut),
+        ("learner.pt", other_bytes),
+        ("learner.pt", Path.unlink),
+        ("buffer.npz", cut),
+        ("buffer.npz", Path.unlink),
+        ("games.npz", cut),
+        ("games.npz", other_bytes),
+    ],
+)
+def test_a_damaged_checkpoint_is_one_line(copy: Path, name: str, damage: Callable[[Path], None]) -> None:
+    checkpoint = find_checkpoint(copy / CHECKPOINTS)
+    assert checkpoint is not None
+    rows = (copy / "rows.jsonl").read_bytes()
+    damage(checkpoint / name)
+    with pytest.raises(UserError, match=r"a damaged checkpoint .*delete it and --resume") as caught:
+        train_into(copy, config(), resume=True)
+    assert "\n" not in str(caught.value)
+    assert str(checkpoint) in str(caught.value)
+    assert (copy / "rows.jsonl").read_bytes().startswith(rows[: rows.index(b"\n")])
+    shutil.rmtree(checkpoint)  # what the line says
+    assert RunDirectory(copy).config()["games"] == 5
+
+
+def test_rows_that_the_checkpoint_knows_and_the_run_lacks_are_named(copy: Path) -> None:
+    rows = copy / "rows.jsonl"
+    rows.write_bytes(rows.read_bytes().splitlines(keepends=True)[0])
+    with pytest.raises(UserError, match=r"rows\.jsonl: has 1 games, .* knows 2: rows are missing"):
+        train_into(copy, config(), resume=True)
+
+
+# --- policies ---------------------------------------------------------------------------------------------------
+
+
+def edit_manifest(folder: Path, **keys: Any) -> None:
+    manifest = json.loads((folder / MANIFEST).read_text())
+    (folder / MANIFEST).write_text(json.dumps({**manifest, **keys}))
+
+
+def write_weights(folder: Path, weights: Any) -> None:
+    """Weights whose manifest agrees."""
+    th.save(weights, folder / WEIGHTS)
+    edit_manifest(folder, weights_file_sha256=hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest())
+
+
+def diverged(folder: Path) -> None:
+    weights = th.load(folder / WEIGHTS, weights_only=True)
+    name = next(iter(weights))
+    write_weights(folder, {**weights, name: weights[name] * float("nan")})
+
+
+def cut_and_agreed(folder: Path) -> None:
+    cut(folder / WEIGHTS)
+    edit_manifest(folder, weights_file_sha256=hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest())
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (diverged, r"policy\.pt: .* is not finite: a training that diverged"),
+        (lambda folder: cut(folder / WEIGHTS), r"policy\.pt: is not the file that policy\.json describes"),
+        (cut_and_agreed, r"policy\.pt: "),
+        (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
+        (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
+        (lambda folder: write_weights(folder, {}), r"policy\.pt: does not fit the network"),
+        (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
+        (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
+        (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),
+        (lambda folder: edit_manifest(folder, config={"hidden": "wide"}), r"policy\.json: hidden = 'wide'"),
+    ],
+)
+def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any], said: str) -> None:
+    assert isinstance(load_policy(copy).config, LearnerConfig)
+    damage(copy)
+    with pytest.raises(UserError, match=said) as caught:
+        load_policy(copy)
+    assert "\n" not in str(caught.value)

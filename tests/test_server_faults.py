@@ -1,0 +1,97 @@
+"""Servers that die or hang under a `wall` run: noticed, started again, the game flown again, its row flagged."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.running import configured
+from uavaccel.errors import UserError
+from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.runner import MOST_RESTARTS, begin_run, run_suite
+from uavaccel.suites.suite import Flown
+from uavaccel.wire.server_watch import ServerGoneError, WatchedServer
+from uavaccel.wire.session import WallSession
+
+pytestmark = pytest.mark.wall_clock
+
+SMALL = ("reference_games=1", "t_move_s=[0.1]", "rounds=[1]", "games=2", "clock_speed=[50]")
+
+
+@pytest.fixture
+def servers(monkeypatch: pytest.MonkeyPatch) -> list[WatchedServer]:
+    """Every server that is started from now on."""
+    started: list[WatchedServer] = []
+    start = WatchedServer.__init__
+
+    def noted(self: WatchedServer, options: dict[str, Any]) -> None:
+        started.append(self)
+        start(self, options)
+
+    monkeypatch.setattr(WatchedServer, "__init__", noted)
+    return started
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("call", ["pause", "kinematics"])
+def test_a_stopped_server_is_noticed_and_does_not_outlive_its_session(call: str) -> None:
+    with WallSession("blocks", "native") as session:
+        client = session.start_game(10.0)
+        os.kill(session.server.pid, signal.SIGSTOP)
+        client.transport.known.state = None
+        with pytest.raises(ServerGoneError, match="did not answer"):
+            getattr(client, call)()
+    assert session.server.returncode == -signal.SIGKILL
+
+
+def test_a_long_command_is_no_silence_of_a_dead_server() -> None:
+    with WallSession("blocks", "native") as session:
+        client = session.start_game(1.0)
+        state = client.continue_for(2_500_000_000)
+        assert client.transport.stalled_ns == 0
+        assert client.kinematics() == state
+
+
+def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
+    tmp_path: Path, servers: list[WatchedServer]
+) -> None:
+    suite, config = Dp1(), configured("dp1", *SMALL, timing="wall")
+    run = begin_run(suite, config, tmp_path / "run", {})
+    killed: list[str] = []
+
+    def kill_once(case: Any, row: Any) -> None:
+        if row["timing"] == "wall" and not killed:
+            killed.append(case.id)
+            os.kill(servers[-1].pid, signal.SIGKILL)
+
+    run_suite(suite, config, run, on_flown=kill_once)
+    cases = [case.id for case in suite.cases(config)]
+    assert [row["case"] for row in run.rows()] == cases
+    again = [row for row in run.rows() if "restarts" in row]
+    assert [row["case"] for row in again] == [cases[cases.index(killed[0]) + 1]]
+    assert again[0]["restarts"] == 1
+    assert again[0]["disturbed"] is True
+    summary = suite.report(run)
+    assert sum(cell.get("disturbed_games", 0) for cell in summary["cells"]) >= 1
+    assert "games were disturbed" in (run.path / "report.md").read_text()
+    assert all(server.returncode is not None for server in servers)
+
+
+def test_a_server_that_dies_in_every_attempt_ends_the_run_with_one_line(tmp_path: Path) -> None:
+    class Dying(Dp1):
+        attempts = 0
+
+        def fly(self, config: Any, case: Any, opened: Any) -> Flown:
+            self.attempts += 1
+            raise ServerGoneError("the server's process ended with status -9")
+
+    suite, config = Dying(), configured("dp1", *SMALL, timing="lockstep")
+    run = begin_run(suite, config, tmp_path / "run", {})
+    with pytest.raises(UserError, match=r"ended with status -9, 4 times; go on with --resume"):
+        run_suite(suite, config, run)
+    assert suite.attempts == MOST_RESTARTS + 1
+    assert run.rows() == []

@@ -1,0 +1,28 @@
+"""Limits of what may be asked for: far beyond any use, and within what numbers, clocks and machines can hold."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+MOST_GAMES = 1_000_000
+MOST_ROUNDS = 100_000
+CLOCK_SPEEDS = (1e-3, 1e5)
+MOST_SPEED_M_S = 1_000.0
+MOST_HEIGHT_M = 10_000.0
+MOST_SECONDS = 86_400.0
+MOST_LATENCY_US = 60e6
+MOST_SCALE = 1_000.0
+MOST_PROCESSES = 1_024
+
+Seed = Annotated[int, Field(ge=0, lt=1 << 32)]
+"""What NumPy's and torch's generators take."""
+Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
+Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]
+ClockSpeed = Annotated[float, Field(gt=0.0, ge=CLOCK_SPEEDS[0], le=CLOCK_SPEEDS[1])]
+Speed = Annotated[float, Field(gt=0.0, le=MOST_SPEED_M_S)]
+Velocity = Annotated[float, Field(ge=-MOST_SPEED_M_S, le=MOST_SPEED_M_S)]
+Height = Annotated[float, Field(gt=0.0, le=MOST_HEIGHT_M)]
+Seconds = Annotated[float, Field(gt=0.0, le=MOST_SECONDS)]
+Cost = Annotated[float, Field(ge=0.0, le=3_600.0)]
+"""Seconds of a modelled wall clock."""
+LatencyUs = Annotated[float, Field(ge=0.0, le=MOST_LATENCY_US)]
