@@ -191,18 +191,25 @@ def evaluate(
         Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
     ] = None,
     films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE,VALUE,... flown one at a time, as in wind=0,3,6; repeatable."),
+    ] = None,
     out: Out = None,
     resume: Resume = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
     """Fly an agent on lanes that no training has seen, `run evaluate`: success ratio, Figure 8, films."""
-    from uavaccel.cli.evaluate import evaluate_agent
+    from uavaccel.cli.evaluate import evaluate_agent, sweep_agent
     from uavaccel.cli.run import RunRequest
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
     request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run)
-    evaluate_agent(request, against, films)
+    if sweep:
+        sweep_agent(request, sweep, against)
+    else:
+        evaluate_agent(request, against, films)
 
 
 def _task_options(

@@ -15,6 +15,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim import autopilot, hotloop
+from uavaccel.sim.airframe import set_airframe
 from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.furnished import furnished_model
 from uavaccel.sim.lane.layout import LaneLayout
@@ -67,6 +68,7 @@ class World:
         self._parameters = parameters(
             profile.tick_s, profile.hover_after_ticks, mass, inertia, not self.freeze_on_collision
         )
+        self._own_parameters = self._parameters.copy()
         self._flight = np.zeros(1, FLIGHT_DTYPE)
         self._samples = Samples(profile.recorder_ticks)
         # views of the records' fields, which numpy finds again only slowly
@@ -145,6 +147,8 @@ class World:
         self._lane = layout
         self.surroundings_changed()
         self._field["wind"][0] = layout.wind_m_s
+        ratios = layout.mass_ratio, layout.thrust_ratio
+        set_airframe(self.model, self._parameters, self._own_parameters, *ratios)
 
     def surroundings_changed(self) -> None:
         """Objects of the model were moved, have come or gone, or look different."""
