@@ -77,6 +77,13 @@ class Ranges(Config):
         return {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
 
 
+def corners(ranges: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+    """All least, all most, and the most with the weakest motors: where one of all that is drawn cannot be flown."""
+    least, most = ({name: ends[end] for name, ends in ranges.items()} for end in (0, 1))
+    weakest = {name: value for name, value in least.items() if name == "thrust_ratio"}
+    return [least, most, {**most, **weakest}]
+
+
 def keys_of(conditions: Mapping[str, float]) -> dict[str, Any]:
     """The conditions as a task's keys: those of its difficulty and its latency one level down."""
     difficulty: dict[str, Any] = {name: conditions[name] for name in OF_DIFFICULTY if name in conditions}

@@ -70,8 +70,11 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         Raises UserError for options that the task does not know.
         """
         super().reset(seed=seed)
-        course = self._drawn(self._checked(options or {}), self._games if seed is None else 0)
-        self._start_game(course, np.random.SeedSequence(int(self.np_random.integers(2**63))))
+        course = self.task.draw(self.np_random, self._checked(options or {}))
+        latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
+        self._games = self._games + 1 if seed is None else 1
+        conditions = self.task.draw_conditions(self.np_random, self._games - 1)
+        self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
@@ -174,13 +177,6 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             known = ", ".join(self.task.reset_options) or "none"
             raise UserError(f"reset: unknown option {unknown[0]!r}; known: {known}")
         return options
-
-    def _drawn(self, options: Mapping[str, Any], games: int) -> Course:
-        """What the next game is about, and the conditions that it is flown under."""
-        course = self.task.draw(self.np_random, options)
-        conditions = self.task.draw_conditions(self.np_random, games)
-        self._games = games + 1
-        return {**course, CONDITIONS: conditions} if conditions else course
 
     def _take_on(self, course: Course) -> None:
         """Fly, see and pay for messages as under the conditions of this game."""

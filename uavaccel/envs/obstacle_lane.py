@@ -15,7 +15,7 @@ from gymnasium import spaces
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import validate
-from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, keys_of
+from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.task import Course, Moment, Positive, Task
 from uavaccel.envs.told import Knowledge, Told
@@ -91,8 +91,7 @@ class LaneTask(Task):
             )
         if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
             raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
-        for end in (0, 1):
-            ends = {name: both[end] for name, both in ranges.items()}
+        for ends in corners(ranges):
             keys = self.model_dump(mode="json", exclude={"randomise", "lane"})
             drawn = keys_of(ends)
             for part in ("difficulty", "latency"):

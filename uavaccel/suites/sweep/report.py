@@ -142,6 +142,6 @@ def _name(condition: str) -> str:
 
 _READING = (
     "One thing is changed at a time, the lanes are the same ones throughout. p is that of McNemar's exact test against "
-    "the flights as trained, lane by lane. Where spacing or gap change, the obstacles stand elsewhere, and a lane may be "
-    "harder or easier for any policy."
+    "the flights as trained, lane by lane. Where spacing or gap change, the obstacles stand elsewhere, and a lane may "
+    "be harder or easier for any policy."
 )
