@@ -219,6 +219,23 @@ def _task_options(
 
 
 @app.command()
+def export(
+    source: Annotated[
+        str, typer.Argument(help="A policy's folder or default, for --onnx; a run directory for tables.")
+    ],
+    onnx: Annotated[
+        Path | None, typer.Option(help="ONNX file of the policy with its pre-processing.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
+    parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
+) -> None:
+    """Write a policy as ONNX, or a run as tables."""
+    from uavaccel.cli.export import export as export_source
+
+    export_source(source, onnx, csv, parquet)
+
+
+@app.command()
 def bench(
     names: Annotated[list[str] | None, typer.Argument(help="Which; all if none is named.")] = None,
     soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for so many seconds.")] = 0.0,
