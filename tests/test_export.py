@@ -86,7 +86,7 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
 
 
 def _runs_alike(trained: Policy, inputs: list[th.Tensor], action: th.Tensor, path: Path) -> None:
-    import onnxruntime  # type: ignore[import-not-found,unused-ignore]
+    import onnxruntime
 
     about = write_onnx(trained, path)
     session = onnxruntime.InferenceSession(path)
@@ -105,7 +105,7 @@ def test_a_missing_package_is_named(tmp_path: Path) -> None:
 
 def run(path: Path) -> RunDirectory:
     made = RunDirectory.create(path, Config(), {})
-    arrays = {
+    arrays: dict[str, np.ndarray[Any, Any]] = {
         "position_m": np.arange(6.0).reshape(2, 3) / 7,
         "image": np.zeros((2, 9, 9), np.uint8),
         "speed": np.array([0.1, 0.2], np.float32),
@@ -144,7 +144,7 @@ def test_a_run_as_csv_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
 def test_columns_have_one_kind_each() -> None:
     table = row_table([{"value": 3, "n": 1}, {"value": "noisy", "n": 0.5}, {"value": None}])
     assert table == {"value": ["3", "noisy", None], "n": [1, 0.5, None]}
-    assert list(sample_tables({"empty": np.zeros((0, 3)), "number": np.float64(3)})) == []
+    assert list(sample_tables({"empty": np.zeros((0, 3)), "number": np.array(3.0)})) == []
 
 
 def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> No
         with pytest.raises(UserError, match=r"uavaccel\[parquet\]"):
             list(write_tables(made, tmp_path / "out", "parquet"))
         return
-    from pyarrow import parquet  # type: ignore[import-not-found,unused-ignore]
+    from pyarrow import parquet
 
     paths = list(write_tables(made, tmp_path / "out", "parquet"))
     assert parquet.read_table(paths[0])["phase_s.learning"].to_pylist() == [0.1, 1 / 3]

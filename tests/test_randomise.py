@@ -144,7 +144,7 @@ def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
 
 
 def test_a_batch_draws_what_single_environments_draw() -> None:
-    keys = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "speed_m_s": [0.8, 2]}}
+    keys: dict[str, Any] = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "speed_m_s": [0.8, 2]}}
     batch = LaneBatch(ObstacleLane, 2, processes=1, **keys)
     try:
         _, infos = batch.reset(seed=3)

@@ -32,6 +32,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
 Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
+Engine = Annotated[str, typer.Option(help="What flies --jobs at once: loky, ray or dask; never wall games.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value of the configuration.")]
 
@@ -56,6 +57,7 @@ def run(
         str | None, typer.Option("--with", help="Of paper: a run of rl, which decides what needs training.")
     ] = None,
     jobs: Jobs = 1,
+    engine: Engine = "loky",
     out: Out = None,
     resume: Resume = False,
     dry_run: DryRun = False,
@@ -76,7 +78,7 @@ def run(
         "seeds": seeds,
         "with_run": with_run,
     }
-    run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run))
+    run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run, engine))
 
 
 @app.command()
@@ -187,6 +189,7 @@ def evaluate(
     profile: Profile = None,
     seed: Seed = None,
     jobs: Jobs = 1,
+    engine: Engine = "loky",
     against: Annotated[
         Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
     ] = None,
@@ -205,7 +208,7 @@ def evaluate(
     from uavaccel.cli.run import RunRequest
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
-    request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run)
+    request = RunRequest("evaluate", options, overrides or [], jobs, out, resume, dry_run, engine)
     if sweep:
         sweep_agent(request, sweep, against)
     else:

@@ -20,6 +20,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import Interrupted, UsageError
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
+from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import begin_run, check_jobs, run_suite
@@ -41,23 +42,28 @@ class RunRequest:
     out: Path | None = None
     resume: bool = False
     dry_run: bool = False
+    engine: str = LOKY
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
     """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
+    check_engine(request.engine)
     cases = list(suite.cases(config))
     out = (
         request.out
         or Path("runs") / f"{Path(request.experiment).stem}-{calendar_time()[:19].replace(':', '')}"
     )
     console.print(plan(suite, config, cases, request.jobs, out))
+    alone = sum(case.timing == "wall" for case in cases)
+    if alone and (request.jobs > 1 or request.engine != LOKY):
+        console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
     if request.dry_run:
         return None
     run = begin_run(suite, config, out, manifest_of(suite, config), request.resume)
     with resumable(out):
-        fly(suite, config, cases, run, request.jobs)
+        fly(suite, config, cases, run, request.jobs, request.engine)
     report_run(run)
     return run
 
@@ -150,10 +156,12 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int) -> None:
+def fly(
+    suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str = LOKY
+) -> None:
     """Fly what has no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:
-        run_suite(suite, config, run, jobs, progress.flown)
+        run_suite(suite, config, run, jobs, progress.flown, engine)
 
 
 @contextmanager

@@ -52,7 +52,7 @@ class Flown(nn.Module):
         if isinstance(policy, DQNPolicy):
             return policy.q_net(observations)
         assert isinstance(policy, ActorCriticPolicy)
-        features = policy.extract_features(observations, policy.pi_features_extractor)
+        features: Any = policy.extract_features(observations, policy.pi_features_extractor)
         rated: th.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
         return rated
 
