@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -33,11 +32,10 @@ def flown(path: Path, jobs: int, engine: str) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's place taken by threads: what is ours of an engine, without one."""
     register_parallel_backend("ray", ThreadingBackend)
     monkeypatch.setattr(engines, "_ray", lambda jobs: nullcontext())
-    yield
 
 
 @pytest.mark.usefixtures("threads_as_ray")
@@ -59,7 +57,7 @@ def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
     def lost(error: Exception) -> None:
         raise error
 
-    with pytest.raises(UserError, match="a worker of ray was lost .*--resume"):
+    with pytest.raises(UserError, match=r"a worker of ray was lost .*--resume"):
         list(on_cluster("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
     with pytest.raises(ZeroDivisionError):
         list(on_cluster("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
