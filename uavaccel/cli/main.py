@@ -288,6 +288,24 @@ def serve(
 
 
 @app.command()
+def init(folder: Annotated[Path, typer.Argument(help="A new or an empty one.")]) -> None:
+    """Write a commented training and a task of one's own to begin with."""
+    from uavaccel.cli.starter import init as write_starter
+
+    write_starter(folder)
+
+
+@app.command()
+def schema(
+    suite: Annotated[str, typer.Argument(help="As the key `suite` of a YAML file names it.")],
+) -> None:
+    """Print the JSON schema of a suite's YAML files, for editors."""
+    from uavaccel.cli.starter import schema_text
+
+    print(schema_text(suite), end="")
+
+
+@app.command()
 def doctor() -> None:
     """Look at this machine: versions, timers, hot loop, who draws the images."""
     from uavaccel.cli.doctor import examine

@@ -58,7 +58,7 @@ class LaneTask(Task):
     collision_reward: float = -1.0
     goal_reward: float = 0.0
 
-    @field_validator("lane", mode="before")
+    @field_validator("lane", mode="before", json_schema_input_type=LaneFile | str | None)
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
         return parse_lane(lane)
