@@ -41,7 +41,7 @@ def plot_learning_games(curves: Sequence[GamesCurve], source: str) -> Figure:
             if len(seeds) > 1:
                 ends = success.min(axis=0), success.max(axis=0)
                 axes.fill_between(games, *ends, color=colour, alpha=0.2, linewidth=0)
-        axes.set(xlabel="games", ylabel="games won, of the last 100", ylim=(0.0, 1.0))
+        axes.set(xlabel="games", ylabel="games won, of the last 100", ylim=(-0.02, 1.02))
         axes.set_xlim(left=0)
         axes.yaxis.set_major_formatter("{x:.0%}")
         figure.legend(loc="outside upper right")
