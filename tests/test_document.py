@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -35,6 +36,7 @@ def blocks(tmp_path: Path) -> list[Block]:
         Table(("alone",), [("6",)]),
         Picture(picture, "Caption <1>"),
         Listing("key: <value> | *kept*\n\n"),
+        Listing("seed: 0\n", folded="config.yaml"),
     ]
 
 
@@ -46,7 +48,7 @@ def test_markdown_of_every_block(tmp_path: Path, blocks: list[Block]) -> None:
         "| x | y \\<z> |\n| --- | --- |\n| 1 | 2\\|3 |\n| 4 | \\<5> |\n\n"
         "| alone |\n| --- |\n| 6 |\n\n"
         "![one & two](figures/one & two.png)\n\nCaption \\<1>\n\n"
-        "```\nkey: <value> | *kept*\n```\n"
+        "```\nkey: <value> | *kept*\n```\n\n```\nseed: 0\n```\n"
     )
 
 
@@ -93,10 +95,37 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
         ("td", "6"),
         ("figcaption", "Caption <1>"),
         ("pre", "key: <value> | *kept*"),
+        ("summary", "config.yaml"),
+        ("pre", "seed: 0"),
     ]
-    assert page.attributes["meta"] == {"charset": "utf-8"}
+    assert '<meta charset="utf-8">' in html
+    assert page.attributes["meta"] == {"name": "viewport", "content": "width=device-width, initial-scale=1"}
+    assert html.count('<div class="scrolls" tabindex="0"') == 2  # a phone scrolls a table, not the page
     image = page.attributes["img"]
     assert image["alt"] == "Caption <1>"
     assert image["src"] == "data:image/png;base64," + base64.b64encode(PNG).decode()
-    assert html.count("<details>") == html.count("</details>") == 1  # the other table is unfolded
+    assert html.count("<details>") == html.count("</details>") == 2  # the other table is unfolded
     assert html.count("<tr>") == 3 + 2
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance (WCAG 2.2) of #RGB or #RRGGBB."""
+    digits = colour.lstrip("#")
+    digits = "".join(2 * digit for digit in digits) if len(digits) == 3 else digits
+    linear = []
+    for place in (0, 2, 4):
+        share = int(digits[place : place + 2], 16) / 255
+        linear.append(share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4)
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_text_stands_out_from_its_background(blocks: list[Block]) -> None:
+    """WCAG's AA: at least 4.5 to 1, on the page's white and on the grey of listings."""
+    style = to_html("title", blocks).partition("<style>")[2].partition("</style>")[0]
+    texts = re.findall(r"(?<![-\w])color: (#\w+)", style)
+    backgrounds = re.findall(r"background: (#\w+)", style)
+    assert len(texts) == 3
+    assert len(backgrounds) == 2
+    for text in texts:
+        for background in backgrounds:
+            assert (luminance(background) + 0.05) / (luminance(text) + 0.05) >= 4.5

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from scipy.stats import binomtest
 
 from tests.drawing import boxes, headline, labelled, legend_texts, points, texts, tick_texts
 from uavaccel.draw import style
@@ -245,6 +246,12 @@ def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("distance north, m", "share of games that got there")
     assert axes.get_ylim() == (0.0, 1.05)
     assert legend_texts(axes.get_legend()) == ["one", "two", "end of the lane"]
+    low, high = axes.collections[0].get_paths()[0].get_extents().get_points()[:, 1]
+    assert (low, high) == (0.0, 1.0)
+    vertices = axes.collections[0].get_paths()[0].vertices
+    at_10_m = sorted({round(y, 9) for x, y in vertices if x == 10.0})
+    interval = binomtest(3, 4).proportion_ci(method="wilson")
+    assert {round(interval.low, 9), round(interval.high, 9)} <= set(at_10_m)
 
 
 # --- style --------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations
 from uavaccel.suites.evaluation.summary import summarise
-from uavaccel.suites.training.curve import draw_runs
+from uavaccel.suites.training.curve import draw_over_games, draw_runs
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.suites.training.report import draw_trainings, phase_times
 from uavaccel.wire.latency import shipped_latency
@@ -235,6 +235,31 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     assert [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2] == [182 * 3600.0]
     with pytest.raises(UserError, match="is no training with a wall time"):
         draw_runs([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
+
+
+def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    def seed(name: str, number: int, won: list[bool], clock: float = 1.0) -> RunDirectory:
+        task = {"command": "tcsc", "clock_speed": clock, "timing": "lockstep"}
+        return run_of(tmp_path / name, Flown(seed=number, task=task), [{"is_success": each} for each in won])
+
+    runs = [
+        seed("one", 0, [True, True, False, False]),
+        seed("two", 1, [False, True, True]),
+        seed("other", 0, [True], clock=5.0),
+    ]
+    draw_over_games(runs, tmp_path / "learning_games.png")
+    (axes,) = drawn["learning_games"].axes
+    lines = labelled(axes)
+    assert list(lines) == ["TCSC 1x, one and 1 more seeds", "TCSC 5x, other"]
+    shares = [(1.0, 0.0), (1.0, 0.5), (2 / 3, 2 / 3)]  # of either seed, as far as both got
+    assert points(lines["TCSC 1x, one and 1 more seeds"]) == [
+        (game, round((a + b) / 2, 12)) for game, (a, b) in enumerate(shares, start=1)
+    ]
+    (band,) = axes.collections
+    corners = {(x, round(y, 12)) for x, y in np.asarray(band.get_paths()[0].vertices).tolist()}
+    ends = {(game, round(end, 12)) for game, pair in enumerate(shares, start=1) for end in pair}
+    assert corners == ends
+    assert headline(drawn["learning_games"])[1] == "modelled · seed 0, 1"
 
 
 def test_figure_9_tells_trainings_apart_and_says_what_was_measured(

@@ -21,7 +21,8 @@ import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
 from uavaccel.clock import VirtualClock
 from uavaccel.config import validate
-from uavaccel.envs.flight_env import FlightEnv, within
+from uavaccel.envs.checks import within
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from uavaccel.cli.run import RunRequest, configure, console, run_experiment
 from uavaccel.draw.film import write_contact_sheet, write_video
-from uavaccel.errors import UserError
+from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.sim.gl import describe_renderer
 from uavaccel.suites.evaluation.film import best_first
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.evaluation.summary import compare
 from uavaccel.suites.runner import check_jobs
+from uavaccel.suites.sweep.conditions import parse_sweep
+from uavaccel.yaml_io import parse_yaml
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
@@ -27,6 +32,37 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
         console.print(compare(run.rows(), other), markup=False)
     if films:
         film_extremes(run)
+
+
+def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None) -> None:
+    """Evaluate under one changed condition after another, all else as the request has it. Raises UserError."""
+    if against is not None:
+        raise UsageError(
+            "--against: compares two evaluations; a sweep compares each condition with the training's"
+        )
+    parsed = [parse_sweep(text) for text in sweep]
+    if len({name for name, _ in parsed}) < len(parsed):
+        raise UsageError("--sweep: names a condition twice; give all its values at once, as in wind=0,3,6")
+    of_sweep = {name: request.options.get(name) for name in ("agent", "games", "seed")}
+    of_task = {
+        f"task.{name}": value
+        for name, value in request.options.items()
+        if name not in of_sweep and value is not None
+    }
+    options = {
+        **of_sweep,
+        "sweep": dict(parsed),
+        "evaluation": {"experiment": "evaluate", "keys": {**of_task, **dict(map(_key, request.overrides))}},
+    }
+    run_experiment(replace(request, experiment="sweep", options=options, overrides=(), suite=None))
+
+
+def _key(override: str) -> tuple[str, Any]:
+    """Dotted key and value of a --set. Raises UsageError."""
+    dotted, equals, text = override.partition("=")
+    if not equals or not dotted:
+        raise UsageError(f"--set {override}: must be dotted.key=value")
+    return dotted, parse_yaml(text, source=f"--set {override}")
 
 
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:

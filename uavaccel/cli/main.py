@@ -36,6 +36,7 @@ Resume = Annotated[
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
 Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
+Engine = Annotated[str, typer.Option(help="What flies --jobs at once: loky, ray or dask; never wall games.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value of the configuration.")]
 
@@ -63,6 +64,7 @@ def run(
         str | None, typer.Option("--with", help="Of paper: a run of rl, which decides what needs training.")
     ] = None,
     jobs: Jobs = 1,
+    engine: Engine = "loky",
     out: Out = None,
     resume: Resume = False,
     dry_run: DryRun = False,
@@ -83,7 +85,8 @@ def run(
         "seeds": seeds,
         "with_run": with_run,
     }
-    run_experiment(RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run))
+    request = RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run, engine=engine)
+    run_experiment(request)
 
 
 @app.command()
@@ -200,29 +203,54 @@ def evaluate(
     profile: Profile = None,
     seed: Seed = None,
     jobs: Jobs = 1,
+    engine: Engine = "loky",
     against: Annotated[
         Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
     ] = None,
     films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE,VALUE,... flown one at a time, as in wind=0,3,6; repeatable."),
+    ] = None,
     out: Out = None,
     resume: Resume = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
     """Fly an agent on lanes that no training has seen, `run evaluate`: success ratio, Figure 8, films."""
-    from uavaccel.cli.evaluate import evaluate_agent
+    from uavaccel.cli.evaluate import evaluate_agent, sweep_agent
     from uavaccel.cli.run import RunRequest
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
     named = None if agent is None and resume else "evaluate"
-    request = RunRequest(named, options, overrides or [], jobs, out, resume, dry_run, "evaluate")
-    evaluate_agent(request, against, films)
+    request = RunRequest(named, options, overrides or [], jobs, out, resume, dry_run, "evaluate", engine)
+    if sweep:
+        sweep_agent(request, sweep, against)
+    else:
+        evaluate_agent(request, against, films)
 
 
 def _task_options(
     clock: float | None, command: str | None, timing: str | None, profile: str | None
 ) -> dict[str, object]:
     return {"clock_speed": clock, "command": command, "timing": timing, "profile": profile}
+
+
+@app.command()
+def export(
+    source: Annotated[
+        str, typer.Argument(help="A policy's folder or default, for --onnx; a run directory for tables.")
+    ],
+    onnx: Annotated[
+        Path | None, typer.Option(help="ONNX file of the policy with its pre-processing.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
+    parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
+) -> None:
+    """Write a policy as ONNX, or a run as tables."""
+    from uavaccel.cli.export import export as export_source
+
+    export_source(source, onnx, csv, parquet)
 
 
 @app.command()
@@ -323,6 +351,24 @@ def fly(
         film=film,
     )
     fly_script(FlyRequest(flight, parse_clocks(clock), check, out))
+
+
+@app.command()
+def init(folder: Annotated[Path, typer.Argument(help="A new or an empty one.")]) -> None:
+    """Write a commented training and a task of one's own to begin with."""
+    from uavaccel.cli.starter import init as write_starter
+
+    write_starter(folder)
+
+
+@app.command()
+def schema(
+    suite: Annotated[str, typer.Argument(help="As the key `suite` of a YAML file names it.")],
+) -> None:
+    """Print the JSON schema of a suite's YAML files, for editors."""
+    from uavaccel.cli.starter import schema_text
+
+    print(schema_text(suite), end="")
 
 
 @app.command()

@@ -25,6 +25,7 @@ from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
+from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import begin_run, check_jobs, run_suite
@@ -49,6 +50,7 @@ class RunRequest:
     dry_run: bool = False
     suite: str | None = None
     """The only one that the command is for."""
+    engine: str = LOKY
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
@@ -58,11 +60,15 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    check_engine(request.engine)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
     console.print(plan(suite, config, cases, request.jobs, out), markup=False)
+    alone = sum(case.timing == "wall" for case in cases)
+    if alone and (request.jobs > 1 or request.engine != LOKY):
+        console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
     if request.dry_run:
         return None
     with resumable(out):
@@ -71,7 +77,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         if "resumed" in run.manifest():
             for line in going_on(run, config, len(cases), manifest):
                 console.print(line, markup=False)
-        fly(suite, config, cases, run, request.jobs)
+        fly(suite, config, cases, run, request.jobs, request.engine)
     report_run(run)
     return run
 
@@ -171,10 +177,12 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def fly(suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int) -> None:
+def fly(
+    suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str = LOKY
+) -> None:
     """Fly what has no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:
-        run_suite(suite, config, run, jobs, progress.flown)
+        run_suite(suite, config, run, jobs, progress.flown, engine)
 
 
 @contextmanager

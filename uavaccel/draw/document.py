@@ -42,9 +42,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Listing:
-    """Text kept as it is, such as YAML."""
+    """Text kept as it is, such as YAML; `folded` names what one clicks to unfold it in HTML."""
 
     text: str
+    folded: str = ""
 
 
 Block = Heading | Paragraph | Table | Picture | Listing
@@ -58,8 +59,13 @@ def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
 def to_html(title: str, blocks: Sequence[Block]) -> str:
     """One HTML page with its style and pictures inside, which needs no other file and no network."""
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_html, blocks)])
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
-    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n</body></html>\n'
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{_STYLE}</style>"
+    )
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body><main>\n{body}\n</main></body></html>\n'
+    )
 
 
 def _markdown(block: Block, folder: Path) -> str:
@@ -73,7 +79,7 @@ def _markdown(block: Block, folder: Path) -> str:
             return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
         case Picture(path, caption):
             return f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
-        case Listing(text):
+        case Listing(text, _):
             return f"```\n{text.rstrip()}\n```"
 
 
@@ -89,18 +95,23 @@ def _html(block: Block) -> str:
             data = base64.b64encode(path.read_bytes()).decode("ascii")
             image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
             return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
-        case Listing(text):
-            return f"<pre>{escape(text)}</pre>"
+        case Listing(text, folded):
+            return _folded(f'<pre tabindex="0">{escape(text)}</pre>', folded)
 
 
 def _html_table(table: Table) -> str:
-    header = "".join(f"<th>{escape(cell)}</th>" for cell in table.header)
+    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
     rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table.rows)
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
     html = f"<table><thead><tr>{header}</tr></thead>\n<tbody>{body}</tbody></table>"
-    if not table.folded:
-        return html
-    return f"<details><summary>{escape(table.folded)}</summary>\n{html}</details>"
+    return _folded(
+        f'<div class="scrolls" tabindex="0" role="region" aria-label="Table">{html}</div>', table.folded
+    )
+
+
+def _folded(html: str, name: str) -> str:
+    """The part of the page behind a name that one clicks, if it has one."""
+    return f"<details><summary>{escape(name)}</summary>\n{html}</details>" if name else html
 
 
 def _escape_markdown(text: str) -> str:
@@ -110,11 +121,18 @@ def _escape_markdown(text: str) -> str:
 
 
 _STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; color: #222 }
-h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100% }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222;
+  background: #FFF; overflow-wrap: break-word }
+h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100%; height: auto }
 figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3 }
 th { vertical-align: bottom } th:first-child, td:first-child { text-align: left }
 pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
+.scrolls { overflow-x: auto; margin: 1rem 0 }
+@media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
+@media print {
+  body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
+  .scrolls, pre { overflow: visible } pre { white-space: pre-wrap } details:not([open]) { display: none }
+}
 """

@@ -16,7 +16,8 @@ from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
-from uavaccel.envs.flight_env import FlightEnv, make_task
+from uavaccel.envs.checks import make_task
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.lane_processes import LaneProcesses
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.service import RenderService

@@ -11,16 +11,15 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.config import validate
+from uavaccel.envs.checks import make_task, within
 from uavaccel.envs.flight_client import FlightClient, FlightSample
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Moment, Task
+from uavaccel.envs.task import Course, Moment, Task
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim import gl
@@ -31,11 +30,7 @@ from uavaccel.wire.session import Session, VirtualSession, open_session
 
 Observation = NDArray[Any]
 Info = dict[str, Any]
-ROUNDING = 1e-6  # by which an action may leave its bounds
-
-
-class UnexpectedKeyword(UserError, TypeError):
-    """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
+CONDITIONS = "conditions"  # of a game, where they were drawn: in its course
 
 
 class FlightEnv(gymnasium.Env[Observation, Any]):
@@ -51,6 +46,9 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
 
     def __init__(self, render_mode: str | None = None, **keys: Any) -> None:
         self.task: Any = make_task(self.task_class, keys, type(self).__name__)
+        self.flown: Any = self.task
+        """The task under the running game's conditions."""
+        self._games = 0
         self.render_mode = render_mode
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
@@ -73,7 +71,10 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         """
         super().reset(seed=seed)
         course = self.task.draw(self.np_random, self._checked(options or {}))
-        self._start_game(course, np.random.SeedSequence(int(self.np_random.integers(2**63))))
+        latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
+        self._games = self._games + 1 if seed is None else 1
+        conditions = self.task.draw_conditions(self.np_random, self._games - 1)
+        self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
@@ -131,6 +132,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         Between two steps. In `wall`, where a game cannot stand still, it is what the next one is drawn from.
         """
         state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
+        if self.flown is not self.task:
+            state["games"] = self._games
         if self._client is None or not isinstance(self._session, VirtualSession):
             return state
         game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
@@ -145,10 +148,12 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
     def set_state(self, state: Mapping[str, Any]) -> Observation:
         """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
         self.np_random.bit_generator.state = json.loads(str(state["generator"]))
+        self._games = int(state.get("games", 0))
         if "game" not in state:
             return self.reset()[0]
         session, game = self._opened(), json.loads(str(state["game"]))
         assert isinstance(session, VirtualSession)
+        self._take_on(game["course"])
         self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
@@ -172,6 +177,14 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             known = ", ".join(self.task.reset_options) or "none"
             raise UserError(f"reset: unknown option {unknown[0]!r}; known: {known}")
         return options
+
+    def _take_on(self, course: Course) -> None:
+        """Fly, see and pay for messages as under the conditions of this game."""
+        before, self.flown = self.flown, self.task.under(course.get(CONDITIONS, {}))
+        if self.flown.dvs_threshold_ratio != before.dvs_threshold_ratio:
+            self._sensor = self.flown.sensor()
+        if self.flown.latency.scale != before.latency.scale and isinstance(self._session, VirtualSession):
+            self._session.set_latency(self.flown.latency)
 
     def _opened(self) -> Session:
         task = self.task
@@ -201,10 +214,10 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._client = FlightClient(client, self._sensor.picture, self._stopwatches)
 
     def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
-        task, start_z_m = self.task, -self.task.altitude_m
-        client = self._opened().start_game(
-            task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m
-        )
+        session = self._opened()
+        self._take_on(course)
+        task, start_z_m = self.flown, -self.flown.altitude_m
+        client = session.start_game(task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m)
         self._connect(client, client.now_ns())
         assert self._client is not None
         first: FlightSample = self._client.gather(self._client.kinematics())
@@ -219,7 +232,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
 
     def _fly(self, client: FlightClient, action: Any) -> Moment:
         """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
-        task, now = self.task, self._now
+        task, now = self.flown, self._now
         goal, missing = task.goal(action), task.frames_per_command
         taken_ns, gathered_ns = [], 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
@@ -279,26 +292,3 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         client = self._client.client
         found = {"lost_wall_s": client.speed()["lost_wall_ns"], "stalled_wall_s": client.transport.stalled_ns}
         return {name: spent_ns / NS_PER_S for name, spent_ns in found.items() if spent_ns}
-
-
-def make_task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
-    try:
-        return validate(task_class, keys, name)
-    except UserError as error:
-        unknown = [key for key in keys if key not in task_class.model_fields]
-        if unknown:
-            raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
-        raise
-
-
-def within(space: spaces.Space[Any], action: Any) -> Any:
-    """The action as the space has it. Raises UserError for one that is not in it."""
-    if isinstance(space, spaces.Box):
-        given = np.asarray(action)
-        if given.shape == space.shape and np.issubdtype(given.dtype, np.number):
-            clipped = np.clip(given, space.low, space.high).astype(space.dtype)
-            if (abs(clipped - given) <= ROUNDING).all():  # not so for NaN
-                return clipped
-    elif space.contains(action):
-        return action
-    raise UserError(f"action {action!r} is not in the action space: {space}")

@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from gymnasium import spaces
 from pydantic import Field, field_validator, model_validator
 
-from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.config import validate
+from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
+from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.task import Count, Course, Moment, Task
 from uavaccel.envs.told import Knowledge, Told
 from uavaccel.errors import UserError
@@ -44,6 +46,9 @@ class LaneTask(Task):
     knows: tuple[Knowledge, ...] = ()
     """What the agent is told beside its pictures: last_action, frame_age."""
 
+    randomise: Ranges | None = None
+    """What is drawn anew for each game, wherever the task is flown; None: nothing."""
+
     t_move_s: Seconds = 1.0
     t_sample_s: Seconds = 0.33
     headings_deg: tuple[Heading, ...] = (-60.0, -30.0, 0.0, 30.0, 60.0)
@@ -57,7 +62,7 @@ class LaneTask(Task):
     collision_reward: Reward = -1.0
     goal_reward: Reward = 0.0
 
-    @field_validator("lane", mode="before")
+    @field_validator("lane", mode="before", json_schema_input_type=LaneFile | str | None)
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
         return parse_lane(lane)
@@ -77,6 +82,25 @@ class LaneTask(Task):
             )
         if len(set(self.knows)) < len(self.knows):
             raise ValueError("knows must not name one thing twice")
+        return self
+
+    @model_validator(mode="after")
+    def _ends_can_be_flown(self) -> LaneTask:
+        if self.randomise is None:
+            return self
+        ranges = self.randomise.given()
+        if LATENCY in ranges and self.timing != "virtual":
+            raise ValueError(
+                "randomise.latency_scale needs timing virtual: no other clock has modelled latencies"
+            )
+        if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
+            raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
+        for ends in corners(ranges):
+            keys = self.model_dump(mode="json", exclude={"randomise", "lane"})
+            drawn = keys_of(ends)
+            for part in ("difficulty", "latency"):
+                drawn[part] = keys[part] | drawn[part]
+            validate(LaneTask, keys | drawn, "randomise")
         return self
 
     def told(self) -> Told | None:
@@ -115,6 +139,26 @@ class LaneTask(Task):
         except TypeError:
             raise UserError(f"reset: option lane = {options['lane']!r} must be a whole number") from None
 
+    def draw_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+        if self.randomise is None:
+            return {}
+        flown = games if self.split == "training" else self.randomise.widen_over_games
+        return self.randomise.widened(flown, self._usual()).draw(random)
+
+    def _usual(self) -> dict[str, tuple[float, float]]:
+        """What games are flown under where nothing is randomised."""
+        keys = {**self.difficulty.model_dump(), **self.model_dump(include=set(OF_TASK))}
+        keys[LATENCY] = self.latency.scale
+        return {name: each if isinstance(each, tuple) else (each, each) for name, each in keys.items()}
+
+    def under(self, conditions: Mapping[str, float]) -> Self:
+        if not conditions:
+            return self
+        keys = keys_of(conditions)
+        for part in ("difficulty", "latency"):
+            keys[part] = getattr(self, part).model_copy(update=keys[part])
+        return self.model_copy(update=keys)
+
     def layout(self, course: Course) -> Any:
         return self.wire_lane(course["lane"])
 
@@ -128,8 +172,9 @@ class LaneTask(Task):
         return now.collision is None and float(now.position_m[0]) >= LENGTH_M
 
     def info(self, now: Moment) -> dict[str, Any]:
-        """How far north it got, and the lane's index."""
-        return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"]}
+        """How far north it got, the lane's index, and the conditions, where they were drawn."""
+        drawn = {name: now.course[name] for name in (CONDITIONS,) if name in now.course}
+        return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"], **drawn}
 
 
 class ObstacleLane(FlightEnv):

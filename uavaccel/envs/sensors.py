@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.saved import State
-from uavaccel.vision.dvs import PRESETS
+from uavaccel.vision.dvs import DvsParameters
 from uavaccel.vision.dvs import make_sensor as make_dvs
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
@@ -76,9 +76,9 @@ class EventCamera:
 
     picture: str | None = "gray"
 
-    def __init__(self, preset: str, seed: int, listed: bool = False) -> None:
+    def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
         self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
-        self.counter = EventCounter(make_dvs(PRESETS[preset], (HEIGHT, WIDTH), seed), listed)
+        self.counter = EventCounter(make_dvs(parameters, (HEIGHT, WIDTH), seed), listed)
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """Nothing has moved: no events."""
@@ -140,7 +140,7 @@ def make_sensor(
     observation: str,
     features: Features,
     blank: NDArray[np.float32],
-    dvs_preset: str,
+    dvs: DvsParameters,
     dvs_seed: int,
     listed: bool,
 ) -> Sensor:
@@ -148,7 +148,7 @@ def make_sensor(
     if observation == "state":
         return StateSensor(features, blank)
     if observation == "dvs":
-        return EventCamera(dvs_preset, dvs_seed, listed)
+        return EventCamera(dvs, dvs_seed, listed)
     cameras: dict[str, type[ColourCamera | DepthCamera]] = {"colour": ColourCamera, "depth": DepthCamera}
     return cameras[observation]()
 

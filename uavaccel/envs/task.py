@@ -23,6 +23,7 @@ from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
+from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -65,6 +66,8 @@ class Task(Config):
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     dvs_seed: Seed = 0
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
+    dvs_threshold_ratio: Positive = 1.0
+    """Times the preset's contrast thresholds."""
 
     dvs_rate_hz: Positive | None = None
     """Frames per simulated second that the event camera sees, up to every step of the physics; else one per sample."""
@@ -128,8 +131,13 @@ class Task(Config):
         """What turns samples into frames."""
         blank = np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
         return make_sensor(
-            self.observation, self.features, blank, self.dvs_preset, self.dvs_seed, self.list_events
+            self.observation, self.features, blank, self.dvs_parameters, self.dvs_seed, self.list_events
         )
+
+    @property
+    def dvs_parameters(self) -> DvsParameters:
+        """The event camera's."""
+        return with_thresholds(PRESETS[self.dvs_preset], self.dvs_threshold_ratio)
 
     def observation_space(self) -> spaces.Box:
         """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""
@@ -165,6 +173,14 @@ class Task(Config):
     def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
         """What a game is about. Raises UserError for an option that cannot be."""
         return {}
+
+    def draw_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+        """Under which a game is flown, after so many of its environment; nothing: as the task has them."""
+        return {}
+
+    def under(self, conditions: Mapping[str, float]) -> Self:
+        """The task as it is under conditions of `draw_conditions`."""
+        return self
 
     def layout(self, course: Course) -> Any:
         """The scene of a game as Client.set_lane takes it; None: as it is."""

@@ -57,7 +57,16 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = ("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed", "dvs_rate_hz")
+SENSES = (
+    "observation",
+    "history",
+    "knows",
+    "blank_images",
+    "dvs_preset",
+    "dvs_seed",
+    "dvs_threshold_ratio",
+    "dvs_rate_hz",
+)
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 

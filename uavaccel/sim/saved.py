@@ -55,7 +55,7 @@ def layout_of(state: Mapping[str, Any]) -> LaneLayout:
     """The lane's layout from its fields."""
     fields: dict[str, Any] = {}
     for name, like in vars(_NO_LANE).items():
-        value = np.asarray(state[name])
+        value = np.asarray(state.get(name, like))
         fields[name] = (
             value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim import autopilot, hotloop
+from uavaccel.sim.airframe import set_airframe
 from uavaccel.sim.flight.goal import Goal
 from uavaccel.sim.flight.manual import IDLE
 from uavaccel.sim.profile import Profile
@@ -87,6 +88,7 @@ class Vehicle:
             inertia, ticks = model.body_inertia[body.id], self.profile.hover_after_ticks
             mass = model.body_mass[body.id]
             self._parameters = parameters(self.profile.tick_s, ticks, mass, inertia, self._contacts_act)
+            self._own_parameters = self._parameters.copy()
             self._default_gains = {name: self._parameters[name].copy() for name in GAINS}
         joint = model.joint(int(model.body_jntadr[body.id]))
         place, motion = int(joint.qposadr[0]), int(joint.dofadr[0])
@@ -219,6 +221,12 @@ class Vehicle:
         """Params.hpp's gains."""
         for name, gains in self._default_gains.items():
             self.parameters[name] = gains[0]
+
+    def set_airframe(self, models: Sequence[mujoco.MjModel], mass_ratio: float, thrust_ratio: float) -> None:
+        """Make it heavier or stronger than its own, in each of the models that it flies in."""
+        assert self._parameters is not None
+        for model in models:
+            set_airframe(model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
 
     # --- places -----------------------------------------------------------------------------------
 

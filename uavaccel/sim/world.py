@@ -114,6 +114,11 @@ class World(Led):
         self.lane = layout
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
+        self.lead.set_airframe(self._models(), layout.mass_ratio, layout.thrust_ratio)
+
+    def _models(self) -> list[mujoco.MjModel]:
+        """All in which the leading vehicle flies."""
+        return [self.model, *([self._open_air.model] if self._open_air else [])]
 
     def surroundings_changed(self) -> None:
         """Objects of the model were moved, have come or gone, or look different."""

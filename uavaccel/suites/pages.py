@@ -18,10 +18,12 @@ def finished_rows(run: RunDirectory, suite: str) -> list[dict[str, Any]]:
     return rows
 
 
-def summary_blocks(headline: str, summary: Mapping[str, Any], picture: Picture) -> list[Block]:
-    """The result in a sentence, its figure, and summary.json as a table to unfold: a report of one cell."""
+def summary_blocks(
+    headline: str, summary: Mapping[str, Any], beside: Table, *pictures: Picture
+) -> list[Block]:
+    """The result in a sentence, `beside` the paper's, its figures, and summary.json to unfold: a report of one cell."""
     table = Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json")
-    return [Paragraph(headline + "."), table, picture]
+    return [Paragraph(headline + "."), beside, *pictures, table]
 
 
 def write_pages(run: RunDirectory, title: str, blocks: Sequence[Block]) -> None:
@@ -33,7 +35,7 @@ def write_pages(run: RunDirectory, title: str, blocks: Sequence[Block]) -> None:
 
 def _provenance(run: RunDirectory) -> list[Block]:
     files = [run.path / "config.yaml", run.path / "manifest.json"]
-    return [Listing(path.read_text(encoding="utf-8")) for path in files if path.is_file()]
+    return [Listing(path.read_text(encoding="utf-8"), folded=path.name) for path in files if path.is_file()]
 
 
 def listed(numbers: Sequence[Any]) -> str:

@@ -20,6 +20,7 @@ SUITES = {
     "ablation": "uavaccel.suites.ablation.suite:Ablation",
     "rl": "uavaccel.suites.rl.suite:Rl",
     "robustness": "uavaccel.suites.robustness.suite:Robustness",
+    "sweep": "uavaccel.suites.sweep.suite:Sweep",
     "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ from uavaccel.limits import MOST_PROCESSES
 from uavaccel.parent import end_with_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbances
+from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
@@ -58,19 +60,21 @@ def run_suite(
     run: RunDirectory,
     jobs: int = 1,
     on_flown: OnFlown = lambda case, row: None,
+    engine: str = LOKY,
 ) -> None:
     """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
 
     Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them. Where
     their server dies or hangs it is started again, and the game flown again; its row says how often, `restarts`.
-    `on_flown` is told of each game. Raises UserError, and UsageError as `check_jobs`.
+    `engine` is one of engines.ENGINES. `on_flown` is told of each game. Raises UserError, and UsageError as
+    `check_jobs`.
     """
     check_jobs(suite, config, jobs)
     restarts = Counter[str]()
     while True:
         left = _without_row(suite, config, run)
         try:
-            _fly(suite, config, left, run, jobs, on_flown, restarts)
+            _fly(suite, config, left, run, jobs, on_flown, restarts, engine)
             suite.finish(config, run)
             return
         except ServerGoneError as error:
@@ -94,10 +98,12 @@ def _fly(
     jobs: int,
     on_flown: OnFlown,
     restarts: Mapping[str, int],
+    engine: str,
 ) -> None:
     for timing, group in _by_timing(cases):
-        flown = _fly_one_by_one if timing == "wall" or jobs == 1 else _fly_in_parallel
-        for case, game in zip(group, flown(suite, config, group, run, jobs), strict=True):
+        alone = timing == "wall" or (jobs == 1 and engine == LOKY)
+        fly_all = _fly_one_by_one if alone else _fly_in_parallel if engine == LOKY else _fly_on_cluster
+        for case, game in zip(group, fly_all(suite, config, group, run, jobs, engine), strict=True):
             if timing == "wall":
                 game.row.update(disturbances(game.row, restarts.get(case.id, 0)))
             if game.arrays:
@@ -120,7 +126,7 @@ def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
 
 
 def _fly_one_by_one(
-    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[Flown]:
     try:
         with suite.open(config, cases[0].timing, run) as opened:
@@ -131,7 +137,7 @@ def _fly_one_by_one(
 
 
 def _fly_in_parallel(
-    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[Flown]:
     with parallel_config(backend="loky", inner_max_num_threads=1):
         ahead = f"{suite.batch}*n_jobs"  # of long games none, or an interruption would find them waiting
@@ -143,6 +149,14 @@ def _fly_in_parallel(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of games that an interruption cancels
                 games.close()
+
+
+def _fly_on_cluster(
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
+) -> Iterator[Flown]:
+    folder = run.path.resolve()  # workers may have another working directory
+    calls = [delayed(_fly_in_worker)(config, case, folder) for case in cases]
+    yield from on_cluster(engine, jobs, suite.batch, calls)
 
 
 def _told_of_dead_workers(games: Iterator[Flown]) -> Iterator[Flown]:
@@ -162,9 +176,10 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     """Fly a case in this worker process, which keeps what it opened; Ctrl-C is the parent's to handle."""
     key = (str(folder), case.timing)
     if key not in _OPENED:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if not _OPENED:
-            end_with_parent()
+        if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            if not _OPENED:
+                end_with_parent()
         # drawing in software, it leaves the other cores to its siblings
         os.environ.setdefault("LP_NUM_THREADS", "0")
         run = RunDirectory(folder)

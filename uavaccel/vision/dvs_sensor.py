@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -51,6 +51,15 @@ PRESETS: Mapping[str, DvsParameters] = MappingProxyType(
         ),
     }
 )
+
+
+def with_thresholds(parameters: DvsParameters, ratio: float) -> DvsParameters:
+    """The parameters with `ratio` times the contrast thresholds; their spread from pixel to pixel stays."""
+    return replace(
+        parameters,
+        positive_threshold=ratio * parameters.positive_threshold,
+        negative_threshold=ratio * parameters.negative_threshold,
+    )
 
 
 class DvsSensor(NamedTuple):

@@ -124,6 +124,10 @@ class VirtualSession:
         client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
         return _start(client, clock_speed, lane, height_m)
 
+    def set_latency(self, latency: LatencyConfig) -> None:
+        """Draw latencies from this model from the next game on; its platform is to be the one of before."""
+        self._latency = latency
+
     def _world(self, clock_speed: float) -> WatchedWorld:
         """The world for a ClockSpeed: one for all, unless the latency model's platform says otherwise."""
         profile = self._latency.platform.profile(self._profile, clock_speed)

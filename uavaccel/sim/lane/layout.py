@@ -21,6 +21,7 @@ Split = Literal["training", "evaluation"]
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
 HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
+HEAVIEST = 1.5  # times its own mass for its own rotors, which lift 1.7 times it at full throttle
 MAX_OBSTACLES = 64  # as many as lane.xml provides
 
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
@@ -51,6 +52,11 @@ class Difficulty(Config):
     wind_m_s: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
     """Speed of a steady horizontal wind from a random direction."""
 
+    mass_ratio: Annotated[float, Field(ge=0.5, le=1.5)] = 1.0
+    """Times the vehicle's mass and moments of inertia."""
+    thrust_ratio: Annotated[float, Field(ge=0.7, le=1.5)] = 1.0
+    """Times its rotors' thrust and torque."""
+
     @property
     def pitch_m(self) -> float:
         """Minimum distance between the centres of neighbours in a row."""
@@ -73,6 +79,14 @@ class Difficulty(Config):
             )
         return self
 
+    @model_validator(mode="after")
+    def _can_hover(self) -> Self:
+        if self.mass_ratio > HEAVIEST * self.thrust_ratio:
+            raise ValueError(
+                f"mass_ratio = {self.mass_ratio:g} must be at most {HEAVIEST:g} times thrust_ratio, or it cannot climb"
+            )
+        return self
+
 
 @dataclass(frozen=True)
 class LaneLayout:
@@ -91,6 +105,8 @@ class LaneLayout:
     light: float = 1.0
     sun_azimuth_rad: float = 0.5  # heading of the sunlight: 0 shines north, the way the drone looks
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass_ratio: float = 1.0
+    thrust_ratio: float = 1.0
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -123,6 +139,8 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
         light=float(rng.uniform(*difficulty.light)),
         sun_azimuth_rad=float(rng.uniform(-1.0, 1.0)),
         wind_m_s=(difficulty.wind_m_s * np.cos(direction), difficulty.wind_m_s * np.sin(direction), 0.0),
+        mass_ratio=difficulty.mass_ratio,
+        thrust_ratio=difficulty.thrust_ratio,
     )
 
 

@@ -81,7 +81,7 @@ class Dp2Config(FlightExperiment):
     sensor_seed: Seed = 0
     """Of the DVS's thresholds: one sensor for all ClockSpeeds."""
 
-    @field_validator("lane", mode="before")
+    @field_validator("lane", mode="before", json_schema_input_type=int | DrawnLane | LaneFile | str)
     @classmethod
     def _written_out(cls, lane: Any) -> Any:
         return parse_lane(lane)

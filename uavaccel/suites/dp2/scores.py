@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.units import attitude_difference_rad
-from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
+from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 
 Row = Mapping[str, Any]
 Arrays = Mapping[str, np.ndarray]
@@ -53,10 +53,10 @@ class GameScore:
 
 
 def count_events(
-    images: NDArray[np.uint8], time_s: NDArray[np.float64], preset: str, sensor_seed: int
+    images: NDArray[np.uint8], time_s: NDArray[np.float64], dvs: DvsParameters, sensor_seed: int
 ) -> tuple[Counts, Counts]:
     """ON and OFF counts (n, H, W) of gray images (n, H, W) taken at `time_s`; the first one makes no events."""
-    sensor = make_sensor(PRESETS[preset], images.shape[1:], sensor_seed)
+    sensor = make_sensor(dvs, images.shape[1:], sensor_seed)
     state = init_state(sensor, images[0], float(time_s[0]), noise_seed=sensor_seed)
     on, off = np.zeros(images.shape, np.uint16), np.zeros(images.shape, np.uint16)
     for i in range(1, len(images)):
@@ -68,7 +68,7 @@ def counts_of(arrays: Arrays, preset: str, sensor_seed: int) -> tuple[Counts, Co
     """What the DVS saw in a game: counted while it was flown, or else in the images that were kept."""
     if "dvs_on" in arrays:
         return arrays["dvs_on"], arrays["dvs_off"]
-    return count_events(arrays["image"], arrays["time_s"], preset, sensor_seed)
+    return count_events(arrays["image"], arrays["time_s"], PRESETS[preset], sensor_seed)
 
 
 def see(row: Row, arrays: Arrays, preset: str, sensor_seed: int) -> SeenFlight:

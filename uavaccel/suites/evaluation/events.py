@@ -13,7 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_lane
-from uavaccel.vision.dvs import PRESETS, make_sensor
+from uavaccel.vision.dvs import make_sensor
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.session import Session, VirtualSession
@@ -25,7 +25,7 @@ class WatchedLane(ObstacleLane):
     def __init__(self, rate_hz: float, **task: Any) -> None:
         super().__init__(**task)
         self._every_ticks = rate_ticks(rate_hz, self.task.profile, "--events-rate-hz")
-        sensor = make_sensor(PRESETS[self.task.dvs_preset], (HEIGHT, WIDTH), self.task.dvs_seed)
+        sensor = make_sensor(self.task.dvs_parameters, (HEIGHT, WIDTH), self.task.dvs_seed)
         self.events = EventCounter(sensor, listed=True)
 
     def _opened(self) -> Session:

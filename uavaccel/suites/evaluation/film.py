@@ -52,7 +52,7 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     samples = environment.samples
     images = np.stack([sample.image for sample in samples])
     time_s = np.array([sample.state.time_ns - samples[0].state.time_ns for sample in samples]) / 1e9
-    on, off = count_events(images, time_s, task.dvs_preset, task.dvs_seed)
+    on, off = count_events(images, time_s, environment.flown.dvs_parameters, task.dvs_seed)
     end = (
         "reached the end"
         if info["is_success"]
@@ -60,5 +60,5 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     )
     title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}"
     position_m = np.array([sample.state.position_m for sample in samples])
-    layout = lane_layout(task.wire_lane(lane))
+    layout = lane_layout(environment.flown.wire_lane(lane))
     return Film(title, time_s, images, on, off, position_m, layout)

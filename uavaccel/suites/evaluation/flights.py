@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import Agent
 from uavaccel.suites.disturbed import measured_disturbances
@@ -44,6 +45,7 @@ def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, la
         "case": lane_case(lane),
         "suite": "evaluate",
         **{name: infos[-1][name] for name in names},
+        **{name: infos[-1][name] for name in (CONDITIONS,) if name in infos[-1]},
         "sim_time_s": infos[-1]["commands"] * config.task.t_move_s,
         "actions": [info["action"] for info in infos],
         **measured_disturbances(infos[-1]),

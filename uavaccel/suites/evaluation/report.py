@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Picture
+from uavaccel.draw.document import Picture, Table
+from uavaccel.draw.style import command_name
 from uavaccel.draw.survival import draw_survival
+from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import headline, summarise
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
+from uavaccel.suites.rl import paper
 from uavaccel.suites.suite import Summary
 
 FIGURE = "figures/figure8_survival.png"
@@ -27,10 +30,28 @@ def write_report(run: RunDirectory) -> Summary:
     run.write_json("summary.json", summary)
     path = draw_evaluations([run], run.file(FIGURE))
     picture = Picture(
-        path, f"Figure 8. Share of the games that got at least so far north. Source: {_source([run])}."
+        path,
+        f"Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval. "
+        f"Source: {_source([run])}.",
     )
-    write_pages(run, f"Evaluation of {summary['agent']}", summary_blocks(headline(summary), summary, picture))
+    blocks = summary_blocks(headline(summary), summary, _beside_the_papers(summary), picture)
+    write_pages(run, f"Evaluation of {summary['agent']}", blocks)
     return summary
+
+
+def _beside_the_papers(summary: Summary) -> Table:
+    """Its success, and the best of the paper's trainings with each command (Table I)."""
+    own = f"{summary['success_ratio']:.1%} [{100 * summary['wilson_low']:.0f}, {100 * summary['wilson_high']:.0f}]"
+    rows: list[tuple[str, ...]] = [
+        (str(summary["agent"]), own, str(summary["games"]), timing_provenance(summary["timing"]))
+    ]
+    for command, by_clock in paper.SUCCESSES.items():
+        best = max(by_clock.values())
+        low, high = wilson_interval(best, paper.GAMES)
+        theirs = f"{best / paper.GAMES:.1%} [{100 * low:.0f}, {100 * high:.0f}]"
+        name = f"the paper's best, trained with {command_name(command)}"
+        rows.append((name, theirs, str(paper.GAMES), "measured, in AirSim and another lane"))
+    return Table(("", "success [95 %]", "lanes", "how"), rows)
 
 
 def draw_evaluations(runs: Sequence[RunDirectory], path: Path) -> Path:

@@ -8,24 +8,27 @@ from dataclasses import replace
 from pathlib import Path
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Picture
+from uavaccel.draw.document import Picture, Table
 from uavaccel.draw.phases import PhaseTimes, draw_phases
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.disturbed import disturbed_words
-from uavaccel.suites.host_time import over_all_starts, wall_s
+from uavaccel.suites.host_time import in_words, over_all_starts, wall_s
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
+from uavaccel.suites.rl import paper
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.curve import draw_runs
+from uavaccel.suites.training.curve import draw_over_games, draw_runs
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
 from uavaccel.suites.training.summary import headline, summarise
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
 CURVES = "figures/learning_curves_compared.png"
+GAMES_COMPARED = "figures/learning_games_compared.png"
+OVER_GAMES, OVER_TIME = "figures/learning_games.png", "figures/learning_curve.png"
 
 
 def write_report(run: RunDirectory) -> Summary:
@@ -40,12 +43,42 @@ def write_report(run: RunDirectory) -> Summary:
     run.write_json("summary.json", summary)
     path = draw_trainings([run], run.file(FIGURE))
     picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
-    write_pages(
-        run,
-        f"Training, {config.algorithm}, seed {config.seed}",
-        summary_blocks(headline(summary), summary, picture),
+    blocks = summary_blocks(
+        headline(summary), summary, _beside_the_papers(run, summary), *_curves(run), picture
     )
+    write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
     return summary
+
+
+def _curves(run: RunDirectory) -> list[Picture]:
+    """Success over the games and, where wall times were kept, over the wall clock."""
+    over_games = draw_over_games([run], run.file(OVER_GAMES))
+    pictures = [
+        Picture(over_games, "Success over the games: the share won of the last 100, or of all so far.")
+    ]
+    if wall_s(run):
+        over_time = draw_runs([run], [run.path.name], run.file(OVER_TIME))
+        caption = (
+            "The same over the wall clock, measured; the dashed line is the paper's training in real time."
+        )
+        pictures.append(Picture(over_time, caption))
+    return pictures
+
+
+def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
+    """Games and time of the training, and of the paper's (III-C3, IV-D)."""
+    real_time_s = summary.get("modelled_real_time_s")
+    rows = [
+        ("games", str(summary["games"]), str(paper.TRAINING_GAMES), "counted"),
+        ("wall clock", in_words(wall_s(run)) if wall_s(run) else "-", "-", "measured, start-up not counted"),
+        (
+            "in real time",
+            "-" if real_time_s is None else in_words(real_time_s),
+            in_words(paper.REAL_TIME_S),
+            "ours modelled, the paper's measured",
+        ),
+    ]
+    return Table(("", "this training", "the paper's", "how"), rows)
 
 
 def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
@@ -59,6 +92,7 @@ def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
     return [
         draw_trainings(runs, runs[0].file(COMPARISON)),
         draw_runs(runs, labels, runs[0].file(CURVES)),
+        draw_over_games(runs, runs[0].file(GAMES_COMPARED)),
     ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from stable_baselines3.common.logger import configure
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.rl.learner import Game
 from uavaccel.suites.disturbed import measured_disturbances
@@ -45,6 +46,7 @@ class GameRows:
             "sim_time_s": game.info["commands"] * self._t_move_s,
             **{name: game.info[name] for name in KEPT},
             **measured_disturbances(game.info),
+            **{name: game.info[name] for name in (CONDITIONS,) if name in game.info},
         }
         self._draw(row, wall_s)
         host = {

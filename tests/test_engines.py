@@ -1,0 +1,93 @@
+"""Engines: clusters fly the same bytes as one process; what is missing, lost or on the wall clock is said."""
+
+from __future__ import annotations
+
+import importlib.util
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+from joblib import delayed, register_parallel_backend
+from joblib._parallel_backends import ThreadingBackend
+
+from tests.running import configured
+from uavaccel.cli.run import RunRequest, run_experiment
+from uavaccel.errors import UsageError, UserError
+from uavaccel.suites import engines
+from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
+from uavaccel.suites.runner import begin_run, run_suite
+
+SMALL = ("clock_speed=[50]", "rounds=[1]", "t_move_s=[1]", "games=3")
+
+
+def flown(path: Path, jobs: int, engine: str) -> dict[str, bytes]:
+    """All that a run of a few games leaves but its times and its manifest."""
+    config = configured("dp1", *SMALL)
+    run = begin_run(Dp1(), config, path, {})
+    run_suite(Dp1(), config, run, jobs, engine=engine)
+    kept = [path / "rows.jsonl", *sorted((path / "arrays").iterdir())]
+    return {str(file.relative_to(path)): file.read_bytes() for file in kept}
+
+
+@pytest.fixture
+def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray's place taken by threads: what is ours of an engine, without one."""
+    register_parallel_backend("ray", ThreadingBackend)
+    monkeypatch.setattr(engines, "_ray", lambda jobs: nullcontext())
+
+
+@pytest.mark.usefixtures("threads_as_ray")
+def test_results_come_in_order_though_they_are_handed_out_in_parts() -> None:
+    calls = [delayed(int)(number) for number in range(23)]
+    assert list(on_cluster("ray", 2, 2, calls)) == list(range(23))
+
+
+@pytest.mark.usefixtures("threads_as_ray")
+def test_cases_on_an_engine_have_the_bytes_of_one_process(tmp_path: Path) -> None:
+    assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / "ray", 1, "ray")
+
+
+@pytest.mark.usefixtures("threads_as_ray")
+def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
+    class WorkerCrashedError(Exception):
+        __module__ = "ray.exceptions"
+
+    def lost(error: Exception) -> None:
+        raise error
+
+    with pytest.raises(UserError, match=r"a worker of ray was lost .*--resume"):
+        list(on_cluster("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
+    with pytest.raises(ZeroDivisionError):
+        list(on_cluster("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the engines' own
+@pytest.mark.parametrize("engine", PACKAGES)
+def test_a_local_cluster_flies_the_bytes_of_one_process(engine: str, tmp_path: Path) -> None:
+    pytest.importorskip(PACKAGES[engine])
+    assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / engine, 2, engine)
+
+
+def test_an_engine_that_is_unknown_or_missing_is_one_line() -> None:
+    with pytest.raises(UsageError, match="there are loky, ray, dask"):
+        check_engine("spark")
+    for engine, package in PACKAGES.items():
+        if importlib.util.find_spec(package) is None:
+            with pytest.raises(UserError, match=rf"pip install 'uavaccel\[{engine}\]'"):
+                check_engine(engine)
+
+
+@pytest.mark.usefixtures("threads_as_ray")
+def test_wall_games_are_said_to_fly_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def spec(name: str) -> Any:
+        return name
+
+    monkeypatch.setattr(importlib.util, "find_spec", spec)
+    options = {"clock_speed": [50.0], "timing": "wall", "games": 1}
+    run_experiment(RunRequest("dp1", options, SMALL[:3], out=tmp_path / "run", dry_run=True, engine="ray"))
+    assert "on the wall clock fly alone" in capsys.readouterr().out

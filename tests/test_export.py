@@ -1,0 +1,170 @@
+"""Exports: a policy's network with its pre-processing, and a run's rows and samples as tables."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from tests.learning import tiny_config
+from uavaccel.cli.export import export
+from uavaccel.config import Config
+from uavaccel.envs.sensors import ColourCamera, DepthCamera
+from uavaccel.envs.task import AT_REST
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.onnx_file import Flown, example, reduced, write_onnx
+from uavaccel.rl.policy import Policy
+from uavaccel.suites.tables import row_table, sample_tables, write_tables
+from uavaccel.vision.observation import dvs_observation
+
+
+def policy(algorithm: str = "double_dqn", **task: Any) -> Policy:
+    options = {} if algorithm != "double_dqn" else {"options": {"learning_starts": 8}}
+    config = tiny_config(task, mirror=False, algorithm=algorithm, **options)
+    th.manual_seed(0)
+    network = make_policy(config, lambda _: 0.0)
+    network.set_training_mode(False)
+    return Policy(network, config, {"weights_file_sha256": "0"})
+
+
+def test_events_are_reduced_as_the_environment_reduces_them() -> None:
+    random = np.random.default_rng(0)
+    on, off = random.integers(0, 30, (2, 3, 144, 256), dtype=np.int32)
+    expected = np.stack([dvs_observation(*pair) for pair in zip(on, off, strict=True)])
+    seen = reduced(th.from_numpy((on - off).astype(np.float32))[None], "dvs")
+    np.testing.assert_array_equal(seen[0].numpy(), expected)
+    assert expected.min() == 0
+    assert expected.max() == 255
+
+
+def test_depth_and_colour_are_reduced_as_the_environment_reduces_them() -> None:
+    random = np.random.default_rng(0)
+    depth = random.uniform(0, 80, (144, 256)).astype(np.float32)
+    seen = reduced(th.from_numpy(depth)[None, None], "depth")[0].numpy()
+    assert abs(seen - DepthCamera().frame(AT_REST, depth, {})).max() <= 1  # where rounding falls either way
+    colour = random.integers(0, 256, (144, 256, 3), dtype=np.uint8)
+    planes = th.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None]
+    np.testing.assert_array_equal(
+        reduced(planes, "colour")[0].numpy(), ColourCamera().frame(AT_REST, colour, {})
+    )
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "task"),
+    [
+        ("double_dqn", {}),
+        ("double_dqn", {"knows": ["last_action", "frame_age"], "history": 2}),
+        ("ppo", {"observation": "depth"}),
+        ("double_dqn", {"observation": "state"}),
+    ],
+)
+def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, Any], tmp_path: Path) -> None:
+    """From pictures without pre-processing, and from what is told beside them, the same action."""
+    trained = policy(algorithm, **task)
+    inputs = [th.rand(each.shape) * 255 for each in example(trained)]
+    observation = trained.config.task.observation
+    planes = [reduced(inputs[0], observation), *inputs[1:]]
+    seen = th.cat(planes, dim=1).numpy()
+    if observation != "state":
+        seen = seen.round().astype(np.uint8)
+        inputs[1:] = [each.round() for each in inputs[1:]]
+    if observation == "dvs":
+        inputs[0] = th.round(inputs[0] / 64 - 2)
+        seen[:, : planes[0].shape[1]] = reduced(inputs[0], "dvs").numpy()
+    with th.inference_mode():
+        _, action = Flown(trained.network, observation).eval()(*inputs)
+    assert action.tolist() == trained.act(seen).tolist()
+    if importlib.util.find_spec("onnxscript") and importlib.util.find_spec("onnxruntime"):
+        _runs_alike(trained, inputs, action, tmp_path / "policy.onnx")
+
+
+def _runs_alike(trained: Policy, inputs: list[th.Tensor], action: th.Tensor, path: Path) -> None:
+    import onnxruntime
+
+    about = write_onnx(trained, path)
+    session = onnxruntime.InferenceSession(path)
+    given = dict(zip([each.name for each in session.get_inputs()], inputs, strict=True))
+    _, flown = session.run(None, {name: each.numpy() for name, each in given.items()})
+    assert flown.tolist() == action.tolist()
+    assert session.get_modelmeta().custom_metadata_map == about
+
+
+@pytest.mark.skipif(importlib.util.find_spec("onnxscript") is not None, reason="it is installed")
+def test_a_missing_package_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"uavaccel\[onnx\]"):
+        write_onnx(policy(), tmp_path / "policy.onnx")
+    assert not list(tmp_path.iterdir())
+
+
+def run(path: Path) -> RunDirectory:
+    made = RunDirectory.create(path, Config(), {})
+    arrays: dict[str, np.ndarray[Any, Any]] = {
+        "position_m": np.arange(6.0).reshape(2, 3) / 7,
+        "image": np.zeros((2, 9, 9), np.uint8),
+        "speed": np.array([0.1, 0.2], np.float32),
+        "event": np.array([1, 2, 3]),
+    }
+    row = {
+        "case": "a",
+        "phase_s": {"learning": 0.1},
+        "actions": [1, 2],
+        "arrays": made.save_arrays("a", arrays),
+    }
+    made.append_row(row)
+    made.append_row({"case": "b", "collision": "wall, west", "phase_s": {"learning": 1 / 3}})
+    return made
+
+
+def test_a_run_as_csv_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
+    paths = list(write_tables(run(tmp_path / "run"), tmp_path / "out", "csv"))
+    assert [str(path.relative_to(tmp_path / "out")) for path in paths] == [
+        "rows.csv",
+        "samples/a-2.csv",
+        "samples/a-3.csv",
+    ]
+    with paths[0].open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["case"] for row in rows] == ["a", "b"]
+    assert float(rows[1]["phase_s.learning"]) == 1 / 3
+    assert rows[1]["collision"] == "wall, west"
+    assert (rows[0]["actions"], rows[1]["actions"]) == ("[1, 2]", "")
+    with paths[1].open(newline="") as file:
+        samples = list(csv.DictReader(file))
+    assert list(samples[0]) == ["position_m.0", "position_m.1", "position_m.2", "speed"]
+    assert float(samples[1]["position_m.2"]) == 5 / 7
+
+
+def test_columns_have_one_kind_each() -> None:
+    table = row_table([{"value": 3, "n": 1}, {"value": "noisy", "n": 0.5}, {"value": None}])
+    assert table == {"value": ["3", "noisy", None], "n": [1, 0.5, None]}
+    assert list(sample_tables({"empty": np.zeros((0, 3)), "number": np.array(3.0)})) == []
+
+
+def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> None:
+    made = run(tmp_path / "run")
+    if importlib.util.find_spec("pyarrow") is None:
+        with pytest.raises(UserError, match=r"uavaccel\[parquet\]"):
+            list(write_tables(made, tmp_path / "out", "parquet"))
+        return
+    from pyarrow import parquet
+
+    paths = list(write_tables(made, tmp_path / "out", "parquet"))
+    assert parquet.read_table(paths[0])["phase_s.learning"].to_pylist() == [0.1, 1 / 3]
+    assert str(parquet.read_table(paths[1]).schema.field("speed").type) == "float"
+
+
+def test_export_says_what_it_can_write_and_refuses_what_is_no_source(tmp_path: Path) -> None:
+    for source, to, said in (
+        ("default", {}, "say what to write"),
+        (str(tmp_path), {"csv": tmp_path / "out"}, "not a run directory"),
+        (str(tmp_path), {"onnx": tmp_path / "file"}, "holds no policy"),
+    ):
+        with pytest.raises(UserError, match=said):
+            export(source, **{"onnx": None, "csv": None, "parquet": None, **to})

@@ -1,0 +1,199 @@
+"""Domain randomisation: what is drawn at reset, that it acts, that games are saved with it, and that off is off."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.learning import tiny_config, train_into
+from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.conditions import Ranges
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.records import RunDirectory
+from uavaccel.sim.lane.layout import Difficulty, draw_layout
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.world import World
+
+RANGES: dict[str, Any] = {
+    "wind_m_s": [0, 6],
+    "light": [0.1, 1.0],
+    "row_spacing_m": [7, 15],
+    "speed_m_s": [0.8, 2.2],
+    "altitude_m": [1.5, 4],
+    "mass_ratio": [0.8, 1.3],
+    "dvs_threshold_ratio": [0.7, 1.5],
+    "latency_scale": [0, 16],
+}
+
+
+def lane(**keys: Any) -> ObstacleLane:
+    return ObstacleLane(**{"observation": "state", "timing": "virtual", "command": "adsc", **keys})
+
+
+def test_a_seed_draws_the_same_lane_whether_or_not_conditions_are_drawn_too() -> None:
+    with_ranges, without = lane(randomise=RANGES), lane()
+    _, drawn = with_ranges.reset(seed=5)
+    _, usual = without.reset(seed=5)
+    assert drawn["lane"] == usual["lane"]
+    assert "conditions" not in usual
+    assert set(drawn["conditions"]) == set(RANGES)
+    assert all(RANGES[name][0] <= value <= RANGES[name][1] for name, value in drawn["conditions"].items())
+    assert with_ranges.reset(seed=5)[1] == drawn  # whatever was flown before
+    assert with_ranges.reset()[1]["conditions"] != drawn["conditions"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "keys"),
+    [
+        ("speed_m_s", 2.0, {"speed_m_s": 2.0}),
+        ("altitude_m", 3.5, {"altitude_m": 3.5}),
+        ("wind_m_s", 8.0, {"difficulty": {"wind_m_s": 8.0}}),
+        ("row_spacing_m", 2.0, {"difficulty": {"row_spacing_m": 2.0}}),
+        ("mass_ratio", 1.4, {"difficulty": {"mass_ratio": 1.4}}),
+        ("thrust_ratio", 1.2, {"difficulty": {"thrust_ratio": 1.2}}),
+        ("latency_scale", 20.0, {"latency": "20x"}),
+    ],
+)
+def test_a_drawn_condition_flies_as_the_key_of_its_name(name: str, value: float, keys: Any) -> None:
+    """A range of one value is that value, to the last bit; and it differs from the task without it."""
+    if name == "latency_scale":
+        keys = {"latency": {**LaneTask().latency.model_dump(mode="json"), "scale": value}}
+
+    def flown(**keys: Any) -> np.ndarray[Any, Any]:
+        environment = lane(clock_speed=20.0, t_move_s=0.5, t_sample_s=0.5, **keys)
+        environment.reset(seed=1)
+        seen = [environment.step(action)[0] for action in (2, 3, 3, 1)]
+        environment.close()
+        return np.stack(seen)
+
+    drawn = flown(randomise={name: [value, value]})
+    np.testing.assert_array_equal(drawn, flown(**keys))
+    if name != "row_spacing_m":  # which a vehicle does not feel
+        assert not np.array_equal(drawn, flown())
+
+
+def test_light_and_thresholds_are_those_of_the_game() -> None:
+    environment = lane(
+        randomise={"light": [0.3, 0.3], "dvs_threshold_ratio": [2, 2], "row_spacing_m": [12, 12]}
+    )
+    _, info = environment.reset(seed=0)
+    task = environment.flown
+    assert draw_layout(info["lane"], task.difficulty).light == 0.3
+    assert draw_layout(info["lane"], task.difficulty).x_m[2] == 22.0
+    assert task.dvs_parameters.positive_threshold == 0.4
+    environment.close()
+
+
+def test_a_saved_game_goes_on_under_its_conditions() -> None:
+    first = lane(randomise={**RANGES, "widen_over_games": 3})
+    first.reset(seed=2)
+    for _ in range(2):
+        first.reset()
+    first.step(2)
+    state = json.loads(json.dumps({k: np.asarray(v).tolist() for k, v in first.get_state().items()}))
+    other = lane(**first.task.model_dump(mode="json"))
+    other.set_state(state)
+    for action in (1, 2):
+        np.testing.assert_array_equal(first.step(action)[0], other.step(action)[0])
+    assert first.reset()[1] == other.reset()[1]
+
+
+def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
+    """At full throttle from a hover, in numpy: a = g - 4 T / m, with the rotors' own lag long over."""
+    world = World("lane", PROFILES["native"])
+    for mass, thrust in ((1.0, 1.0), (1.3, 1.0), (1.3, 1.2), (1.0, 1.0)):
+        world.set_lane(draw_layout(0, Difficulty(obstacles_per_row=0, mass_ratio=mass, thrust_ratio=thrust)))
+        world.reset((0.0, 0.0, -2.0))
+        hover = float(world.state["rotor_output"][0])
+        world.advance(100)
+        assert abs(world.kinematics().position_m[2] + 2.0) < 1e-3
+        world.fly_velocity(VelocityGoal((0.0, 0.0, -5.0)))
+        world.advance(60)
+        before_m_s = world.kinematics().linear_velocity_m_s[2]
+        output = world.state["rotor_output"].mean()
+        world.advance(1)
+        gained = (world.kinematics().linear_velocity_m_s[2] - before_m_s) / PROFILES["native"].tick_s
+        assert gained == pytest.approx(9.80665 * (1 - output / hover), abs=0.2)
+        assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(games=st.integers(0, 40), over=st.integers(0, 30), seed=st.integers(0, 99))
+def test_ranges_widen_with_the_games_from_the_usual_to_the_whole(games: int, over: int, seed: int) -> None:
+    ranges = Ranges(wind_m_s=(0.0, 6.0), light=(0.1, 1.0), widen_over_games=over)
+    usual = {"wind_m_s": (0.0, 0.0), "light": (0.7, 1.0)}
+    share = 1.0 if over == 0 else min(games / over, 1.0)
+    widened = ranges.widened(games, usual).given()
+    assert widened["wind_m_s"] == pytest.approx((0.0, 6.0 * share))
+    assert widened["light"] == pytest.approx((0.7 - 0.6 * share, 1.0))
+    drawn = ranges.widened(games, usual).draw(np.random.default_rng(seed))
+    assert 0.0 <= drawn["wind_m_s"] <= 6.0 * share + 1e-12
+
+
+def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
+    environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
+    assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
+
+
+def test_a_batch_draws_what_single_environments_draw() -> None:
+    keys: dict[str, Any] = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "speed_m_s": [0.8, 2]}}
+    batch = LaneBatch(ObstacleLane, 2, processes=1, **keys)
+    try:
+        _, infos = batch.reset(seed=3)
+        alone = [ObstacleLane(**keys).reset(seed=3 + n)[1]["conditions"]["wind_m_s"] for n in range(2)]
+        assert [float(infos["conditions"]["wind_m_s"][n]) for n in range(2)] == alone
+    finally:
+        batch.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"randomise": {"wind_m_s": [6, 0]}}, "least, most"),
+        ({"randomise": {"wind_m_s": [0, 99]}}, "wind_m_s"),
+        ({"randomise": {"light": [0, 2]}}, "light"),
+        ({"randomise": {"min_gap_m": [2, 10]}}, "min_gap_m"),
+        ({"randomise": {"mass_ratio": [1, 1.3], "thrust_ratio": [0.8, 1.5]}}, "mass_ratio"),
+        ({"randomise": {"wnd_m_s": [0, 1]}}, "did you mean"),
+        ({"randomise": {"latency_scale": [0, 1]}, "timing": "lockstep"}, "timing virtual"),
+        ({"randomise": {"wind_m_s": [0, 1]}, "lane": {"obstacles": []}}, "leave lane out"),
+        ({"randomise": {"speed_m_s": [-1, 1]}}, "speed_m_s"),
+    ],
+)
+def test_ranges_that_cannot_be_flown_are_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        lane(**keys)
+
+
+@pytest.mark.slow
+def test_rows_of_a_training_tell_the_conditions_and_an_interruption_changes_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "widen_over_games": 3}}
+    config = tiny_config(task, mirror=False)
+    train_into(tmp_path / "whole", config)
+    with monkeypatch.context() as patch:
+        append = RunDirectory.append_row
+
+        def interrupted(run: RunDirectory, row: Any) -> None:
+            if row["game"] == 3:
+                raise KeyboardInterrupt
+            append(run, row)
+
+        patch.setattr(RunDirectory, "append_row", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            train_into(tmp_path / "resumed", config)
+    train_into(tmp_path / "resumed", config, resume=True)
+    rows = RunDirectory(tmp_path / "whole").rows()
+    winds = [row["conditions"]["wind_m_s"] for row in rows]
+    assert winds[0] == 0.0
+    assert len(set(winds)) == 4
+    assert RunDirectory(tmp_path / "resumed").rows() == rows

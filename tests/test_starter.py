@@ -1,0 +1,119 @@
+"""The folder that `uavaccel init` writes: its training can be flown, its task learned, its schema knows all keys."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uavaccel.cli.main import app
+from uavaccel.cli.run import RunRequest, configure
+from uavaccel.cli.starter import SCHEMA, init, schema_text
+from uavaccel.errors import UserError
+from uavaccel.resources import experiment
+from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.suites.registry import SUITES
+from uavaccel.yaml_io import load_yaml
+
+EXPERIMENTS = [
+    path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "suite" in load_yaml(path)
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("starter") / "new"
+    init(made)
+    return made
+
+
+def misfits(value: Any, schema: dict[str, Any], whole: dict[str, Any], key: str = "") -> list[str]:
+    """What JSON schema's words `type`, `enum`, `const`, `anyOf`, `properties` and `items` say against a value."""
+    if "$ref" in schema:
+        schema = whole["$defs"][schema["$ref"].rpartition("/")[2]]
+    if "anyOf" in schema:
+        found = [misfits(value, each, whole, key) for each in schema["anyOf"]]
+        return min(found, key=len)
+    if "const" in schema or "enum" in schema:
+        return [] if value in schema.get("enum", [schema.get("const")]) else [key]
+    kinds: dict[str, tuple[type, ...]] = {
+        "object": (dict,), "array": (list,), "string": (str,), "integer": (int,), "number": (int, float),
+        "boolean": (bool,), "null": (type(None),),
+    }  # fmt: skip
+    if "type" in schema and not isinstance(value, kinds[schema["type"]]):
+        return [key]
+    wrong: list[str] = []
+    if isinstance(value, dict) and "properties" in schema:
+        for name, inner in value.items():
+            known = schema["properties"].get(name)
+            below = f"{key}.{name}"
+            wrong += [below] if known is None else misfits(inner, known, whole, below)
+    if isinstance(value, list) and "items" in schema:
+        for inner in value:
+            wrong += misfits(inner, schema["items"], whole, key)
+    return wrong
+
+
+def misfits_of(mapping: dict[str, Any]) -> list[str]:
+    schema = json.loads(schema_text(mapping["suite"]))
+    return misfits(mapping, schema, schema)
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_shipped_experiments_fit_their_schemas(path: Path) -> None:
+    assert misfits_of(load_yaml(path)) == []
+
+
+def test_every_suite_has_a_schema_that_tells_wrong_keys_and_values() -> None:
+    assert all(json.loads(schema_text(suite))["properties"]["suite"] for suite in SUITES)
+    wrong = {"suite": "train", "game": 3, "task": {"command": "fly", "lane": "lane.yaml", "speed_m_s": "1"}}
+    assert misfits_of(wrong) == [".game", ".task.command", ".task.speed_m_s"]
+    with pytest.raises(UserError, match="did you mean 'train'"):
+        schema_text("trai")
+
+
+def test_the_training_can_be_flown_and_its_comments_speak_of_keys_that_there_are(folder: Path) -> None:
+    mapping = load_yaml(folder / "train.yaml")
+    assert misfits_of(mapping) == []
+    suite, config = configure(RunRequest(str(folder / "train.yaml")))
+    assert suite.name == "train"
+    DqnOptions.of(config)
+    text = (folder / "train.yaml").read_text()
+    assert text.splitlines()[0] == f"# yaml-language-server: $schema={SCHEMA}"
+    assert (folder / SCHEMA).read_text() == schema_text("train")
+    randomised = folder.parent / "randomised.yaml"
+    randomised.write_text(text.replace("  # randomise:", "  randomise:"))
+    _, config = configure(RunRequest(str(randomised)))
+    assert config.task.randomise is not None
+
+
+def test_commands_of_the_readme_parse(folder: Path) -> None:
+    import typer
+
+    group = typer.main.get_command(app)
+    lines = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith("uavaccel ")]
+    assert len(lines) == 4
+    for line in lines:
+        _, name, *options = line.split()
+        group.commands[name].make_context(name, options)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_the_task_of_ones_own_trains(folder: Path) -> None:
+    command = [sys.executable, "task.py", "--commands", "256", "--games", "2"]
+    said = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=120).stdout
+    assert "of 2 games" in said
+    assert (folder / "there_and_back.zip").is_file()
+
+
+def test_a_folder_with_something_in_it_is_left_alone(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    with pytest.raises(UserError, match="holds mine"):
+        init(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    with pytest.raises(UserError):
+        init(tmp_path / "mine")

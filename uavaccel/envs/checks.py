@@ -1,0 +1,42 @@
+"""What callers of an environment hand in: keywords of its task, and actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from uavaccel.config import validate
+from uavaccel.envs.task import Task
+from uavaccel.errors import UserError
+
+ROUNDING = 1e-6  # by which an action may leave its bounds
+
+
+class UnexpectedKeyword(UserError, TypeError):
+    """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
+
+
+def make_task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
+    try:
+        return validate(task_class, keys, name)
+    except UserError as error:
+        unknown = [key for key in keys if key not in task_class.model_fields]
+        if unknown:
+            raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
+        raise
+
+
+def within(space: spaces.Space[Any], action: Any) -> Any:
+    """The action as the space has it. Raises UserError for one that is not in it."""
+    if isinstance(space, spaces.Box):
+        given = np.asarray(action)
+        if given.shape == space.shape and np.issubdtype(given.dtype, np.number):
+            clipped = np.clip(given, space.low, space.high).astype(space.dtype)
+            if (abs(clipped - given) <= ROUNDING).all():  # not so for NaN
+                return clipped
+    elif space.contains(action):
+        return action
+    raise UserError(f"action {action!r} is not in the action space: {space}")

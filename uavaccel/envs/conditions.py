@@ -1,0 +1,94 @@
+"""Domain randomisation: conditions of a game drawn at reset, each uniformly from a range (Tobin et al., IROS 2017).
+
+The ranges may widen with the games flown, a curriculum from the task as it is configured to the whole ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from uavaccel.config import Config
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"must be [least, most], not {list(ends)}")
+    return ends
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_rising)]
+
+OF_DIFFICULTY = (
+    "wind_m_s",
+    "light",
+    "texture_variation",
+    "row_spacing_m",
+    "min_gap_m",
+    "mass_ratio",
+    "thrust_ratio",
+)
+OF_TASK = ("speed_m_s", "altitude_m", "dvs_threshold_ratio")
+LATENCY = "latency_scale"
+
+
+class Ranges(Config):
+    """Ranges [least, most] of what is drawn for each game; what has none stays as the task has it.
+
+    Names and units are those of the task's keys, of its difficulty and of its latency model.
+    """
+
+    wind_m_s: Range | None = None
+    light: Range | None = None
+    texture_variation: Range | None = None
+    row_spacing_m: Range | None = None
+    min_gap_m: Range | None = None
+    mass_ratio: Range | None = None
+    thrust_ratio: Range | None = None
+    speed_m_s: Range | None = None
+    altitude_m: Range | None = None
+    dvs_threshold_ratio: Range | None = None
+    latency_scale: Range | None = None
+    """Of timing virtual alone."""
+    widen_over_games: Annotated[int, Field(ge=0)] = 0
+    """Games of each environment, in the training split, over which the ranges widen to the whole; 0: whole at once."""
+
+    def given(self) -> dict[str, tuple[float, float]]:
+        """The ranges that there are, in the order in which they are drawn."""
+        ranges = {name: getattr(self, name) for name in (*OF_DIFFICULTY, *OF_TASK, LATENCY)}
+        return {name: ends for name, ends in ranges.items() if ends is not None}
+
+    def widened(self, games: int, usual: Mapping[str, tuple[float, float]]) -> Self:
+        """The ranges after so many games, on the way from the `usual` ones."""
+        share = min(games / self.widen_over_games, 1.0) if self.widen_over_games else 1.0
+        if share == 1.0:
+            return self
+        between = {
+            name: tuple(start + share * (end - start) for start, end in zip(usual[name], ends, strict=True))
+            for name, ends in self.given().items()
+        }
+        return self.model_copy(update=between)
+
+    def draw(self, random: np.random.Generator) -> dict[str, float]:
+        """A number from each range."""
+        return {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
+
+
+def corners(ranges: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+    """All least, all most, and the most with the weakest motors: where one of all that is drawn cannot be flown."""
+    least, most = ({name: ends[end] for name, ends in ranges.items()} for end in (0, 1))
+    weakest = {name: value for name, value in least.items() if name == "thrust_ratio"}
+    return [least, most, {**most, **weakest}]
+
+
+def keys_of(conditions: Mapping[str, float]) -> dict[str, Any]:
+    """The conditions as a task's keys: those of its difficulty and its latency one level down."""
+    difficulty: dict[str, Any] = {name: conditions[name] for name in OF_DIFFICULTY if name in conditions}
+    if "light" in difficulty:
+        difficulty["light"] = (difficulty["light"], difficulty["light"])
+    latency = {"scale": conditions[LATENCY]} if LATENCY in conditions else {}
+    keys: dict[str, Any] = {name: conditions[name] for name in OF_TASK if name in conditions}
+    return keys | {"difficulty": difficulty, "latency": latency}

@@ -1,0 +1,128 @@
+"""A policy as an ONNX file with its pre-processing in it: what flies a drone needs neither torch nor this package.
+
+Written by torch's exporter, which needs the package `onnxscript` (`pip install uavaccel[onnx]`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch as th
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.dqn.policies import DQNPolicy
+from torch import nn
+from torch.nn.functional import avg_pool2d
+
+from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
+from uavaccel.errors import UserError
+from uavaccel.files import replacing
+from uavaccel.rl.policy import Policy, observed_frames
+from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+
+MISSING = "an ONNX file needs the package onnxscript: pip install 'uavaccel[onnx]'"
+CHANNELS = {"dvs": 1, "depth": 1, "colour": 3}
+INPUTS = {
+    "dvs": "ON minus OFF events per pixel since the frame before, (n, frames, 144, 256), the oldest first",
+    "depth": "metres along the optical axis, (n, frames, 144, 256), the oldest first",
+    "colour": "red, green and blue, 0 to 255, (n, 3 x frames, 144, 256), the oldest frame first",
+    "state": "the observation as the environment gives it",
+}
+
+
+class Flown(nn.Module):
+    """From the sensor's pictures, whole, to a rating for each action and the best one's number."""
+
+    def __init__(self, policy: BasePolicy, observation: str) -> None:
+        super().__init__()
+        self.policy, self.observation = policy, observation
+
+    def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
+        """Ratings (n, actions) and actions (n,) for pictures, and the planes of `knows` if it has any."""
+        levels = reduced(seen, self.observation)
+        ratings = self._rate(levels if told is None else th.cat([levels, told], dim=1))
+        return ratings, ratings.argmax(dim=1)
+
+    def _rate(self, observations: th.Tensor) -> th.Tensor:
+        policy = self.policy
+        if isinstance(policy, DQNPolicy):
+            return policy.q_net(observations)
+        assert isinstance(policy, ActorCriticPolicy)
+        features: Any = policy.extract_features(observations, policy.pi_features_extractor)
+        rated: th.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
+        return rated
+
+
+def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
+    """Pictures (n, planes, 144, 256) as grey levels (n, planes, 36, 64), as uavaccel.envs.sensors makes them."""
+    if observation == "state":
+        return seen
+    if observation == "dvs":
+        return (NEUTRAL_LEVEL + BLOCK_SIDE**2 * avg_pool2d(seen, BLOCK_SIDE)).clamp(0, 255)
+    if observation == "depth":
+        return th.round(avg_pool2d(seen.clamp(max=DEPTH_FAR_M), BLOCK_SIDE) * (255 / DEPTH_FAR_M))
+    return th.round(avg_pool2d(seen, BLOCK_SIDE))
+
+
+def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
+    """Write it; what the file says about itself, which is in its metadata too. Raises UserError without onnxscript."""
+    if importlib.util.find_spec("onnxscript") is None:
+        raise UserError(MISSING)
+    task = policy.config.task
+    inputs = example(policy)
+    names = ["seen", "told"][: len(inputs)]
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of packages that it could do with
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of torch's exporter about itself
+        program: Any = th.onnx.export(
+            Flown(policy.network, task.observation).eval(),
+            inputs,
+            input_names=names,
+            output_names=["ratings", "action"],
+            dynamic_shapes=[{0: th.export.Dim("n", min=1)}] * len(inputs),
+            dynamo=True,
+            verbose=False,
+        )
+    about = described(policy)
+    program.model.metadata_props.update(about)
+    with replacing(path) as file:
+        file.write(program.model_proto.SerializeToString())
+    return about
+
+
+def example(policy: Policy) -> tuple[th.Tensor, ...]:
+    """Inputs (2, ...) of the file's shapes."""
+    task = policy.config.task
+    shape = policy.network.observation_space.shape or ()
+    if task.observation == "state":
+        return (th.zeros(2, *shape),)
+    planes = observed_frames(task) * CHANNELS[task.observation]
+    seen = th.zeros(2, planes, SIZE[0] * BLOCK_SIDE, SIZE[1] * BLOCK_SIDE)
+    told = shape[0] - planes
+    return (seen, th.zeros(2, told, *SIZE)) if told else (seen,)
+
+
+def described(policy: Policy) -> dict[str, str]:
+    """What one who flies it must know, as the file's metadata has it: texts, JSON where they are numbers."""
+    task = policy.config.task
+    keys = (
+        "headings_deg",
+        "speed_m_s",
+        "altitude_m",
+        "t_move_s",
+        "t_sample_s",
+        "command",
+        "dvs_preset",
+        "knows",
+    )
+    about = {key: json.dumps(task.model_dump(mode="json")[key]) for key in keys}
+    return {
+        "seen": INPUTS[task.observation],
+        **about,
+        "trained": json.dumps(dict(policy.manifest.get("trained", {})), sort_keys=True),
+        "weights_file_sha256": str(policy.manifest["weights_file_sha256"]),
+    }

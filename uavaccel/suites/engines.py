@@ -1,0 +1,79 @@
+"""Where cases are flown side by side, beside joblib's own processes: a cluster of Ray's or Dask's.
+
+Workers read the run's folder, so all of them must see it, and this package, under the same paths. Without a cluster
+of one's own (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) one is made of this machine's processes, on loopback.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
+
+from joblib import Parallel, parallel_config
+
+from uavaccel.errors import UsageError, UserError
+
+LOKY = "loky"
+PACKAGES = {"ray": "ray", "dask": "distributed"}
+ENGINES = (LOKY, *PACKAGES)
+AHEAD = 2  # times the games that all workers together are handed at once
+
+
+def check_engine(engine: str) -> None:
+    """Raises UsageError for an engine that there is not, UserError for one whose package is missing."""
+    if engine not in ENGINES:
+        raise UsageError(f"--engine {engine}: is unknown; there are {', '.join(ENGINES)}")
+    package = PACKAGES.get(engine)
+    if package is not None and importlib.util.find_spec(package) is None:
+        raise UserError(f"--engine {engine}: needs the package {package}: pip install 'uavaccel[{engine}]'")
+
+
+def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Any]) -> Iterator[Any]:
+    """The results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
+
+    Raises UserError where a worker is lost.
+    """
+    clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
+    with clusters[engine](jobs), parallel_config(backend=engine, n_jobs=jobs):
+        most = jobs * batch * AHEAD
+        for first in range(0, len(calls), most):
+            try:
+                yield from Parallel(batch_size=batch)(calls[first : first + most])
+            except Exception as error:
+                if type(error).__module__.partition(".")[0] not in PACKAGES.values():
+                    raise
+                raise UserError(
+                    f"a worker of {engine} was lost ({type(error).__name__}); go on with --resume"
+                ) from error
+
+
+@contextmanager
+def _ray(jobs: int) -> Iterator[None]:
+    import ray
+    from ray.util.joblib import register_ray
+
+    register_ray()
+    own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "_node_ip_address": "127.0.0.1"}
+    ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **own)
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+@contextmanager
+def _dask(jobs: int) -> Iterator[None]:
+    from distributed import Client, LocalCluster
+
+    if address := os.environ.get("DASK_SCHEDULER_ADDRESS"):
+        with Client(address):
+            yield
+        return
+    cluster = LocalCluster(
+        n_workers=jobs, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    )
+    with cluster, Client(cluster):
+        yield

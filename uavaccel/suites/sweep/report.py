@@ -1,0 +1,147 @@
+"""A sweep's report: summary.json, figures/sweep.png, report.md and report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.sweep import Sweep, SweptPoint, draw_sweeps
+from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites.pages import finished_rows, write_pages
+from uavaccel.suites.robustness.report import agent_name
+from uavaccel.suites.suite import Row
+from uavaccel.suites.sweep.cases import AS_TRAINED, case_id
+from uavaccel.suites.sweep.conditions import UNITS, value_text
+
+FIGURE = "figures/sweep.png"
+HEADER = ("condition", "value", "success", "95 % interval", "lanes", "median distance, m", "p")
+
+Cell = Mapping[str, Any]
+Won = Mapping[str, NDArray[Any]]
+
+
+def write_report(run: RunDirectory) -> dict[str, Any]:
+    """Write it; the summary. Raises UserError if no condition is finished."""
+    rows = finished_rows(run, "sweep")
+    won = {row["case"]: run.load_arrays(row["arrays"])["is_success"] for row in rows}
+    summary = summarise(run.config(), rows, won)
+    run.write_json("summary.json", summary)
+    lanes, provenance = summary["lanes"], " and ".join(summary["provenance"])
+    source = f"{provenance} · {lanes} lanes each · seed {summary['seed']}"
+    title = f"Success of {agent_name(summary['agent'])}, one condition changed at a time"
+    picture = Picture(
+        draw_sweeps(swept(summary), as_trained(summary), title, run.file(FIGURE), source),
+        f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained. Source: {source}.",
+    )
+    result = Table(HEADER, table(summary))
+    blocks: list[Block] = [Paragraph(headline(summary) + "."), picture, result, Paragraph(_READING)]
+    write_pages(run, title, blocks)
+    return summary
+
+
+def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> dict[str, Any]:
+    """Every condition with its interval, and McNemar's exact test against the flights as trained.
+
+    `won` has the successes lane by lane, by case.
+    """
+    by_case = {row["case"]: row for row in rows}
+    usual = by_case.get(AS_TRAINED)
+    same = set() if usual is None else set(usual["same"])
+    cells = []
+    for name, value in _conditions(config):
+        case = case_id(name, value)
+        row = usual if case in same else by_case.get(case)
+        if row is not None:
+            cells.append(_cell(name, value, row, won))
+    return {
+        "suite": "sweep",
+        "agent": config["agent"],
+        "seed": config["seed"],
+        "lanes": config["games"],
+        "provenance": sorted({timing_provenance(row["timing"]) for row in rows}),
+        "cells": cells,
+    }
+
+
+def _conditions(config: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return [("", None), *((name, value) for name, values in config["sweep"].items() for value in values)]
+
+
+def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
+    low, high = wilson_interval(row["successes"], row["games"])
+    test = None
+    if AS_TRAINED in won and row["case"] != AS_TRAINED:
+        test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
+    return {
+        "condition": name,
+        "value": value,
+        "games": row["games"],
+        "successes": row["successes"],
+        "success_ratio": row["successes"] / row["games"],
+        "wilson_low": low,
+        "wilson_high": high,
+        "distance_m_median": row["distance_m_median"],
+        "mcnemar_p": test,
+    }
+
+
+def as_trained(summary: Mapping[str, Any]) -> float | None:
+    """The success under the conditions of the training, if that is flown."""
+    return next((cell["success_ratio"] for cell in summary["cells"] if not cell["condition"]), None)
+
+
+def swept(summary: Mapping[str, Any]) -> list[Sweep]:
+    """The cells as the figure takes them."""
+    sweeps: dict[str, list[SweptPoint]] = {}
+    for cell in summary["cells"]:
+        if cell["condition"]:
+            ends = cell["success_ratio"], cell["wilson_low"], cell["wilson_high"]
+            sweeps.setdefault(cell["condition"], []).append(SweptPoint(value_text(cell["value"]), *ends))
+    return [Sweep(_name(name), points) for name, points in sweeps.items()]
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """The success as trained, and where it is least."""
+    departed = [cell for cell in summary["cells"] if cell["condition"]]
+    usual = as_trained(summary)
+    parts = [] if usual is None else [f"{usual:.1%} as trained"]
+    if departed:
+        worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
+        where = f"{worst['condition']} = {value_text(worst['value'])}"
+        parts.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
+    provenance = " and ".join(summary["provenance"])
+    return (
+        f"{agent_name(summary['agent'])} wins {', '.join(parts)}; {provenance}, {summary['lanes']} lanes each"
+    )
+
+
+def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """A line for each condition, below HEADER."""
+    return [
+        (
+            _name(cell["condition"]) if cell["condition"] else "as trained",
+            value_text(cell["value"]) if cell["condition"] else "",
+            f"{cell['success_ratio']:.1%}",
+            f"{cell['wilson_low']:.1%} to {cell['wilson_high']:.1%}",
+            f"{cell['successes']} of {cell['games']}",
+            f"{cell['distance_m_median']:.1f}",
+            "" if cell["mcnemar_p"] is None else f"{cell['mcnemar_p']:.2g}",
+        )
+        for cell in summary["cells"]
+    ]
+
+
+def _name(condition: str) -> str:
+    return f"{condition}, {UNITS[condition]}" if condition in UNITS else condition
+
+
+_READING = (
+    "One thing is changed at a time, the lanes are the same ones throughout. p is that of McNemar's exact test against "
+    "the flights as trained, lane by lane. Where spacing or gap change, the obstacles stand elsewhere, and a lane may "
+    "be harder or easier for any policy."
+)

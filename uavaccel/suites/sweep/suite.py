@@ -1,0 +1,92 @@
+"""A sweep as a suite: a case is an evaluation under one condition, a run directory of its own below the run's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import policy_sha256
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.outcomes import outcomes
+from uavaccel.suites.experiment import timing_of
+from uavaccel.suites.parts import fly_part, part_cost, part_suite
+from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
+from uavaccel.suites.sweep import report
+from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
+from uavaccel.suites.sweep.config import SweepConfig
+
+OF_SUMMARY = ("games", "successes", "distance_m_median", "sim_time_s", "timing")
+
+
+class Sweep(Suite[SweepConfig, Case]):
+    """`uavaccel evaluate --sweep`, `uavaccel run sweep`."""
+
+    name = "sweep"
+    config = SweepConfig
+    batch = 1
+
+    def check(self, config: SweepConfig) -> None:
+        for case in conditions(config):
+            _, evaluation = part_suite(part_of(config, case), config.seed)
+            if not isinstance(evaluation, EvaluateConfig):
+                raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
+
+    def cases(self, config: SweepConfig) -> Iterator[Case]:
+        return cases(config)
+
+    def games(self, config: SweepConfig, case: Case) -> int:
+        return config.games
+
+    def cost(self, config: SweepConfig, case: Case) -> Cost:
+        return part_cost(part_of(config, case), config.seed)[1]
+
+    def renders(self, config: SweepConfig) -> bool:
+        suite, evaluation = _as_trained(config)
+        return suite.renders(evaluation)
+
+    def why_serial(self, config: SweepConfig) -> str:
+        """As its evaluations."""
+        suite, evaluation = _as_trained(config)
+        if timing_of(evaluation) == "wall":
+            return "neighbours would spoil the measurement on the wall clock"
+        return suite.why_serial(evaluation)
+
+    def provenance(self, config: SweepConfig) -> Mapping[str, Any]:
+        return {"policy_sha256": policy_sha256(config.agent)}
+
+    @contextmanager
+    def open(self, config: SweepConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
+        yield run
+
+    def fly(self, config: SweepConfig, case: Case, opened: RunDirectory) -> Flown:
+        folder = opened.path / "parts" / case.id
+        manifest = {key: value for key, value in opened.manifest().items() if key != "resumed"}
+        summary = fly_part(folder, part_of(config, case), config.seed, manifest)
+        row = {
+            "suite": self.name,
+            "case": case.id,
+            "condition": case.condition,
+            "value": case.value,
+            "same": list(case.same),
+            **{name: summary[name] for name in OF_SUMMARY},
+        }
+        return Flown(row, outcomes(RunDirectory(folder)))
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+
+    def headline(self, summary: Summary) -> str:
+        return report.headline(summary)
+
+    def overview(self, summary: Summary) -> SummaryTable:
+        return SummaryTable(report.HEADER, report.table(summary))
+
+    def report(self, run: RunDirectory) -> Summary:
+        return report.write_report(run)
+
+
+def _as_trained(config: SweepConfig) -> tuple[AnySuite, Any]:
+    return part_suite(part_of(config, Case()), config.seed)

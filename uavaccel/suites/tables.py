@@ -1,0 +1,116 @@
+"""A run as tables, CSV or Parquet: its rows, one line per game, and its raw samples, a table for each length of array.
+
+In Parquet numbers keep their types; in CSV a float is written with as many digits as read back equal.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.files import replacing
+from uavaccel.records import RunDirectory
+
+Columns = dict[str, list[Any] | NDArray[Any]]
+MISSING = "Parquet needs the package pyarrow: pip install 'uavaccel[parquet]'; CSV needs nothing more"
+WIDEST = 64  # numbers per line of an array that becomes columns; images stay in the run
+
+
+def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
+    """Write `rows` and, below `samples`, a table per game and length of its arrays; the files as they are written.
+
+    `kind` is csv or parquet. Raises UserError where the run has no rows, the folder cannot be written, or pyarrow is
+    missing.
+    """
+    write = _writer(kind)
+    rows = run.rows()
+    if not rows:
+        raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield _written(folder / f"rows.{kind}", row_table(rows), write)
+        for row in rows:
+            for length, table in sample_tables(run.load_arrays(row["arrays"]) if "arrays" in row else {}):
+                path = folder / "samples" / f"{row['case']}-{length}.{kind}"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                yield _written(path, table, write)
+    except OSError as error:
+        raise UserError(f"{folder}: {error.strerror}") from error
+
+
+def row_table(rows: Sequence[Mapping[str, Any]]) -> Columns:
+    """A column per dotted key; lists, and what one row has and another lacks, as JSON and None."""
+    flat = [dict(_leaves(row)) for row in rows]
+    names = list(dict.fromkeys(name for line in flat for name in line))
+    return {name: _of_one_kind([line.get(name) for line in flat]) for name in names}
+
+
+def _of_one_kind(values: list[Any]) -> list[Any]:
+    """As they are, or texts where some are and others are none."""
+    kinds = {type(value) for value in values if value is not None}
+    if len(kinds) < 2 or kinds <= {int, float}:
+        return values
+    return [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+
+
+def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Columns]]:
+    """By their length, the arrays (n, ...) of a game: a column for each number of a line, as position_m.0.
+
+    Pictures, whose lines have more than 64 numbers, are left where they are.
+    """
+    lengths = sorted({len(each) for each in arrays.values() if each.size and each.ndim})
+    for length in lengths:
+        table: Columns = {}
+        for name, each in arrays.items():
+            if each.ndim and len(each) == length and each[:1].size <= WIDEST:
+                flat = each.reshape(length, -1)
+                single = each.ndim == 1
+                table |= {name if single else f"{name}.{n}": flat[:, n] for n in range(flat.shape[1])}
+        if table:
+            yield length, table
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _leaves(inner, f"{key}.{name}" if key else str(name))
+    else:
+        yield key, json.dumps(value) if isinstance(value, list) else value
+
+
+def _written(path: Path, table: Columns, write: Any) -> Path:
+    with replacing(path) as file:
+        write(table, file)
+    return path
+
+
+def _writer(kind: str) -> Any:
+    if kind == "csv":
+        return _write_csv
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError:
+        raise UserError(MISSING) from None
+
+    def write(table: Columns, file: Any) -> None:
+        parquet.write_table(arrow.table({name: arrow.array(column) for name, column in table.items()}), file)
+
+    return write
+
+
+def _write_csv(table: Columns, file: Any) -> None:
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
+    writer = csv.writer(text)
+    writer.writerow(table)
+    columns = [column.tolist() if isinstance(column, np.ndarray) else column for column in table.values()]
+    writer.writerows(zip(*columns, strict=True))
+    text.detach()
