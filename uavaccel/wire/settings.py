@@ -17,7 +17,6 @@ from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import Config, validate
 from uavaccel.errors import UserError
-from uavaccel.limits import ClockSpeed
 from uavaccel.sim.profile import Profile
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 
@@ -54,7 +53,7 @@ class Settings(_AirSim):
 
     sim_mode: Literal["Multirotor", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
-    clock_speed: ClockSpeed = 1.0
+    clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
     local_host_ip: str = ""
     api_server_port: Annotated[int, Field(ge=0, le=65535)] = PORT
     enable_rpc: Literal[True] = True
