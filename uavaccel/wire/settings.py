@@ -17,7 +17,6 @@ from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.limits import ClockSpeed
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
@@ -85,7 +84,7 @@ class Settings(AirSimKeys):
 
     sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
-    clock_speed: ClockSpeed = 1.0
+    clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
     local_host_ip: str = ""
     api_server_port: Annotated[int, Field(ge=0, le=65535)] = PORT
     enable_rpc: Literal[True] = True
