@@ -18,6 +18,7 @@ from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, sco
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import HEADER, table
 from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.vision.dvs import PRESETS
 
 PIXELS = (2, 5)
 
@@ -172,7 +173,7 @@ def test_games_are_scored_by_command_and_clock_speed_against_their_own_run_at_1x
 
 def test_the_first_image_makes_no_events() -> None:
     images = np.stack([np.full((4, 4), level, np.uint8) for level in (10, 200, 200, 10)])
-    on, off = count_events(images, np.array([0.0, 0.33, 0.66, 1.0]), "clean", 0)
+    on, off = count_events(images, np.array([0.0, 0.33, 0.66, 1.0]), PRESETS["clean"], 0)
     assert [bool(events.any()) for events in on] == [False, True, False, False]
     assert [bool(events.any()) for events in off] == [False, False, False, True]
 
