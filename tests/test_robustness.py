@@ -123,7 +123,7 @@ def test_the_map_shows_ratio_and_interval_of_every_cell() -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("latency_scale=[-1]", "latency_scale = .*must be 0 or more"),
+        ("latency_scale=[-1]", "latency_scale = .*must be 0 to 1000"),
         ("latency_scale=[1, 1]", "has 1 twice"),
         ("evaluation.keys={task.histry: 1}", "unknown key 'task.histry'"),
         ("agent=nowhere", "nowhere: holds no policy"),

@@ -78,7 +78,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
             for line in going_on(run, config, len(cases), manifest):
                 console.print(line, markup=False)
         fly(suite, config, cases, run, request.jobs, request.engine)
-    report_run(run)
+        report_run(run)
     return run
 
 
@@ -197,6 +197,10 @@ def resumable(out: Path) -> Iterator[None]:
         if (refused := mistake_of(error)) is None:
             raise
         raise UserError(f"{refused}; {how}") from error
+    except UserError as error:
+        if not isinstance(error.__cause__, OSError):
+            raise
+        raise UserError(f"{error}; {how}") from error
 
 
 def report_run(run: RunDirectory) -> Summary:

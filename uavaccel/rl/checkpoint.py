@@ -20,7 +20,7 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.files import replacing
+from uavaccel.files import naming, replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.saved import State, part, under
@@ -36,8 +36,10 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
     shutil.rmtree(checkpoint, ignore_errors=True)
     checkpoint.mkdir(parents=True)
     state = learner.get_state()
-    th.save({**state.tensors, "cuda": _cuda_states()}, checkpoint / "learner.pt")
-    with (checkpoint / "buffer.npz").open("wb") as file:
+    path = checkpoint / "learner.pt"
+    with naming(path), path.open("wb") as file:  # to a name torch would write with errors of its own
+        th.save({**state.tensors, "cuda": _cuda_states()}, file)
+    with naming(checkpoint), (checkpoint / "buffer.npz").open("wb") as file:
         np.savez(file, **state.arrays)  # type: ignore[arg-type]
     _save_games(checkpoint / "games.npz", learner.lanes)
     plain = {
@@ -128,7 +130,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def _save_games(path: Path, lanes: Lanes) -> None:
     """The games that are under way; the state of lane n under "n."."""
     games: list[State] = lanes.env_method("get_state")
-    with path.open("wb") as file:
+    with naming(path), path.open("wb") as file:
         np.savez(
             file, **{key: each for n, game in enumerate(games) for key, each in under(str(n), game).items()}
         )

@@ -63,7 +63,7 @@ class PlatformConfig(Config):
     on a connection with Nagle's algorithm and delayed acknowledgements."""
     frames: FrameConfig = FrameConfig()
     faults: FaultConfig = FaultConfig()
-    goal_timeout_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 0.06
+    goal_timeout_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.06
     """AirSim's api_goal_timeout: simulated time without a new goal after which position hold sets in."""
     exact_pauses: bool = False
     """A continue-for ends on the tick, as in the profile `native`, and not with a wall timer."""
