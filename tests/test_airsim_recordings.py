@@ -57,6 +57,7 @@ def test_each_sample_has_its_images(tmp_path: Path) -> None:
         pixels = np.frombuffer(response["image_data_uint8"], np.uint8).reshape(144, 256, 3)
         np.testing.assert_array_equal(cv2.imread(str(path)), pixels)
     depth_m = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)  # a portable float map
+    assert depth_m is not None
     np.testing.assert_allclose(depth_m.ravel(), below["image_data_float"])
 
 

@@ -233,8 +233,11 @@ def lane_world() -> World:
     """One for all examples, as made: it takes long to make."""
     if not _worlds:
         _worlds.append(World("lane", NATIVE))
-        _as_made.append(_worlds[0].lead._parameters.copy())
-    _worlds[0].lead._parameters[:] = _as_made[0]
+    parameters = _worlds[0].lead._parameters
+    assert parameters is not None
+    if not _as_made:
+        _as_made.append(parameters.copy())
+    parameters[:] = _as_made[0]
     _worlds[0].state["wind"] = 0.0
     return _worlds[0]
 

@@ -145,7 +145,7 @@ def test_one_may_be_added_while_others_fly() -> None:
             assert call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "") is True
         go_on(api, 2.0)
         ends.append(place(api))
-    assert np.array_equal(*ends)
+    assert np.array_equal(ends[0], ends[1])
     assert call(api, "listVehicles") == ["New", "SimpleFlight"]
     call(api, "enableApiControl", True, "New")
     fly(api, "takeoff", 20.0, "New")
