@@ -260,7 +260,7 @@ OPTIONS = [
     ("serve --settings nowhere.json", "nowhere.json"),
     ("serve --settings there.txt", "there.txt"),
     ("doctor --all", "--all"),
-    ("fly", "fly"),
+    ("fly", "script"),
 ]  # fmt: skip
 
 TABLE = [*CONFIGURATIONS, *FILES, *OPTIONS]

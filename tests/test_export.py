@@ -115,7 +115,7 @@ def run(path: Path) -> RunDirectory:
         "case": "a",
         "phase_s": {"learning": 0.1},
         "actions": [1, 2],
-        "arrays": made.save_arrays("a", arrays),
+        **made.save_arrays("a", arrays),
     }
     made.append_row(row)
     made.append_row({"case": "b", "collision": "wall, west", "phase_s": {"learning": 1 / 3}})

@@ -42,7 +42,7 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
         ("wind", 8),
         ("speed", 2),
     ]
-    distances = {row["case"]: run.load_arrays(row["arrays"])["distance_m"] for row in run.rows()}
+    distances = {row["case"]: run.load_arrays(row)["distance_m"] for row in run.rows()}
     alone = configured(
         "evaluate", "agent=straight", "games=3", "task.max_commands=4", "task.difficulty.wind_m_s=8"
     )

@@ -17,6 +17,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
+from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.parent import end_with_parent
 from uavaccel.records import RunDirectory
@@ -70,6 +71,7 @@ def run_suite(
     `check_jobs`.
     """
     check_jobs(suite, config, jobs)
+    clear_leftovers()
     restarts = Counter[str]()
     while True:
         left = _without_row(suite, config, run)

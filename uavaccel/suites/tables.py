@@ -38,7 +38,7 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         yield _written(folder / f"rows.{kind}", row_table(rows), write)
         for row in rows:
-            for length, table in sample_tables(run.load_arrays(row["arrays"]) if "arrays" in row else {}):
+            for length, table in sample_tables(run.load_arrays(row) if "arrays" in row else {}):
                 path = folder / "samples" / f"{row['case']}-{length}.{kind}"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 yield _written(path, table, write)

@@ -28,7 +28,7 @@ Won = Mapping[str, NDArray[Any]]
 def write_report(run: RunDirectory) -> dict[str, Any]:
     """Write it; the summary. Raises UserError if no condition is finished."""
     rows = finished_rows(run, "sweep")
-    won = {row["case"]: run.load_arrays(row["arrays"])["is_success"] for row in rows}
+    won = {row["case"]: run.load_arrays(row)["is_success"] for row in rows}
     summary = summarise(run.config(), rows, won)
     run.write_json("summary.json", summary)
     lanes, provenance = summary["lanes"], " and ".join(summary["provenance"])

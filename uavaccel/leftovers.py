@@ -1,0 +1,37 @@
+"""What killed runs leave in shared memory: joblib's semaphores and folders, when its tracker was killed with them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")
+OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
+
+
+def clear_leftovers(folder: Path = SHARED_MEMORY) -> None:
+    """Remove those whose process is gone and which are this user's; nothing happens where there is no such folder."""
+    if not folder.is_dir():
+        return
+    for path in folder.iterdir():
+        named = OF_JOBLIB.match(path.name)
+        with suppress(OSError):  # another run clears it too
+            if named is None or path.stat().st_uid != os.getuid() or _alive(int(named[1])):
+                continue
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another's
+        pass
+    return True
