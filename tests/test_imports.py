@@ -11,7 +11,19 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "uavaccel"
 
 GROUND = {
-    *("units", "errors", "files", "leftovers", "limits", "lock", "parent", "yaml_io", "config", "manifest", "records"),
+    *(
+        "units",
+        "errors",
+        "files",
+        "leftovers",
+        "limits",
+        "lock",
+        "parent",
+        "yaml_io",
+        "config",
+        "manifest",
+        "records",
+    ),
     *("kinematics", "resources"),
 }
 # A room is a top-level module or package; beside itself it may import these rooms.

@@ -20,9 +20,9 @@ from tests.test_training import side_by_side
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites import gpu
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.evidence import Policies
-from uavaccel.suites.rl import gpu
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import summarise

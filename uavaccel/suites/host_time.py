@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.records import RunDirectory
+from uavaccel.units import NS_PER_S
+
+Result = TypeVar("Result")
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, dict[str, float]]:
+    """What a piece of work gives, and for timing.jsonl what it took and how busy the machine was."""
+    clock = MonotonicClock()
+    start_ns = clock.now_ns()
+    result = work()
+    return result, {"host_wall_s": (clock.now_ns() - start_ns) / NS_PER_S, "load": os.getloadavg()[0]}
 
 
 def wall_s(run: RunDirectory) -> float:

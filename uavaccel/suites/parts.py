@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +31,18 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
     return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
 
 
-def fly_part(folder: Path, part: Part, seed: int, manifest: Mapping[str, Any]) -> Summary:
-    """Fly what the part's folder still lacks, in this process, and report it; its summary."""
+def fly_part(run: RunDirectory, name: str, part: Part, seed: int) -> Summary:
+    """Fly, in this process, what the whole run's part of that name still lacks, and report it; its summary."""
     suite, config = part_suite(part, seed)
-    run = begin_run(suite, config, folder, manifest, resume=True)
-    run_suite(suite, config, run)
-    return suite.report(run)
+    manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
+    flown = begin_run(suite, config, part_folder(run, name), manifest, resume=True)
+    run_suite(suite, config, flown)
+    return suite.report(flown)
+
+
+def part_folder(run: RunDirectory, name: str) -> Path:
+    """Where a part is, or will be."""
+    return run.path / "parts" / name
 
 
 def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
@@ -51,4 +56,4 @@ def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
 
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
     """A part's own run directory. Raises UserError if it was not flown."""
-    return RunDirectory(run.path / "parts" / name)
+    return RunDirectory(part_folder(run, name))

@@ -14,7 +14,6 @@ from typing import Any
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from uavaccel.clock import MonotonicClock
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.leftovers import clear_leftovers
@@ -24,9 +23,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
+from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
-from uavaccel.units import NS_PER_S
 from uavaccel.wire.server_watch import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in one game
@@ -193,8 +192,5 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> Flown:
     """Fly one case and note the host's time and load, which are never the same twice."""
-    clock = MonotonicClock()
-    start_ns = clock.now_ns()
-    game = suite.fly(config, case, opened)
-    host = {"host_wall_s": (clock.now_ns() - start_ns) / NS_PER_S, "load": os.getloadavg()[0]}
+    game, host = timed(lambda: suite.fly(config, case, opened))
     return Flown(game.row, game.arrays, {**host, **game.host})

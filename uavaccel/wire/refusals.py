@@ -8,14 +8,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-COMMANDS = (
-    "takeoff",
-    "land",
-    "goHome",
-    "hover",
-    "move",
-    "rotate",
-)  # how the names of asynchronous calls begin
+# how the names of asynchronous calls begin
+COMMANDS = ("takeoff", "land", "goHome", "hover", "move", "rotate")
 MOST = 200  # kinds that are told apart: names and texts come from clients
 LONGEST = 300  # characters of a text
 

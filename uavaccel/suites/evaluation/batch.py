@@ -6,7 +6,6 @@ several at once a network's ratings differ in their last bits.
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,6 +19,7 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import Agent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.host_time import timed
 from uavaccel.suites.suite import Flown
 from uavaccel.units import NS_PER_S
 
@@ -37,10 +37,7 @@ class AgentLane(ObstacleLane):
 
     def fly(self, lane: int) -> FlownOnLane:
         """A game's row, and what it took on this machine."""
-        clock = MonotonicClock()
-        start_ns = clock.now_ns()
-        row = fly_game(self._config, self, self._agent, lane)
-        return row, {"host_wall_s": (clock.now_ns() - start_ns) / NS_PER_S, "load": os.getloadavg()[0]}
+        return timed(lambda: fly_game(self._config, self, self._agent, lane))
 
 
 class GamesInBatch:

@@ -12,11 +12,11 @@ from uavaccel.draw.survival import draw_survival
 from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.suites import published
 from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import headline, summarise
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
-from uavaccel.suites.rl import paper
 from uavaccel.suites.suite import Summary
 
 FIGURE = "figures/figure8_survival.png"
@@ -45,12 +45,12 @@ def _beside_the_papers(summary: Summary) -> Table:
     rows: list[tuple[str, ...]] = [
         (str(summary["agent"]), own, str(summary["games"]), timing_provenance(summary["timing"]))
     ]
-    for command, by_clock in paper.SUCCESSES.items():
+    for command, by_clock in published.SUCCESSES.items():
         best = max(by_clock.values())
-        low, high = wilson_interval(best, paper.GAMES)
-        theirs = f"{best / paper.GAMES:.1%} [{100 * low:.0f}, {100 * high:.0f}]"
+        low, high = wilson_interval(best, published.GAMES)
+        theirs = f"{best / published.GAMES:.1%} [{100 * low:.0f}, {100 * high:.0f}]"
         name = f"the paper's best, trained with {command_name(command)}"
-        rows.append((name, theirs, str(paper.GAMES), "measured, in AirSim and another lane"))
+        rows.append((name, theirs, str(published.GAMES), "measured, in AirSim and another lane"))
     return Table(("", "success [95 %]", "lanes", "how"), rows)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -60,8 +60,7 @@ class Paper(Suite[PaperConfig, Case]):
         return nullcontext(run)
 
     def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> Flown:
-        folder = opened.path / "parts" / case.name
-        summary = fly_part(folder, config.parts[case.name], config.seed, _manifest(opened))
+        summary = fly_part(opened, case.name, config.parts[case.name], config.seed)
         return Flown({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
 
     def headline(self, summary: Summary) -> str:
@@ -72,7 +71,3 @@ class Paper(Suite[PaperConfig, Case]):
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
         return report.write_report(run)
-
-
-def _manifest(run: RunDirectory) -> Mapping[str, Any]:
-    return {key: value for key, value in run.manifest().items() if key != "resumed"}

@@ -18,8 +18,8 @@ from uavaccel.draw.training_time import TrainingTime, draw_training_time
 from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
+from uavaccel.suites import published
 from uavaccel.suites.pages import listed
-from uavaccel.suites.rl import paper
 from uavaccel.suites.suite import Row
 
 Cells = Sequence[Mapping[str, Any]]
@@ -99,10 +99,10 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
 
 def _papers(cells: Cells) -> SuccessLine:
     counts = [cell["paper_successes"] for cell in cells]
-    low, high = zip(*(wilson_interval(count, paper.GAMES) for count in counts), strict=True)
+    low, high = zip(*(wilson_interval(count, published.GAMES) for count in counts), strict=True)
     command = cells[0]["command"]
     clocks = [cell["clock_speed"] for cell in cells]
-    ratios = [count / paper.GAMES for count in counts]
+    ratios = [count / published.GAMES for count in counts]
     return SuccessLine(
         f"{command_name(command)}, the paper's", command, clocks, ratios, low, high, dashed=True
     )

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from uavaccel.records import RunDirectory
+from uavaccel.suites.gpu import take_gpu
 from uavaccel.suites.parts import part_suite
 from uavaccel.suites.rl import report
 from uavaccel.suites.rl.cells import (
@@ -18,7 +19,6 @@ from uavaccel.suites.rl.cells import (
 )
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.flights import fly_cell
-from uavaccel.suites.rl.gpu import take_gpu
 from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
 from uavaccel.suites.rl.together import put_together
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable

@@ -11,8 +11,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import policy_sha256
 from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.experiment import CommandName
-from uavaccel.suites.parts import Part, fly_part, part_cost, part_suite
-from uavaccel.suites.rl.gpu import take_gpu
+from uavaccel.suites.gpu import take_gpu
+from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
 from uavaccel.suites.robustness import report
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
@@ -76,16 +76,14 @@ class Robustness(Suite[RobustnessConfig, Cell]):
         yield run
 
     def fly(self, config: RobustnessConfig, case: Cell, opened: RunDirectory) -> Flown:
-        folder = opened.path / "parts" / case.id
-        manifest = {key: value for key, value in opened.manifest().items() if key != "resumed"}
-        summary = fly_part(folder, part_of(config, case), config.seed, manifest)
+        summary = fly_part(opened, case.id, part_of(config, case), config.seed)
         row = {
             "suite": self.name,
             "case": case.id,
             **{name: getattr(case, name) for name in ("command", "clock_speed", "latency_scale")},
             **{name: summary[name] for name in ("games", "successes", "distance_m_median", "sim_time_s")},
         }
-        return Flown(row, outcomes(RunDirectory(folder)))
+        return Flown(row, outcomes(part_run(opened, case.id)))
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"

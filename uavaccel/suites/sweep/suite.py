@@ -12,7 +12,7 @@ from uavaccel.rl.agents import policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.experiment import timing_of
-from uavaccel.suites.parts import fly_part, part_cost, part_suite
+from uavaccel.suites.parts import fly_part, part_cost, part_run, part_suite
 from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
 from uavaccel.suites.sweep import report
 from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
@@ -62,9 +62,7 @@ class Sweep(Suite[SweepConfig, Case]):
         yield run
 
     def fly(self, config: SweepConfig, case: Case, opened: RunDirectory) -> Flown:
-        folder = opened.path / "parts" / case.id
-        manifest = {key: value for key, value in opened.manifest().items() if key != "resumed"}
-        summary = fly_part(folder, part_of(config, case), config.seed, manifest)
+        summary = fly_part(opened, case.id, part_of(config, case), config.seed)
         row = {
             "suite": self.name,
             "case": case.id,
@@ -73,7 +71,7 @@ class Sweep(Suite[SweepConfig, Case]):
             "same": list(case.same),
             **{name: summary[name] for name in OF_SUMMARY},
         }
-        return Flown(row, outcomes(RunDirectory(folder)))
+        return Flown(row, outcomes(part_run(opened, case.id)))
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"

@@ -14,10 +14,10 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
+from uavaccel.suites import published
 from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.host_time import in_words, over_all_starts, wall_s
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
-from uavaccel.suites.rl import paper
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.curve import draw_over_games, draw_runs
@@ -69,12 +69,12 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
     """Games and time of the training, and of the paper's (III-C3, IV-D)."""
     real_time_s = summary.get("modelled_real_time_s")
     rows = [
-        ("games", str(summary["games"]), str(paper.TRAINING_GAMES), "counted"),
+        ("games", str(summary["games"]), str(published.TRAINING_GAMES), "counted"),
         ("wall clock", in_words(wall_s(run)) if wall_s(run) else "-", "-", "measured, start-up not counted"),
         (
             "in real time",
             "-" if real_time_s is None else in_words(real_time_s),
-            in_words(paper.REAL_TIME_S),
+            in_words(published.REAL_TIME_S),
             "ours modelled, the paper's measured",
         ),
     ]
