@@ -107,7 +107,8 @@ class Server:
         if simulation.paused:
             return now + IDLE_NS
         wake = min(now + IDLE_NS, simulation.pacer.wall_due(simulation.world.tick + CHUNK_TICKS))
-        event = simulation.next_event_wall_ns(turns=False)  # waiting for every turn of a task would be polling
+        # waiting for every turn of a task would be polling
+        event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
 
     def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:

@@ -211,12 +211,12 @@ def _text(value: Any, form: str) -> str:
 
 
 _WHAT_N_TELLS = (
-    f"The paper evaluated one training of each kind in {published.GAMES} games. Of its differences only the collapse "
-    "of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = 0.19. 100 "
-    "games tell ratios 16 points apart, 300 nine points, 1 000 five. Wilson intervals and Fisher's test here are of pooled "
-    "games, and so of these very policies: what another training would have given is seen in the spread of the seeds, "
-    "which no number of evaluation games makes smaller. McNemar's test compares policies of the same seed on the same "
-    "lanes."
+    f"The paper evaluated one training of each kind in {published.GAMES} games. Of its differences only the "
+    "collapse of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = "
+    "0.19. 100 games tell ratios 16 points apart, 300 nine points, 1 000 five. Wilson intervals and Fisher's test "
+    "here are of pooled games, and so of these very policies: what another training would have given is seen in "
+    "the spread of the seeds, which no number of evaluation games makes smaller. McNemar's test compares policies "
+    "of the same seed on the same lanes."
 )
 _HOW_TIME_IS_MODELLED = (
     "Hours are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "
