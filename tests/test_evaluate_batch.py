@@ -60,7 +60,8 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
     ):
         evaluated(tmp_path / "run", "environments=2", games=6)
     monkeypatch.undo()
-    assert [row["lane"] for row in RunDirectory(tmp_path / "run").rows()] == [0, 1]
+    lanes = [row["lane"] for row in RunDirectory(tmp_path / "run").rows()]
+    assert lanes in ([0, 1], [0, 1, 2])  # lane 2's row may have been on its way when the processes died
     resumed = evaluated(tmp_path / "run", "environments=2", games=6, resume=True)
     assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", games=6))
 
