@@ -138,6 +138,22 @@ def test_ranges_widen_with_the_games_from_the_usual_to_the_whole(games: int, ove
     assert 0.0 <= drawn["wind_m_s"] <= 6.0 * share + 1e-12
 
 
+def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
+    ranges = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.3)
+    random = np.random.default_rng(0)
+    drawn = [ranges.draw(random) for _ in range(1000)]
+    for name in ("wind_m_s", "light"):
+        assert sum(name in each for each in drawn) == pytest.approx(300, abs=45)  # three standard deviations
+    environment = lane(randomise={"wind_m_s": [3, 6], "light": [0.1, 0.2], "share": 0.5})
+    games = [(environment.reset(seed=seed)[1].get("conditions", {}), environment.flown) for seed in range(8)]
+    assert {len(conditions) for conditions, _ in games} == {0, 1, 2}
+    for conditions, task in games:
+        assert task.difficulty.wind_m_s == conditions.get("wind_m_s", 0.0)
+        light = conditions.get("light")
+        assert task.difficulty.light == ((0.7, 1.0) if light is None else (light, light))
+    environment.close()
+
+
 def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
     assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
@@ -166,6 +182,14 @@ def test_a_batch_draws_what_single_environments_draw() -> None:
         ({"randomise": {"latency_scale": [0, 1]}, "timing": "lockstep"}, "timing virtual"),
         ({"randomise": {"wind_m_s": [0, 1]}, "lane": {"obstacles": []}}, "leave lane out"),
         ({"randomise": {"speed_m_s": [-1, 1]}}, "speed_m_s"),
+        ({"randomise": {"speed_m_s": [1, 2], "share": 0}}, "share"),
+        (
+            {
+                "difficulty": {"thrust_ratio": 0.8},
+                "randomise": {"mass_ratio": [1, 1.4], "thrust_ratio": [1, 1.2], "share": 0.5},
+            },
+            "mass_ratio",
+        ),
     ],
 )
 def test_ranges_that_cannot_be_flown_are_refused(keys: dict[str, Any], said: str) -> None:

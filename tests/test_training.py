@@ -28,7 +28,7 @@ from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import Lanes, make_lanes, seed_lanes
 from uavaccel.rl.learner import learning_rhythm
-from uavaccel.rl.policy import weights_sha256
+from uavaccel.rl.policy import load_policy, weights_sha256
 from uavaccel.rl.replay import Batch
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.flights import CHECKPOINTS
@@ -373,6 +373,23 @@ def test_the_first_weights_come_from_the_seed() -> None:
     environment.close()
 
 
+def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) -> None:
+    environment = side_by_side(LaneTask(max_commands=2), 1)
+    first, started = (untrained(environment, seed=9, start_from=each) for each in (None, str(lockstep.path)))
+    weights = started.policy.q_net.state_dict()
+    trained = load_policy(lockstep.path).network.state_dict()
+    assert all(
+        th.equal(weights[name.removeprefix("q_net.")], trained[name])
+        for name in trained
+        if "target" not in name
+    )
+    assert all(
+        th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items()
+    )
+    assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
+    environment.close()
+
+
 @pytest.mark.parametrize(
     "keys",
     [
@@ -407,6 +424,8 @@ def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) 
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
         ({"algorithm": "sac"}, "algorithm = 'sac': wants continuous actions"),
         ({"options": {"learning_tempo": 1}}, "options of double_dqn: unknown key 'learning_tempo'"),
+        ({"start_from": "runs/none"}, "runs/none: holds no policy"),
+        ({"start_from": "default", "hidden": [8]}, "start_from = 'default': another network"),
     ],
 )
 def test_an_algorithm_that_cannot_be_is_one_clear_line(
@@ -421,6 +440,7 @@ def test_an_algorithm_that_cannot_be_is_one_clear_line(
     ("overrides", "said"),
     [
         (["task.timing=wall", "environments=2"], "environments must be 1 with timing wall"),
+        (["algorithm=ppo", "start_from=default"], "start_from needs algorithm double_dqn, not ppo"),
         (["task.observation=state"], "mirror must be false"),
         (["task.headings_deg=[0.0, 30.0]"], "mirror must be false"),
         (["gamess=3"], "unknown key 'gamess'; did you mean 'games'?"),

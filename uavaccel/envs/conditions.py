@@ -53,6 +53,8 @@ class Ranges(Config):
     dvs_threshold_ratio: Range | None = None
     latency_scale: Range | None = None
     """Of timing virtual alone."""
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    """Probability of each condition to be drawn for a game; else it stays as the task has it."""
     widen_over_games: Annotated[int, Field(ge=0)] = 0
     """Games of each environment, in the training split, over which the ranges widen to the whole; 0: whole at once."""
 
@@ -73,15 +75,22 @@ class Ranges(Config):
         return self.model_copy(update=between)
 
     def draw(self, random: np.random.Generator) -> dict[str, float]:
-        """A number from each range."""
-        return {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
+        """A number from each range, or from a `share` of them."""
+        drawn = {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
+        if self.share == 1.0:
+            return drawn
+        return {name: value for name, value in drawn.items() if random.random() < self.share}
 
 
-def corners(ranges: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-    """All least, all most, and the most with the weakest motors: where one of all that is drawn cannot be flown."""
+def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:
+    """All least, all most, and the most with the weakest motors: where one of all that is drawn cannot be flown.
+
+    With `alone`, for conditions that are drawn without the others, each of their ends too.
+    """
     least, most = ({name: ends[end] for name, ends in ranges.items()} for end in (0, 1))
     weakest = {name: value for name, value in least.items() if name == "thrust_ratio"}
-    return [least, most, {**most, **weakest}]
+    single = [{name: end} for name, ends in ranges.items() for end in ends] if alone else []
+    return [least, most, {**most, **weakest}, *single]
 
 
 def keys_of(conditions: Mapping[str, float]) -> dict[str, Any]:

@@ -9,11 +9,15 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import Schedule
 
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.rl.policy import WEIGHTS, Policy, load_policy, observed_frames
+from uavaccel.rl.algorithms import make_policy
+from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames
 from uavaccel.sim.lane.layout import WIDTH_M
 
 DEFAULT = "default"
@@ -129,6 +133,25 @@ def policy_sha256(name: str) -> str | None:
     if is_baseline(name):
         return None
     return hashlib.sha256((policy_folder(name) / WEIGHTS).read_bytes()).hexdigest()
+
+
+def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
+    """What a training begins with: the weights of `start_from`, or random ones.
+
+    Raises UserError if that is no policy, or its network is another one than the configuration's.
+    """
+    policy = make_policy(config, learning_rate)
+    if config.start_from is None:
+        return policy
+    started = load_policy(policy_folder(config.start_from))
+    try:
+        policy.load_state_dict(started.network.state_dict())
+    except RuntimeError as error:
+        raise UserError(
+            f"start_from = {config.start_from!r}: another network: channels, hidden, history, headings_deg and what is "
+            f"seen must be those of {policy_folder(config.start_from) / MANIFEST}"
+        ) from error
+    return policy
 
 
 def policy_folder(name: str) -> Path:

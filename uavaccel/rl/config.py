@@ -35,6 +35,8 @@ class LearnerConfig(Config):
     """Of algorithms with a replay buffer."""
     mirror: bool = True
     """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
+    start_from: str | None = None
+    """A policy whose weights double_dqn begins with: its folder, or default for the one that ships; None: random."""
     channels: Annotated[tuple[Width, ...], Field(min_length=1, max_length=4)] = (16, 32)
     hidden: tuple[Width, ...] = (256,)
 
@@ -57,6 +59,12 @@ class LearnerConfig(Config):
     def _turns_have_lanes(self) -> LearnerConfig:
         if self.turns > self.environments:
             raise ValueError(f"turns must be at most environments: {self.turns} of {self.environments} lanes")
+        return self
+
+    @model_validator(mode="after")
+    def _can_start_from(self) -> LearnerConfig:
+        if self.start_from is not None and self.algorithm != "double_dqn":
+            raise ValueError(f"start_from needs algorithm double_dqn, not {self.algorithm}")
         return self
 
     @model_validator(mode="after")

@@ -23,7 +23,8 @@ from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.rl.algorithms import greedy, make_policy
+from uavaccel.rl.agents import first_policy
+from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.graph import GraphedStep
@@ -55,7 +56,7 @@ class DoubleDQN:
         random.seed(config.seed)
         th.manual_seed(config.seed)
         lanes.action_space.seed(config.seed)
-        self.policy: Any = make_policy(config, lambda _: self.rate).to(self.device)
+        self.policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
         space = lanes.observation_space
         self.buffer = ReplayBuffer(
             self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device

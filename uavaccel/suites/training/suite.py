@@ -11,6 +11,7 @@ import torch as th
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.algorithms import check_algorithm
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
@@ -42,6 +43,8 @@ class Training(Suite[TrainConfig, Case]):
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
+        if config.start_from is not None:
+            first_policy(config, lambda _: 0.0)
 
     def cases(self, config: TrainConfig) -> Iterator[Case]:
         return cases(config)
@@ -76,7 +79,8 @@ class Training(Suite[TrainConfig, Case]):
             th.zeros(1, device=config.device)
         except (RuntimeError, AssertionError) as error:
             raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
-        return {"torch_threads": config.torch_threads}
+        started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
+        return {"torch_threads": config.torch_threads, **started}
 
     def cost(self, config: TrainConfig, case: Case) -> Cost:
         commands = case.simulated_s() / config.task.t_move_s
