@@ -12,6 +12,7 @@ from uavaccel.rl.agents import policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.experiment import timing_of
+from uavaccel.suites.gpu import take_gpu
 from uavaccel.suites.parts import fly_part, part_cost, part_run, part_suite
 from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
 from uavaccel.suites.sweep import report
@@ -59,6 +60,8 @@ class Sweep(Suite[SweepConfig, Case]):
 
     @contextmanager
     def open(self, config: SweepConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
+        """The run; this process draws on a GPU of its own from now on, where there are several."""
+        take_gpu("cuda")
         yield run
 
     def fly(self, config: SweepConfig, case: Case, opened: RunDirectory) -> Flown:
