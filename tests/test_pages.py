@@ -41,20 +41,18 @@ def test_files_that_are_named_are_there(page: str, file: str) -> None:
     assert "NAME" in file or (ROOT / file).exists()
 
 
-COMMANDS = found(r"`(uavaccel [a-z][^`\n]*)`") + [
-    (page, line.removeprefix(".venv/bin/"))
-    for page, block in found(r"(?ms)^```sh\n(.*?)^```$")
-    for line in block.splitlines()
-    if line.removeprefix(".venv/bin/").startswith("uavaccel ")
-]
-
-
-@pytest.mark.parametrize(("page", "line"), sorted(set(COMMANDS)))
-def test_commands_parse(page: str, line: str) -> None:
-    """The command and its options exist; what they mean is other tests' to say."""
+@pytest.mark.parametrize(("page", "line"), sorted(set(found(r"`(uavaccel [a-z][^`\n]*)`"))))
+def test_commands_within_the_text_parse(page: str, line: str) -> None:
+    """The command and its options exist; blocks of them are tests/test_docs.py's."""
     _, name, *options = shlex.split(line.partition("#")[0])
     group = typer.main.get_command(app)
     group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", sorted({name for _, name in found(r"`(uavaccel\.[a-z_.]+)`")}))
+def test_packages_and_modules_that_are_named_are_there(name: str) -> None:
+    path = ROOT / name.replace(".", "/")
+    assert path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def test_every_suite_is_among_the_experiments() -> None:
@@ -89,6 +87,6 @@ def _defined(path: Path) -> set[str]:
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
-@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make (\w+)$", CONTRIBUTING, re.MULTILINE))))
+@pytest.mark.parametrize("target", sorted({target for _, target in found(r"(?m)(?:^|`)make (\w+)(?:`|$)")}))
 def test_make_has_its_targets(target: str) -> None:
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)

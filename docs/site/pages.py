@@ -1,4 +1,4 @@
-"""MkDocs hook: the site's pages are the repository's, at the same paths, with the files that they link to beside them."""
+"""MkDocs hook: the site's pages are the repository's, at the same paths, and the files that they link to."""
 
 from __future__ import annotations
 
