@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -13,9 +15,10 @@ import typer
 from tests.test_imports import GROUND, ROOMS
 from uavaccel.cli.main import app
 from uavaccel.suites.registry import SUITES
+from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])
 PAGES_AND_TEXTS = [(page, page.read_text(encoding="utf-8")) for page in PAGES]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -49,10 +52,26 @@ def test_commands_within_the_text_parse(page: str, line: str) -> None:
     group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", sorted({name for _, name in found(r"`(uavaccel\.[a-z_.]+)`")}))
+@pytest.mark.parametrize(
+    "name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")})
+)
 def test_packages_and_modules_that_are_named_are_there(name: str) -> None:
     path = ROOT / name.replace(".", "/")
     assert path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def test_every_page_is_in_the_sites_navigation() -> None:
+    def pages(entry: Any) -> Iterator[str]:
+        """The files of a navigation, whose entries may have titles, and further entries."""
+        if isinstance(entry, str):
+            yield entry
+        for each in entry.values() if isinstance(entry, dict) else entry if isinstance(entry, list) else ():
+            yield from pages(each)
+
+    named = list(pages(load_yaml(ROOT / "mkdocs.yml")["nav"]))
+    assert len(named) == len(set(named))
+    there = {page.relative_to(ROOT).as_posix() for page in PAGES} | {"assets/mjcf/README.md"}
+    assert set(named) == there | {"docs/reference/keys.md"}
 
 
 def test_every_suite_is_among_the_experiments() -> None:
