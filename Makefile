@@ -1,5 +1,5 @@
 # `make run` and `make test` set up .venv first; nothing is installed again until pyproject.toml, constraints.txt
-# or this file changes.
+# or this file changes. `make docs` adds what builds the documentation.
 
 PYTHON ?= python3
 # Linux wheels of torch without CUDA. For the CUDA build: make setup TORCH_INDEX=https://pypi.org/simple
@@ -8,13 +8,14 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
+DOCS_STAMP := $(VENV)/.set-up-docs
 # Errors, and no warnings: an index that is out of reach matters only if a package is found nowhere else.
 # pip warns of every index out of reach, however quiet it is told to be: shown where it fails.
 LOG := $(VENV)/set-up.log
 PIP := $(BIN)/python -m pip install -qq --retries 1
 TORCH := $(shell grep '^torch==' constraints.txt)
 
-.PHONY: run test setup clean
+.PHONY: run test docs setup clean
 
 run: setup
 	$(BIN)/uavaccel run dp1 --clock 50
@@ -24,7 +25,16 @@ test: setup
 	$(BIN)/mypy
 	$(BIN)/pytest
 
+# The variable keeps the theme from advertising its successor.
+docs: $(DOCS_STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "build/docs/index.html"
+
 setup: $(STAMP)
+
+$(DOCS_STAMP): $(STAMP)
+	@$(PIP) --constraint constraints.txt --editable '.[docs]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -1,78 +1,230 @@
-"""Every program in docs/learning.md runs, and every command line is one that the command line takes."""
+"""Every block of the pages: programs run, command lines are taken with options and keys, YAML files fit their suites.
 
+What a block needs is in the page: a block with a title is a file, `uavaccel init` and `cd` are done. A comment above a
+block says where the test is content with less, `<!-- in the test: 20_000 becomes 256 -->`.
+"""
+
+from __future__ import annotations
+
+import contextlib
 import re
-import subprocess
+import shlex
 import sys
+from collections.abc import Callable, Iterator
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import pytest
 import typer
 
-from tests.opengl import needs_opengl
+from uavaccel.cli import evaluate, run
 from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, configure
+from uavaccel.cli.starter import init
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import asset
+from uavaccel.rl import agents
+from uavaccel.rl.policy import load_policy
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "learning.md"
-TEXT = PAGE.read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
-PYTHON = [code for language, code in BLOCKS if language == "python"]
-SHELL = [line for language, code in BLOCKS if language == "sh" for line in code.splitlines()]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])
+FENCE = re.compile(
+    r'^(?:<!-- in the test: ([^>\n]+) -->\n+)?```(\w+)(?: title="([^"]+)")?\n(.*?)^```$',
+    re.DOTALL | re.MULTILINE,
+)
+FLOWN = {"run", "train", "evaluate"}
 
 
-def test_there_are_blocks_of_two_kinds() -> None:
-    assert {language for language, _ in BLOCKS} == {"python", "sh"}
-    assert TEXT.count("```") == 2 * len(BLOCKS)
+# In place of the runtime that flies a policy's file.
+STRAIGHT_AHEAD = """
+from types import SimpleNamespace
+
+KEYS = {"headings_deg": "[-60, -30, 0, 30, 60]", "speed_m_s": "2.0", "altitude_m": "2.0"}
 
 
-def test_programs_have_thirty_lines_at_most() -> None:
-    assert max(len(code.splitlines()) for code in PYTHON) <= 30
+class InferenceSession:
+    def __init__(self, path):
+        self.get_modelmeta = lambda: SimpleNamespace(custom_metadata_map=KEYS)
+
+    def run(self, names, inputs):
+        assert names == ["action"] and inputs["seen"].shape == (1, 3, 144, 256)
+        return [[2]]
+"""
+
+
+class Block(NamedTuple):
+    """A fenced block; `folder` is where the page's `cd` have led, `code` is the test's."""
+
+    page: str
+    line: int
+    language: str
+    title: str
+    code: str
+    folder: str
+
+
+def blocks_of(page: Path) -> Iterator[Block]:
+    text, folder = page.read_text(encoding="utf-8"), "."
+    for found in FENCE.finditer(text):
+        smaller, language, title, code = found.groups()
+        for shown, tested in re.findall(r"(\S+) becomes (\S+?)(?:,|$)", smaller or ""):
+            assert shown in code, f"{page}: nothing to replace: {shown}"
+            code = code.replace(shown, tested)
+        line = text.count("\n", 0, found.start()) + 1
+        yield Block(page.relative_to(ROOT).as_posix(), line, language, title or "", code, folder)
+        for went in re.findall(r"^cd (\S+)$", code, re.MULTILINE) if language == "sh" else ():
+            folder = f"{folder}/{went}"
+
+
+def lines_of(block: Block) -> list[str]:
+    """Those of a shell; what make has set up is what is on a reader's path."""
+    joined = block.code.replace("\\\n", " ")
+    return [line.removeprefix(".venv/bin/") for line in joined.splitlines() if line]
+
+
+BLOCKS = [block for page in PAGES for block in blocks_of(page)]
+COMMANDS = [
+    (block, line.partition(" #")[0])
+    for block in BLOCKS
+    if block.language == "sh"
+    for line in lines_of(block)
+    if line.startswith("uavaccel ")
+]
+
+
+def in_language(language: str) -> list[Any]:
+    return [
+        pytest.param(block, id=f"{block.page}:{block.line}") for block in BLOCKS if block.language == language
+    ]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder of a page's reader: the files that the page shows, and the runs that it makes."""
+
+    @cache
+    def made(page: str) -> Path:
+        folder = tmp_path_factory.mktemp("reader")
+        (folder / "experiments").symlink_to(ROOT / "experiments")
+        (folder / "lane.yaml").write_text("obstacles: [{x_m: 12, y_m: 0.5, half_side_m: 0.4}]")
+        for block in [block for block in BLOCKS if block.page == page]:
+            here = folder / block.folder
+            for line in lines_of(block) if block.language == "sh" else ():
+                if name := re.match(r"uavaccel init (\S+)", line):
+                    init(here / name[1])
+                for suite, out in re.findall(r"^uavaccel (?:run )?(\w+).* --out (\S+)", line):
+                    make_run(here / out, suite)
+            if block.title:
+                (here / block.title).write_text(block.code)
+        return folder
+
+    return made
+
+
+def make_run(folder: Path, suite: str) -> None:
+    """What looks like a run before it is opened, with the policy that ships."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "config.yaml").write_text(f"suite: {suite.partition('_')[0]}")
+    for file in asset("policies/default").iterdir():
+        with contextlib.suppress(FileExistsError):
+            (folder / file.name).symlink_to(file)
+
+
+@pytest.fixture
+def reading(home: Callable[[str], Path], block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the block's folder, with nothing left of the modules that it makes."""
+    monkeypatch.chdir(home(block.page) / block.folder)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for title in {Path(block.title).stem for block in BLOCKS if block.title}:
+        monkeypatch.delitem(sys.modules, title, raising=False)
+
+
+def test_every_fence_is_a_block_of_a_known_kind() -> None:
+    kinds = {"sh", "python", "yaml", "text", "mermaid", "console"}
+    assert {block.language for block in BLOCKS} == kinds
+    for page in PAGES:
+        fences = re.findall("^```", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert len(fences) == 2 * len(list(blocks_of(page))), page
 
 
 @pytest.mark.slow
-@needs_opengl
-@pytest.mark.parametrize("code", PYTHON)
-def test_programs_run(code: str) -> None:
-    subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=ROOT, check=True)
-
-
-@pytest.mark.parametrize("line", [line for line in SHELL if line.startswith("uavaccel ")])
-def test_commands_parse(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Options exist, and the keys that they set are valid; nothing is trained or flown."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / "seed0").symlink_to(asset("policies/default"))
-    (tmp_path / "lane.yaml").write_text("obstacles: [{x_m: 12, y_m: 0.5, half_side_m: 0.4}]")
-    _, name, *options = line.split()
-    group = typer.main.get_command(app)
-    command = group.commands[name]  # type: ignore[attr-defined]
-    given = command.make_context(name, options).params
-    if name in ("view", "export"):  # set no keys
+@pytest.mark.wall_clock
+@pytest.mark.opengl
+@pytest.mark.usefixtures("reading")
+@pytest.mark.parametrize("block", in_language("python"))
+def test_programs_run(
+    block: Block, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As they stand, each a module of its own; scripts of AirSim's client fly as their page flies them."""
+    if "import airsim" in block.code:
+        Path("onnxruntime.py").write_text(STRAIGHT_AHEAD)
+        assert not app([*flown_by(block), block.title], standalone_mode=False)
         return
-    keys = {key: given[key] for key in ("command", "timing", "profile", "games", "seed")}
-    keys |= {"clock_speed": given["clock"], "agent": given.get("agent")}
-    keys = {key: value or None for key, value in keys.items()}  # typer has no empty lists
-    configure(RunRequest(given.get("experiment") or name, keys, given["overrides"] or []))
+    module = ModuleType(Path(block.title).stem or "block")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(block.code, f"{block.page}:{block.line}", "exec"), module.__dict__)
+    assert "print(" not in block.code or capsys.readouterr().out
+
+
+def flown_by(block: Block) -> list[str]:
+    """The page's own command line, less a second flight and the script."""
+    [line] = [line for each, line in COMMANDS if each.page == block.page and line.endswith(f" {block.title}")]
+    return [word for word in shlex.split(line)[1:-1] if word != "--check"]
+
+
+@pytest.mark.parametrize("block", in_language("yaml"))
+@pytest.mark.usefixtures("reading")
+def test_yaml_files_fit_their_suites(block: Block) -> None:
+    assert load_yaml(Path(block.title))["suite"]
+    configure(RunRequest(block.title))
+
+
+@pytest.mark.usefixtures("reading")
+@pytest.mark.parametrize(
+    ("block", "line"), COMMANDS, ids=[f"{block.page}:{block.line}:{line}" for block, line in COMMANDS]
+)
+def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands and options are there, and of an experiment its name and every key; nothing is trained or flown."""
+    _, name, *options = shlex.split(line)
+    asked: list[RunRequest] = []
+    monkeypatch.setattr(agents, "load_policy", policy_once)
+    for module in (run, evaluate):
+        monkeypatch.setattr(module, "run_experiment", asked.append)
+    if name not in FLOWN:
+        typer.main.get_command(app).commands[name].make_context(name, options)  # type: ignore[attr-defined]
+        return
+    goes_on = "--resume" in options
+    app([name, *options, "--dry-run"], standalone_mode=False)
+    [request] = asked
+    if not goes_on:
+        configure(request)
 
 
 def test_other_programs_come_with_the_package() -> None:
-    others = {line.split()[0] for line in SHELL} - {"uavaccel"}
+    shell = [line for block in BLOCKS if block.language == "sh" for line in lines_of(block)]
+    known = {"uavaccel", "python", "make", "cd", "git", "pip"}
+    others = {line.split()[0] for line in shell} - known
     assert others <= {script.name for script in entry_points(group="console_scripts")}
 
 
-def keys() -> list[str]:
+policy_once = cache(load_policy)  # a sweep reads it for each of its cells
+
+
+def learning_keys() -> list[str]:
     """The names in the last cells of the tables of keys."""
-    tables = re.findall(r"^\|.*\| key \|\n((?:\|.*\n)+)", TEXT, re.MULTILINE)
+    text = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    tables = re.findall(r"^\|.*\| key \|\n((?:\|.*\n)+)", text, re.MULTILINE)
     cells = [row.rsplit("|", 2)[1] for table in tables for row in table.splitlines()]
     return [name.split(".")[-1] for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
 
 
 def test_keys_are_those_of_the_configuration() -> None:
     known = {*LaneTask.model_fields, *Difficulty.model_fields, *TrainConfig.model_fields}
-    assert len(keys()) > 20
-    assert set(keys()) <= known
+    assert len(learning_keys()) > 20
+    assert set(learning_keys()) <= known

@@ -18,7 +18,7 @@ from uavaccel.suites.registry import find_suite, own_folder
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
-BLOCKS = dict(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
+BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 RUN, REPORT = (line.split()[1:] for line in BLOCKS["sh"].splitlines())
 COMMAND = [sys.executable, "-m", "uavaccel"]
 MADE = ("rows.jsonl", "summary.json", "config.yaml")

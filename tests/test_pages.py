@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -13,9 +15,10 @@ import typer
 from tests.test_imports import GROUND, ROOMS
 from uavaccel.cli.main import app
 from uavaccel.suites.registry import SUITES
+from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])
 PAGES_AND_TEXTS = [(page, page.read_text(encoding="utf-8")) for page in PAGES]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -41,20 +44,34 @@ def test_files_that_are_named_are_there(page: str, file: str) -> None:
     assert "NAME" in file or (ROOT / file).exists()
 
 
-COMMANDS = found(r"`(uavaccel [a-z][^`\n]*)`") + [
-    (page, line.removeprefix(".venv/bin/"))
-    for page, block in found(r"(?ms)^```sh\n(.*?)^```$")
-    for line in block.splitlines()
-    if line.removeprefix(".venv/bin/").startswith("uavaccel ")
-]
-
-
-@pytest.mark.parametrize(("page", "line"), sorted(set(COMMANDS)))
-def test_commands_parse(page: str, line: str) -> None:
-    """The command and its options exist; what they mean is other tests' to say."""
+@pytest.mark.parametrize(("page", "line"), sorted(set(found(r"`(uavaccel [a-z][^`\n]*)`"))))
+def test_commands_within_the_text_parse(page: str, line: str) -> None:
+    """The command and its options exist; blocks of them are tests/test_docs.py's."""
     _, name, *options = shlex.split(line.partition("#")[0])
     group = typer.main.get_command(app)
     group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    "name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")})
+)
+def test_packages_and_modules_that_are_named_are_there(name: str) -> None:
+    path = ROOT / name.replace(".", "/")
+    assert path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def test_every_page_is_in_the_sites_navigation() -> None:
+    def pages(entry: Any) -> Iterator[str]:
+        """The files of a navigation, whose entries may have titles, and further entries."""
+        if isinstance(entry, str):
+            yield entry
+        for each in entry.values() if isinstance(entry, dict) else entry if isinstance(entry, list) else ():
+            yield from pages(each)
+
+    named = list(pages(load_yaml(ROOT / "mkdocs.yml")["nav"]))
+    assert len(named) == len(set(named))
+    there = {page.relative_to(ROOT).as_posix() for page in PAGES} | {"assets/mjcf/README.md"}
+    assert set(named) == there | {"docs/reference/keys.md"}
 
 
 def test_every_suite_is_among_the_experiments() -> None:
@@ -89,6 +106,6 @@ def _defined(path: Path) -> set[str]:
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
-@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make (\w+)$", CONTRIBUTING, re.MULTILINE))))
+@pytest.mark.parametrize("target", sorted({target for _, target in found(r"(?m)(?:^|`)make (\w+)(?:`|$)")}))
 def test_make_has_its_targets(target: str) -> None:
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)

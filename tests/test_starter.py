@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from uavaccel.cli.starter import SCHEMA, init, schema_text
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.rl.dqn_options import DqnOptions
-from uavaccel.suites.registry import SUITES
+from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.yaml_io import load_yaml
 
 EXPERIMENTS = [
@@ -74,6 +75,19 @@ def test_every_suite_has_a_schema_that_tells_wrong_keys_and_values() -> None:
     assert misfits_of(wrong) == [".game", ".task.command", ".task.speed_m_s"]
     with pytest.raises(UserError, match="did you mean 'train'"):
         schema_text("trai")
+
+
+def test_the_page_of_keys_has_every_key_of_every_suite() -> None:
+    spec = spec_from_file_location("keys", Path(__file__).parents[1] / "docs" / "site" / "keys.py")
+    assert spec is not None
+    assert spec.loader is not None
+    keys = module_from_spec(spec)
+    spec.loader.exec_module(keys)
+    page = keys.page()
+    for name in SUITES:
+        table = page.split(f"\n## {name}\n")[1].split("\n## ")[0]
+        for key in find_suite(name, "keys").config.model_fields:
+            assert key == "suite" or f"| `{key}` |" in table, f"{name}: {key}"
 
 
 def test_the_training_can_be_flown_and_its_comments_speak_of_keys_that_there_are(folder: Path) -> None:
