@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from uavaccel.draw.canvas import FAINT, INK, PAPER, TAKEN, UNTAKEN, Bgr, paste, write
 
+LEAST = 0.1  # of the film's largest difference: the worst action's bar
 MARGIN, FOOT = 24, 40  # pixels above the bars, for their values, and below, for their headings
 
 
@@ -43,21 +44,24 @@ def draw_given(planes: NDArray[np.uint8], size: tuple[int, int]) -> Bgr:
 
 
 def draw_ratings(decisions: Decisions, command: int, size: tuple[int, int]) -> Bgr:
-    """A bar per action, from west to east, on one scale for the whole film; the one that was taken in colour."""
+    """A bar per action, from west to east: how much better it is rated than the worst, on one scale for the film.
+
+    The ratings themselves stand above; the action that was taken is in colour.
+    """
     width, height = size
     picture = np.full((height, width, 3), PAPER, np.uint8)
-    low, high = float(decisions.ratings.min()), float(decisions.ratings.max())
-    scale = (height - MARGIN - FOOT) / (1.1 * (high - low) or 1.0)
+    spread = float(np.ptp(decisions.ratings, axis=1).max()) or 1.0
+    better = decisions.ratings[command] - decisions.ratings[command].min() + LEAST * spread
+    scale = (height - MARGIN - FOOT) / ((1.0 + LEAST) * spread)
     order = np.argsort(decisions.headings_deg)
     step = width / len(order)
     for place, action in enumerate(order):
-        rating = float(decisions.ratings[command, action])
         left, right = round(place * step) + 3, round((place + 1) * step) - 3
-        top = round(height - FOOT - (rating - low + 0.1 * (high - low)) * scale)
+        top = round(height - FOOT - better[action] * scale)
         colour = TAKEN if action == decisions.taken[command] else UNTAKEN
         cv2.rectangle(picture, (left, top), (right, height - FOOT), colour, -1)
         middle = (left + right) // 2
-        write(picture, f"{rating:.2f}", (middle, top - 6), 0.36, INK, anchor=0.5)
+        write(picture, f"{decisions.ratings[command, action]:.2f}", (middle, top - 6), 0.36, INK, anchor=0.5)
         write(
             picture,
             f"{decisions.headings_deg[action]:.0f}",
