@@ -140,6 +140,10 @@ def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
     assert html.count("<thead>") == 1
     assert 'aria-label="Table: all"' in html
     assert_sound(html)
+    short, long = "x" * 32, "x" * 33  # phones break long cells into lines, and scroll to the others
+    html = to_html("title", [Table(("a", "b"), [(short, long), (long, short)])])
+    assert f'<tr><th scope="row">{short}</th><td class="long">{long}</td></tr>' in html
+    assert f'<tr><th scope="row" class="long">{long}</th><td>{short}</td></tr>' in html
 
 
 def luminance(colour: str) -> float:

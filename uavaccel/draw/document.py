@@ -50,6 +50,8 @@ class Listing:
     folded: str = ""
 
 
+LONG, LONG_CLASS = 32, ' class="long"'  # characters of a table's cell: longer ones are broken into lines
+
 Block = Heading | Paragraph | Table | Picture | Listing
 
 
@@ -115,9 +117,9 @@ def _html_table(table: Table) -> str:
 
 
 def _html_row(row: Sequence[str]) -> str:
-    """Its first cell names it."""
-    name, *values = map(escape, row)
-    return f'<tr><th scope="row">{name}</th>{"".join(f"<td>{value}</td>" for value in values)}</tr>'
+    """Its first cell names it; short cells are not broken into lines."""
+    cells = [f"{LONG_CLASS if len(cell) > LONG else ''}>{escape(cell)}" for cell in row]
+    return f'<tr><th scope="row"{cells[0]}</th>{"".join(f"<td{cell}</td>" for cell in cells[1:])}</tr>'
 
 
 def _folded(html: str, name: str) -> str:

@@ -7,7 +7,9 @@ h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100%; h
 figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3; vertical-align: top }
-thead th { vertical-align: bottom } tbody th { font-weight: normal } th:first-child, td:first-child { text-align: left }
+thead th { vertical-align: bottom } tbody th { font-weight: normal }
+tbody td, tbody th { white-space: nowrap } tbody .long { white-space: normal; min-width: 14rem }
+th:first-child, td:first-child { text-align: left }
 pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
 .scrolls { overflow-x: auto; margin: 1rem 0 }
 .enlarge { display: block; padding: 0; border: 0; background: none; cursor: zoom-in }
@@ -18,7 +20,8 @@ dialog button { font: inherit; align-self: end; margin: .4rem; padding: .2rem .8
 @media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
 @media print {
   body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
-  .scrolls, pre { overflow: visible } pre { white-space: pre-wrap } details:not([open]) { display: none }
+  .scrolls, pre { overflow: visible } tbody td, tbody th, pre { white-space: pre-wrap }
+  details:not([open]) { display: none }
 }
 """
 
