@@ -15,6 +15,7 @@ from pathlib import Path
 from playwright.sync_api import Browser, Page, sync_playwright
 
 WIDTHS = (390, 1280)
+PAPER = 718  # pixels between the margins of A4
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
 FLAGS += ["--disable-background-networking", "--disable-component-update"]
 AXE = "async () => (await axe.run()).violations.flatMap(v => v.nodes.map(n => `${v.id}: ${n.html.slice(0, 100)}`))"
@@ -37,6 +38,10 @@ def faults(browser: Browser, report: Path, width: int, axe: str | None, out: Pat
     if axe:
         page.evaluate(axe)
         yield from page.evaluate(AXE)
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": PAPER, "height": 1000})
+    if (wide := page.evaluate("document.documentElement.scrollWidth")) > PAPER:
+        yield f"{wide} pixels wide on paper, which has {PAPER}"
     page.pdf(path=out / f"{report.parent.name}.pdf", format="A4")
     page.close()
 

@@ -8,7 +8,8 @@ figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #00
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3; vertical-align: top }
 thead th { vertical-align: bottom } tbody th { font-weight: normal }
-tbody td, tbody th { white-space: nowrap } tbody .long { white-space: normal; min-width: 14rem }
+tbody td, tbody th { white-space: nowrap }
+tbody .long { white-space: normal; overflow-wrap: anywhere; min-width: 14rem }
 th:first-child, td:first-child { text-align: left }
 pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
 .scrolls { overflow-x: auto; margin: 1rem 0 }
@@ -21,6 +22,7 @@ dialog button { font: inherit; align-self: end; margin: .4rem; padding: .2rem .8
 @media print {
   body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
   .scrolls, pre { overflow: visible } tbody td, tbody th, pre { white-space: pre-wrap }
+  table { font-size: 8pt } th, td { padding: .1rem .3rem } tbody .long { min-width: 0 }
   details:not([open]) { display: none }
 }
 """
