@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from tests.dp1_games import quantile
@@ -258,7 +259,7 @@ def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
     draw_over_games([first, second], tmp_path / "both.png")
     for name, at in (("games", (4.0, 8.0)), ("time", (40.0, 80.0))):
         axes = drawn[name].axes[0]
-        (bars,) = axes.containers
+        (bars,) = (each for each in axes.containers if isinstance(each, ErrorbarContainer))
         assert points(bars.lines[0]) == [(at[0], 0.0), (at[1], 0.5)]
         low, high = np.array(bars.lines[2][0].get_segments())[:, :, 1].T
         np.testing.assert_allclose(low, [0.0, 0.150036], atol=1e-5)  # Wilson's, of 0 and 2 in 4
