@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tests.web_pages import assert_sound
 from uavaccel.cli.run import RunRequest, configure
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.runner import begin_run, run_suite
@@ -12,10 +13,12 @@ from uavaccel.suites.suite import AnySuite, Summary
 
 
 def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> Summary:
-    """Fly and report; the summary."""
+    """Fly and report; the summary. Each suite's page is looked at on the way."""
     run = begin_run(suite, config, out, {}, resume)
     run_suite(suite, config, run, jobs)
-    return suite.report(run)
+    summary = suite.report(run)
+    assert_sound((out / "report.html").read_text(encoding="utf-8"))
+    return summary
 
 
 def configured(experiment: str, *overrides: str, **options: Any) -> Any:

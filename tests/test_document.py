@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.web_pages import assert_sound
 from uavaccel.draw.document import (
     Block,
     Heading,
@@ -81,7 +82,7 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
     html = to_html("The <title>", blocks)
     assert html.startswith('<!DOCTYPE html>\n<html lang="en">')
     page = Page(html)
-    shown = [entry for entry in page.shown if entry[0] != "style"]
+    shown = [entry for entry in page.shown if entry[0] not in ("style", "script")]
     assert shown == [
         ("title", "The <title>"),
         ("h1", "The <title>"),
@@ -90,9 +91,9 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
         ("summary", "2 rows & more"),
         ("th", "x"),
         ("th", "y <z>"),
-        *[("td", text) for text in ("1", "2|3", "4", "<5>")],
+        *[("th", "1"), ("td", "2|3"), ("th", "4"), ("td", "<5>")],  # a row's first cell names it
         ("th", "alone"),
-        ("td", "6"),
+        ("th", "6"),
         ("figcaption", "Caption <1>"),
         ("pre", "key: <value> | *kept*"),
         ("summary", "config.yaml"),
@@ -106,6 +107,43 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
     assert image["src"] == "data:image/png;base64," + base64.b64encode(PNG).decode()
     assert html.count("<details>") == html.count("</details>") == 2  # the other table is unfolded
     assert html.count("<tr>") == 3 + 2
+    assert 'aria-label="Table: x, y &lt;z&gt;"' in html
+    assert_sound(html)
+
+
+@pytest.mark.parametrize(
+    ("there", "instead"),
+    [
+        (' lang="en"', ""),
+        ("<title>The &lt;title&gt;</title>", ""),
+        ("width=device-width", "width=800"),
+        ('alt="Caption &lt;1&gt;"', 'alt=""'),
+        ('src="data:image/png;base64,', 'src="https://example.com/'),
+        ('<th scope="col">x</th>', '<th scope="col"></th>'),
+        (' role="region"', ""),
+        ("<style>", "<style>@import url(look.css);"),
+        ("<main>", '<main><a href="https://example.com">'),
+    ],
+)
+def test_what_is_wrong_with_a_page_is_found(blocks: list[Block], there: str, instead: str) -> None:
+    html = to_html("The <title>", blocks)
+    assert there in html
+    with pytest.raises((AssertionError, KeyError)):
+        assert_sound(html.replace(there, instead))
+
+
+def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
+    html = to_html(
+        "title", [Table(("", "ours"), [("games", "6")]), Table(("", ""), [("a", "b")], folded="all")]
+    )
+    assert '<thead><tr><td></td><th scope="col">ours</th></tr></thead>' in html
+    assert html.count("<thead>") == 1
+    assert 'aria-label="Table: all"' in html
+    assert_sound(html)
+    short, long = "x" * 32, "x" * 33  # phones break long cells into lines, and scroll to the others
+    html = to_html("title", [Table(("a", "b"), [(short, long), (long, short)])])
+    assert f'<tr><th scope="row">{short}</th><td class="long">{long}</td></tr>' in html
+    assert f'<tr><th scope="row" class="long">{long}</th><td>{short}</td></tr>' in html
 
 
 def luminance(colour: str) -> float:

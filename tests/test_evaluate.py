@@ -18,16 +18,19 @@ from uavaccel.cli.evaluate import evaluate_agent
 from uavaccel.cli.report import report_runs
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
-from uavaccel.rl.agents import OffsetAgent
+from uavaccel.rl.agents import OffsetAgent, make_agent
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
 from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
+from uavaccel.suites.evaluation.film import film_lane
+from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.evaluation.summary import compare, summarise
 from uavaccel.suites.suite import Summary
@@ -143,6 +146,31 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
 
 
+@pytest.mark.slow
+@needs_opengl
+def test_a_film_is_of_the_very_game_up_to_its_impact() -> None:
+    """ADSC's game depends on every message: what is filmed must not ask for more of them than the agent does."""
+    for agent, keys in (("straight", ()), ("default", ("task.max_commands=5",))):
+        config = configured("evaluate", *keys, agent=agent, command="adsc", clock_speed=20.0)
+        environment = ObstacleLane(**config.task.model_dump(mode="json"))
+        row = fly_game(config, environment, make_agent(agent, config.task), 2)
+        environment.close()
+        film = film_lane(config, 2)
+        assert film.hit == (row["collision"] or "")
+        assert (np.diff(film.time_s) > 0).all()
+        if agent == "straight":
+            assert film.hit
+            assert film.position_m[-1, 0] == row["distance_m"]
+            assert film.decisions is None
+        else:
+            assert film.decisions is not None
+            assert film.decisions.taken.tolist() == row["actions"]
+            assert film.decisions.of_sample.tolist() == [command for command in range(5) for _ in range(3)]
+            assert film.decisions.given is not None
+            assert film.decisions.given.shape == (5, 3, 36, 64)
+            assert len({each.tobytes() for each in film.decisions.given}) == 5
+
+
 @pytest.mark.parametrize(("clock_speed", "least", "most"), [(1.0, 0.9, 1.0), (50.0, 10.0, 50.0)])
 def test_the_speed_is_that_of_the_games_own_clock(
     tmp_path: Path, clock_speed: float, least: float, most: float
@@ -197,6 +225,11 @@ def test_an_exported_policy_acts_as_the_model(tmp_path: Path, keys: dict[str, An
     shape = (50, *(environment.observation_space.shape or ()))
     seen = rng.integers(0, 256, shape).astype(environment.observation_space.dtype)
     np.testing.assert_array_equal(policy.act(seen), learner.policy.predict(seen, deterministic=True)[0])
+    rated_as, ratings = policy.rate(seen)
+    assert ratings.shape == (50, 5)
+    np.testing.assert_array_equal(ratings.argmax(axis=1), policy.act(seen))
+    chances = rated_as == "probabilities of the actions"
+    assert chances == (config.algorithm == "ppo") == bool(np.allclose(ratings.sum(axis=1), 1.0, atol=1e-5))
     assert policy.config.task == config.task
     environment.close()
 

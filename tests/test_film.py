@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from uavaccel.draw import film as films
+from uavaccel.draw.canvas import IMPACT, TAKEN, UNTAKEN
+from uavaccel.draw.decisions import Decisions, draw_ratings
 from uavaccel.draw.film import Film, dvs_picture, frames, write_contact_sheet, write_video
 from uavaccel.draw.lane_map import (
     DRONE,
@@ -64,11 +66,59 @@ def test_a_frame_shows_camera_events_and_map() -> None:
 
 def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(films, "_write", lambda page, text, *_, **__: said.append(text))
+    monkeypatch.setattr(films, "write", lambda page, text, *_, **__: said.append(text))
     list(frames(flown(samples=3), frames_per_s=6))
     assert said[0] == "A title"
     # Two steps of 0.33 s in two sixths of a second.
     assert said[-2:] == ["  0.33 s,   1.5 m, shown at 2.0x", "  0.66 s,   3.0 m, shown at 2.0x"]
+
+
+def decided(of_sample: list[int], given: bool = True) -> Decisions:
+    """Two commands, to the east and then ahead, of three headings that are not in order."""
+    planes = np.stack([np.full((2, 3, 36, 64), 10 * (1 + command), np.uint8) for command in (0, 1)])[:, 0]
+    planes[:, 1] += 100  # the second plane of three
+    ratings = np.array([[3.0, 3.5, 4.0], [1.5, 1.25, 1.0]])
+    taken, headings = np.array([2, 0]), (0.0, -30.0, 30.0)
+    return Decisions(
+        ratings, taken, headings, np.array(of_sample), "action values", planes if given else None
+    )
+
+
+def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
+    def chase(number: int) -> np.ndarray:
+        return np.full((288, 512, 3), (200, 100, 50 + number), np.uint8)
+
+    film = replace(flown(samples=3), chase=chase, decisions=decided([0, 0, 1]))
+    first, _, third = frames(film)
+    assert first.shape == (808, 1280, 3)
+    assert first[392:680, 12:524].reshape(-1, 3).min(axis=0).tolist() == [50, 100, 200]
+    assert third[500, 100].tolist() == [52, 100, 200]
+    assert np.array_equal(third[64:352, 12:1048], list(frames(flown(samples=3)))[2][64:352, 12:1048])
+    given = [
+        frame[y, x].tolist() for frame in (first, third) for y, x in ((400, 540), (400, 800), (600, 540))
+    ]
+    assert given == [[grey] * 3 for grey in (10, 110, 10, 20, 120, 20)]
+    assert third[600, 1000].tolist() == [255] * 3  # no fourth plane
+    for command, (order, taken) in enumerate((((1, 0, 2), 2), ((1, 0, 2), 0))):
+        bars = draw_ratings(decided([0]), command, (208, 288))
+        for place, action in enumerate(order):  # from west to east
+            column = bars[:, round((place + 0.5) * 208 / 3) - 20]
+            colour = TAKEN if action == taken else UNTAKEN
+            better = decided([0]).ratings[command, action] - decided([0]).ratings[command].min()
+            assert (column == colour).all(axis=1).sum() == pytest.approx((better + 0.1) * 224 / 1.1, abs=2)
+
+
+def test_an_impact_is_marked_and_held() -> None:
+    film = replace(flown(samples=3), hit="obstacle_03")
+    plain, shown = list(frames(flown(samples=3), 10)), list(frames(film, 10))
+    assert len(shown) == 2 + 20
+    assert all(np.array_equal(a, b) for a, b in zip(shown[:2], plain, strict=False))
+    assert all(np.array_equal(frame, shown[2]) for frame in shown[3:])
+    assert shown[2][66, 200].tolist() == list(IMPACT)  # around the camera's picture
+    place = follow((3.0, 0.0), (208, 288)).pixels((3.0, 0.0)) >> 4
+    for x, y in ((8, 8), (-8, 8), (8, -8), (-8, -8)):  # a cross on the map
+        at = 64 + place[1] + y, 1060 + place[0] + x
+        assert shown[2][at].tolist() == list(DRONE) != plain[2][at].tolist()
 
 
 @pytest.mark.parametrize(

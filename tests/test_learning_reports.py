@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from tests.dp1_games import quantile
@@ -17,6 +18,7 @@ from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
+from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import draw_evaluations
@@ -236,6 +238,37 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     assert [mark[0] for mark in marks if len(mark) == 2] == [182 * 3600.0]
     with pytest.raises(UserError, match="is no training with a wall time"):
         draw_runs([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
+
+
+def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    def evaluated_seed(number: int, successes: list[int]) -> RunDirectory:
+        task = {"command": "tcsc", "clock_speed": 1.0, "timing": "lockstep"}
+        rows: list[Row] = [{"is_success": True}] * 8
+        timings: list[Row] = [{"wall_s": 10.0 * (game + 1)} for game in range(8)]
+        run = run_of(tmp_path / f"seed{number}", Flown(seed=number, task=task), rows, timings)
+        for games, won in zip((4, 8), successes, strict=True):
+            line = {"games": games, "successes": won, "lanes": [0, 1, 2, 3]}
+            append_line(run.path / "evaluations.jsonl", line)
+        return run
+
+    first, second = evaluated_seed(0, [0, 2]), evaluated_seed(1, [2, 4])
+    draw_over_games([first], tmp_path / "games.png")
+    draw_runs([first], ["first"], tmp_path / "time.png")
+    draw_over_games([first, second], tmp_path / "both.png")
+    for name, at in (("games", (4.0, 8.0)), ("time", (40.0, 80.0))):
+        axes = drawn[name].axes[0]
+        (bars,) = (each for each in axes.containers if isinstance(each, ErrorbarContainer))
+        assert points(bars.lines[0]) == [(at[0], 0.0), (at[1], 0.5)]
+        low, high = np.array(bars.lines[2][0].get_segments())[:, :, 1].T
+        np.testing.assert_allclose(low, [0.0, 0.150036], atol=1e-5)  # Wilson's, of 0 and 2 in 4
+        np.testing.assert_allclose(high, [0.489896, 0.849964], atol=1e-5)
+    axes = drawn["both"].axes[0]
+    mean = labelled(axes)["evaluated on 4 lanes: mean, least and most of 2 seeds"]
+    assert points(mean) == [(4.0, 0.25), (8.0, 0.75)]
+    corners = {tuple(each) for each in np.asarray(axes.collections[-1].get_paths()[0].vertices).tolist()}
+    assert corners == {(4.0, 0.0), (4.0, 0.5), (8.0, 0.5), (8.0, 1.0)}
 
 
 def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[str, Figure]) -> None:

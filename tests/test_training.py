@@ -23,6 +23,7 @@ from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import make_agent
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
@@ -30,12 +31,15 @@ from uavaccel.rl.lanes import Lanes, make_lanes, seed_lanes
 from uavaccel.rl.learner import learning_rhythm
 from uavaccel.rl.policy import load_policy, weights_sha256
 from uavaccel.rl.replay import Batch
+from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.training import flights as training
+from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
 from uavaccel.suites.training.flights import CHECKPOINTS
 
 pytestmark = pytest.mark.slow
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
+EVALUATED = {"evaluate_every_games": 3, "evaluation_games": 2}
 PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
 
 # Trains as the command line does, but dies without a word as soon as it has flown some games.
@@ -112,7 +116,7 @@ def test_another_seed_learns_other_weights_on_other_lanes(tmp_path: Path, lockst
 def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
     tmp_path: Path, task: dict[str, Any]
 ) -> None:
-    config = tiny_config(task, mirror=task is not STATE, games=6)
+    config = tiny_config(task, mirror=task is not STATE, games=6, **(EVALUATED if task is STATE else {}))
     (tmp_path / "config.yaml").write_text(to_yaml(config))
     command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "5"]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
@@ -123,8 +127,31 @@ def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
     resumed = train_into(tmp_path / "killed", config, resume=True)
     whole = train_into(tmp_path / "whole", config)
     assert resumed == whole
-    rows = [(tmp_path / name / "rows.jsonl").read_bytes() for name in ("killed", "whole")]
-    assert rows[0] == rows[1]
+    files = ("rows.jsonl", FILE) if task is STATE else ("rows.jsonl",)
+    for file in files:
+        assert (tmp_path / "killed" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+
+
+def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(tmp_path: Path) -> None:
+    plain = tiny_config(STATE, mirror=False)
+    config = tiny_config(STATE, mirror=False, **EVALUATED)
+    summary = train_into(tmp_path / "evaluated", config)
+    evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
+    assert {**summary, "evaluations": None} == {**train_into(tmp_path / "plain", plain), "evaluations": None}
+    assert (run.path / "rows.jsonl").read_bytes() == (tmp_path / "plain" / "rows.jsonl").read_bytes()
+    lines = evaluations(run)
+    assert [line["games"] for line in lines] == [each["games"] for each in evaluated] == [3, 4]
+    assert lines[-1]["weights_sha256"] == summary["weights_sha256"] != lines[0]["weights_sha256"]
+    flown = evaluation_of(config, run.path)  # whose policy is that of the last evaluation
+    environment = ObstacleLane(**flown.task.model_dump(mode="json"))
+    agent = make_agent(flown.agent, flown.task)
+    rows = [fly_game(flown, environment, agent, lane) for lane in lines[-1]["lanes"]]
+    environment.close()
+    for key in ("is_success", "distance_m"):
+        assert lines[-1][key] == [row[key] for row in rows]
+    assert min(lines[-1]["lanes"]) >= 500_000
+    with pytest.raises(UserError, match="evaluate_every_games must be 0 with timing wall"):
+        tiny_config({**STATE, "timing": "wall"}, mirror=False, **EVALUATED)
 
 
 def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:

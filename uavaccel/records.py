@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.config import Config, to_yaml
+from uavaccel.config import Config, to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.files import (
     UNFINISHED,
@@ -240,7 +240,7 @@ def _write_config(path: Path, config: Config) -> None:
 
 def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
     """The keys that have grown."""
-    there = _leaves(load_yaml(path / "config.yaml"))
+    there = _leaves(_as_of_today(load_yaml(path / "config.yaml"), type(config)))
     here = _leaves(parse_yaml(to_yaml(config), source="configuration"))
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
@@ -252,6 +252,14 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
     return grown
+
+
+def _as_of_today(mapping: dict[str, Any], cls: type[Config]) -> dict[str, Any]:
+    """A run's configuration with keys that there were not yet at their defaults; what no longer is one as it stands."""
+    try:
+        return parse_yaml(to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml")
+    except UserError:
+        return mapping
 
 
 def _leaves(value: Any, key: str = "") -> dict[str, str]:

@@ -119,7 +119,7 @@ def view(
         float, typer.Option(min=0.1, help="Frames per simulated second of the camera that sees them.")
     ] = 100.0,
 ) -> None:
-    """Show a game: an MP4 of camera, DVS and map side by side, and a contact sheet."""
+    """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
     from uavaccel.cli.view import view_events, view_game
 
     if events is not None:

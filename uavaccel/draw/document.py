@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+from uavaccel.draw.page_look import SCRIPT, STYLE
+
 
 @dataclass(frozen=True)
 class Heading:
@@ -48,6 +50,8 @@ class Listing:
     folded: str = ""
 
 
+LONG, LONG_CLASS = 32, ' class="long"'  # characters of a table's cell: longer ones are broken into lines
+
 Block = Heading | Paragraph | Table | Picture | Listing
 
 
@@ -57,14 +61,15 @@ def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
 
 
 def to_html(title: str, blocks: Sequence[Block]) -> str:
-    """One HTML page with its style and pictures inside, which needs no other file and no network."""
+    """One HTML page with its style, script and pictures inside, which needs no other file and no network."""
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_html, blocks)])
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style>"
+        f"<title>{escape(title)}</title><style>{STYLE}</style>"
     )
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body><main>\n{body}\n</main></body></html>\n'
+        f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body><main>\n{body}\n</main>\n'
+        f"<script>{SCRIPT}</script></body></html>\n"
     )
 
 
@@ -100,13 +105,21 @@ def _html(block: Block) -> str:
 
 
 def _html_table(table: Table) -> str:
-    header = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.header)
-    rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table.rows)
-    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    html = f"<table><thead><tr>{header}</tr></thead>\n<tbody>{body}</tbody></table>"
+    names = [escape(cell) for cell in table.header if cell]
+    header = "".join(f'<th scope="col">{escape(cell)}</th>' if cell else "<td></td>" for cell in table.header)
+    head = f"<thead><tr>{header}</tr></thead>\n" if names else ""
+    body = "\n".join(_html_row(row) for row in table.rows)
+    label = f"Table: {', '.join(names) or escape(table.folded)}"
+    html = f"<table>{head}<tbody>{body}</tbody></table>"
     return _folded(
-        f'<div class="scrolls" tabindex="0" role="region" aria-label="Table">{html}</div>', table.folded
+        f'<div class="scrolls" tabindex="0" role="region" aria-label="{label}">{html}</div>', table.folded
     )
+
+
+def _html_row(row: Sequence[str]) -> str:
+    """Its first cell names it; short cells are not broken into lines."""
+    cells = [f"{LONG_CLASS if len(cell) > LONG else ''}>{escape(cell)}" for cell in row]
+    return f'<tr><th scope="row"{cells[0]}</th>{"".join(f"<td{cell}</td>" for cell in cells[1:])}</tr>'
 
 
 def _folded(html: str, name: str) -> str:
@@ -118,21 +131,3 @@ def _escape_markdown(text: str) -> str:
     for character in "\\|*_<":
         text = text.replace(character, "\\" + character)
     return text
-
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222;
-  background: #FFF; overflow-wrap: break-word }
-h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100%; height: auto }
-figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
-table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
-th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3 }
-th { vertical-align: bottom } th:first-child, td:first-child { text-align: left }
-pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
-.scrolls { overflow-x: auto; margin: 1rem 0 }
-@media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
-@media print {
-  body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
-  .scrolls, pre { overflow: visible } pre { white-space: pre-wrap } details:not([open]) { display: none }
-}
-"""

@@ -1,20 +1,24 @@
-"""A game as a film: camera, DVS and map side by side, H.264 in an MP4 that browsers play; or as a contact sheet, a PNG.
+"""A game as a film, H.264 in an MP4 that browsers play; or as a contact sheet, a PNG.
+
+Camera, DVS and map stand side by side; below them, where they are known, the view from behind, what the network was
+given and how it rated its actions. The moment of impact is marked, and held.
 
 Everything is drawn from plain arrays, so whoever keeps images of a lane can show them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.lane_map import draw_lane, draw_track, follow, whole_lane
+from uavaccel.draw.canvas import FAINT, IMPACT, INK, PAPER, paste, to_bgr, write
+from uavaccel.draw.decisions import Decisions, draw_given, draw_ratings
+from uavaccel.draw.lane_map import draw_impact, draw_lane, draw_track, follow, whole_lane
 from uavaccel.draw.movie import Bgr, movie
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LaneLayout
@@ -24,8 +28,9 @@ WIDTH, HEIGHT = 1280, 480
 PANEL = (512, 288)  # width and height of camera and DVS: twice the camera's own
 CAMERA_AT, DVS_AT, NEAR_AT, LANE_AT = (12, 64), (536, 64), (1060, 64), (12, 380)
 NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 86)
+SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where there is one
+HELD_S = 2.0  # seconds of film for which an impact is shown
 
-PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
 NO_EVENT, ON, OFF = (246, 246, 246), (178, 114, 0), (0, 94, 213)  # style.BLUE and style.VERMILION
 FULL_COLOUR_FROM = 3  # events of a pixel
 
@@ -38,7 +43,8 @@ class Film:
     """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event
     counts (n, H, W), places NED (n, 3).
 
-    `title` says who flew, how fast and by which clock.
+    `title` says who flew, how fast and by which clock. `chase` gives the picture of a sample from behind, as large as
+    PANEL, RGB. `hit` names what the last sample ran into; empty where nothing was hit.
     """
 
     title: str
@@ -48,38 +54,90 @@ class Film:
     off_events: NDArray[np.integer]
     position_m: NDArray[np.float64]
     layout: LaneLayout
+    chase: Callable[[int], NDArray[np.uint8]] | None = None
+    decisions: Decisions | None = None
+    hit: str = ""
 
     def __len__(self) -> int:
         return len(self.time_s)
 
 
 def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Path:
-    """Write an MP4, a frame per sample, whole or not at all; returns `path`. Raises UserError where it cannot be."""
-    with movie(path, (WIDTH, HEIGHT), frames_per_s) as add:
+    """Write an MP4 of the film's frames, whole or not at all; returns `path`. Raises UserError where it cannot be."""
+    with movie(path, (WIDTH, HEIGHT + _lower(film)), frames_per_s) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
     return path
 
 
 def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
-    """The film's frames (480, 1280, 3), one per sample."""
-    page = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
+    """The film's frames (480, 1280, 3), (808, 1280, 3) with a second row: one per sample, an impact's held."""
+    page, lower = _page(film), _lower(film)
     lane_view = whole_lane(LANE_SIZE)
     lane = draw_lane(film.layout, lane_view)
-    _write(page, film.title, (12, 26), 0.62)
-    for name, (x, y) in (("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)):
-        _write(page, name, (x, y - 8), 0.42, FAINT)
-    _write(page, "the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] - 8), 0.42, FAINT)
     playback = _playback(film, frames_per_s)
     for i in range(len(film)):
         picture, track = page.copy(), film.position_m[: i + 1, :2]
-        _write(picture, f"{_moment(film, i)}, shown at {playback:.1f}x", (WIDTH - 12, 26), 0.62, right=True)
-        _paste(picture, _camera(film.images[i], PANEL), CAMERA_AT)
-        _paste(picture, dvs_picture(film.on_events[i], film.off_events[i], PANEL), DVS_AT)
+        hit = film.hit if i == len(film) - 1 else ""
+        said = f"hit {hit}: {_moment(film, i)}" if hit else f"{_moment(film, i)}, shown at {playback:.1f}x"
+        write(picture, said, (WIDTH - 12, 26), 0.62, IMPACT if hit else INK, anchor=1.0)
+        paste(picture, to_bgr(film.images[i], PANEL), CAMERA_AT)
+        paste(picture, dvs_picture(film.on_events[i], film.off_events[i], PANEL), DVS_AT)
         near_view = follow(track[-1], NEAR_SIZE)
-        _paste(picture, draw_track(draw_lane(film.layout, near_view), near_view, track), NEAR_AT)
-        _paste(picture, draw_track(lane.copy(), lane_view, track), LANE_AT)
-        yield picture
+        near = draw_track(draw_lane(film.layout, near_view), near_view, track)
+        whole = draw_track(lane.copy(), lane_view, track)
+        _second_row(film, i, picture)
+        if hit:
+            near, whole = (draw_impact(near, near_view, track[-1]), draw_impact(whole, lane_view, track[-1]))
+        paste(picture, near, NEAR_AT)
+        paste(picture, whole, (LANE_AT[0], LANE_AT[1] + lower))
+        if hit:
+            _frame_impact(film, picture)
+        yield from [picture] * (max(1, round(HELD_S * frames_per_s)) if hit else 1)
+
+
+def _lower(film: Film) -> int:
+    return SECOND_ROW if film.chase is not None or film.decisions is not None else 0
+
+
+def _page(film: Film) -> Bgr:
+    """What all frames share: the title, and what each panel is."""
+    lower = _lower(film)
+    page = np.full((HEIGHT + lower, WIDTH, 3), PAPER, np.uint8)
+    write(page, film.title, (12, 26), 0.62)
+    names = [("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)]
+    names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
+    if film.chase is not None:
+        names.append(("from behind", _below(CAMERA_AT)))
+    if film.decisions is not None:
+        names.append((film.decisions.rated_as, _below(NEAR_AT)))
+        if film.decisions.given is not None:
+            count, rows, columns = film.decisions.given.shape[1:]
+            text = f"what the network is given: {count} of {columns} x {rows}, the oldest first"
+            names.append((text, _below(DVS_AT)))
+    for name, (x, y) in names:
+        write(page, name, (x, y - 8), 0.42, FAINT)
+    return page
+
+
+def _second_row(film: Film, i: int, picture: Bgr) -> None:
+    if film.chase is not None:
+        paste(picture, to_bgr(film.chase(i), PANEL), _below(CAMERA_AT))
+    if film.decisions is not None:
+        command = int(film.decisions.of_sample[i])
+        if film.decisions.given is not None:
+            paste(picture, draw_given(film.decisions.given[command], PANEL), _below(DVS_AT))
+        paste(picture, draw_ratings(film.decisions, command, NEAR_SIZE), _below(NEAR_AT))
+
+
+def _below(at: tuple[int, int]) -> tuple[int, int]:
+    return at[0], at[1] + SECOND_ROW
+
+
+def _frame_impact(film: Film, picture: Bgr) -> None:
+    """A frame around the pictures in which the impact is seen."""
+    for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
+        cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
 
 
 def write_contact_sheet(film: Film, path: Path) -> Path:
@@ -90,13 +148,16 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
     rows = -(-len(chosen) // SHEET_COLUMNS)
     shape = (44 + rows * cell_height, SHEET_GAP + SHEET_COLUMNS * cell_width, 3)
     sheet = np.full(shape, PAPER, np.uint8)
-    _write(sheet, film.title, (SHEET_GAP, 28), 0.62)
+    write(sheet, film.title, (SHEET_GAP, 28), 0.62)
     for place, i in enumerate(chosen):
         x = SHEET_GAP + place % SHEET_COLUMNS * cell_width
         y = 44 + place // SHEET_COLUMNS * cell_height
-        _write(sheet, _moment(film, i), (x, y + 16), 0.42, FAINT)
-        _paste(sheet, _camera(film.images[i], THUMB), (x, y + SHEET_CAPTION))
-        _paste(
+        hit = film.hit if i == len(film) - 1 else ""
+        write(
+            sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 16), 0.42, IMPACT if hit else FAINT
+        )
+        paste(sheet, to_bgr(film.images[i], THUMB), (x, y + SHEET_CAPTION))
+        paste(
             sheet,
             dvs_picture(film.on_events[i], film.off_events[i], THUMB),
             (x, y + SHEET_CAPTION + THUMB[1]),
@@ -113,21 +174,8 @@ def dvs_picture(on: NDArray[np.integer], off: NDArray[np.integer], size: tuple[i
     for counts, colour in ((on, ON), (off, OFF)):
         depth = np.minimum(counts / FULL_COLOUR_FROM, 1.0)[..., None]
         picture += depth * (np.array(colour, np.float32) - NO_EVENT)
-    return _resized(np.clip(picture, 0, 255).astype(np.uint8), size)
-
-
-def _camera(image: Bgr, size: tuple[int, int]) -> Bgr:
-    code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR
-    return _resized(np.asarray(cv2.cvtColor(image, code), np.uint8), size)
-
-
-def _resized(picture: Bgr, size: tuple[int, int]) -> Bgr:
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-
-
-def _paste(page: Bgr, picture: Bgr, at: tuple[int, int]) -> None:
-    x, y = at
-    page[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
+    small = np.clip(picture, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def _moment(film: Film, i: int) -> str:
@@ -138,14 +186,3 @@ def _playback(film: Film, frames_per_s: int) -> float:
     """Simulated seconds per second of film."""
     flown_s = float(film.time_s[-1] - film.time_s[0])
     return flown_s * frames_per_s / max(len(film) - 1, 1)
-
-
-def _write(
-    page: Bgr, text: str, at: tuple[int, int], size: float, colour: Any = INK, right: bool = False
-) -> None:
-    """Text whose baseline starts, or with `right` ends, at `at`."""
-    font = cv2.FONT_HERSHEY_SIMPLEX
-    x, y = at
-    if right:
-        x -= cv2.getTextSize(text, font, size, 1)[0][0]
-    cv2.putText(page, text, (x, y), font, size, colour, 1, cv2.LINE_AA)

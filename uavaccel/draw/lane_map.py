@@ -16,6 +16,7 @@ GROUND, OUTSIDE, WALL = (240, 240, 240), (222, 222, 222), (110, 110, 110)
 OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), (178, 114, 0), (0, 94, 213), (115, 158, 0)
 WALL_M = 0.25  # as thick as it is drawn
 BEHIND = 0.25  # share of the near map that shows what was passed
+IMPACT_PIXELS = 12  # half of the cross
 SUBPIXEL = 4  # bits
 
 
@@ -78,6 +79,16 @@ def draw_track(picture: Bgr, view: View, track_m: ArrayLike) -> Bgr:
     track = np.asarray(track_m)
     cv2.polylines(picture, [view.pixels(track)], False, TRACK, 2, cv2.LINE_AA, SUBPIXEL)
     _disc(picture, view, track[-1], max(HULL_RADIUS_M, 3.0 / view.scale), DRONE)
+    return picture
+
+
+def draw_impact(picture: Bgr, view: View, place_m: ArrayLike) -> Bgr:
+    """Mark the place where something was hit with a cross; returns the picture."""
+    x, y = view.pixels(np.asarray(place_m)).tolist()
+    reach = IMPACT_PIXELS << SUBPIXEL
+    for slope in (1, -1):
+        ends = (x - reach, y - slope * reach), (x + reach, y + slope * reach)
+        cv2.line(picture, *ends, DRONE, 3, cv2.LINE_AA, SUBPIXEL)
     return picture
 
 

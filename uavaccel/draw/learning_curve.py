@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from uavaccel.draw import style
+from uavaccel.draw.evaluated import Evaluated, plot_evaluated
 
 TICKS_S = {
     "1 s": 1.0,
@@ -29,6 +30,7 @@ class LearningCurve:
     label: str
     wall_s: Sequence[float]
     success: Sequence[float]
+    evaluated: Evaluated | None = None
 
 
 def draw_learning_curves(
@@ -48,6 +50,8 @@ def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Ma
             first = curve.label not in [other.label for other in curves[:number]]
             colour = style.CYCLE[labels.index(curve.label) % len(style.CYCLE)]
             axes.plot(curve.wall_s, curve.success, color=colour, label=curve.label if first else None)
+            if curve.evaluated is not None:
+                plot_evaluated(axes, [curve.evaluated], colour)
         for name, wall_s in marks.items():
             axes.axvline(wall_s, color=style.BLACK, linewidth=1.2, linestyle="--")
             axes.text(0.93 * wall_s, 0.5, name, rotation=90, ha="right", va="center")

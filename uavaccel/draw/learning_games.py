@@ -1,4 +1,4 @@
-"""How many games a training wins, over its games: several seeds of one training as a line in a band."""
+"""How many games a training wins, over its games, and its evaluations: seeds of one training as a line in a band."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
+from uavaccel.draw.evaluated import Evaluated, plot_evaluated
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class GamesCurve:
     label: str
     games: Sequence[int]
     success: Sequence[float]
+    evaluated: Evaluated | None = None
 
 
 def draw_learning_games(curves: Sequence[GamesCurve], path: Path, source: str) -> Path:
@@ -41,6 +43,7 @@ def plot_learning_games(curves: Sequence[GamesCurve], source: str) -> Figure:
             if len(seeds) > 1:
                 ends = success.min(axis=0), success.max(axis=0)
                 axes.fill_between(games, *ends, color=colour, alpha=0.2, linewidth=0)
+            plot_evaluated(axes, [seed.evaluated for seed in seeds if seed.evaluated is not None], colour)
         axes.set(xlabel="games", ylabel="games won, of the last 100", ylim=(-0.02, 1.02))
         axes.set_xlim(left=0)
         axes.yaxis.set_major_formatter("{x:.0%}")

@@ -36,10 +36,10 @@ class PolicyAgent:
     """The greedy action of a trained policy."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy = policy
+        self.policy = policy
 
     def act(self, observation: NDArray[Any], info: dict[str, Any]) -> int:
-        return int(self._policy.act(observation[None])[0])
+        return int(self.policy.act(observation[None])[0])
 
 
 class OffsetAgent:

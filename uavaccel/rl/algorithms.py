@@ -11,7 +11,7 @@ import stable_baselines3
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 
@@ -123,3 +123,14 @@ def greedy(policy: BasePolicy, observations: NDArray[Any]) -> NDArray[np.int64]:
     ):  # as `predict`, without its checks and switches, which take longer than the network
         ratings = policy.q_net(th.from_numpy(observations).to(policy.device))
         return np.asarray(ratings.argmax(dim=1).cpu())
+
+
+def action_ratings(policy: BasePolicy, observations: NDArray[Any]) -> tuple[str, NDArray[np.float64]]:
+    """How a policy rates its actions (n, actions), and what the numbers are: DQN's values, others' probabilities."""
+    seen = th.from_numpy(observations).to(policy.device)
+    with th.inference_mode():
+        if isinstance(policy, DQNPolicy):
+            return "action values", policy.q_net(seen).cpu().numpy().astype(np.float64)
+        assert isinstance(policy, ActorCriticPolicy)
+        chances: Any = policy.get_distribution(seen).distribution
+        return "probabilities of the actions", chances.probs.cpu().numpy().astype(np.float64)

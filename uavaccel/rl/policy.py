@@ -19,7 +19,7 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256, replacing, to_json
-from uavaccel.rl.algorithms import OWN, baseline_class, greedy, make_policy
+from uavaccel.rl.algorithms import OWN, action_ratings, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
@@ -41,6 +41,10 @@ class Policy:
     def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         """Actions (n,) for observations (n, ...)."""
         return greedy(self.network, observations)
+
+    def rate(self, observations: NDArray[Any]) -> tuple[str, NDArray[np.float64]]:
+        """What its ratings are, and those of all actions (n, actions) for observations (n, ...)."""
+        return action_ratings(self.network, observations)
 
 
 def weights_sha256(policy: BasePolicy) -> str:

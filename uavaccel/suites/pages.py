@@ -19,11 +19,12 @@ def finished_rows(run: RunDirectory, suite: str) -> list[dict[str, Any]]:
 
 
 def summary_blocks(
-    headline: str, summary: Mapping[str, Any], beside: Table, *pictures: Picture
+    headline: str, summary: Mapping[str, Any], beside: Table, *shown: Picture | Table
 ) -> list[Block]:
-    """The result in a sentence, `beside` the paper's, its figures, and summary.json to unfold: a report of one cell."""
-    table = Table(("", ""), [(key, str(value)) for key, value in summary.items()], folded="summary.json")
-    return [Paragraph(headline + "."), beside, *pictures, table]
+    """The result in a sentence, `beside` the paper's, what is `shown`, and summary.json to unfold."""
+    plain = [(key, str(value)) for key, value in summary.items() if not isinstance(value, list)]
+    table = Table(("", ""), plain, folded="summary.json")
+    return [Paragraph(headline + "."), beside, *shown, table]
 
 
 def write_pages(run: RunDirectory, title: str, blocks: Sequence[Block]) -> None:

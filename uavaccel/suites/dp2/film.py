@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from uavaccel.config import validate
-from uavaccel.draw.film import Film
+from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.scores import counts_of
 from uavaccel.suites.suite import Row, choose_row
@@ -24,7 +25,9 @@ def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
         raise UserError(f"{run.path / row['arrays']}: holds no images")
     on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
     images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
-    film = Film(_title(row), arrays["time_s"], images, on, off, arrays["position_m"], config.layout())
+    position_m, layout = arrays["position_m"], config.layout()
+    chase = ChaseView(layout, position_m, arrays["orientation_wxyz"], PANEL)
+    film = Film(_title(row), arrays["time_s"], images, on, off, position_m, layout, chase)
     return row["case"], film
 
 

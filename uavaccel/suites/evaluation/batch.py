@@ -45,16 +45,20 @@ class GamesInBatch:
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         count = min(config.environments, len(lanes))
-        self._left, self._flown = deque(lanes), dict[int, FlownOnLane]()
         self._batch = LaneBatch(AgentLane, count, **config.task.model_dump(mode="json"))
         try:
-            self._batch.call("take_agent", config.model_dump(mode="json"))
+            self.begin(config, lanes)
         except BaseException:
             self.close()
             raise
+
+    def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
+        """Once all games so far are over: fly those of `lanes`, with the agent that this configuration names."""
+        self._left, self._flown = deque(lanes), dict[int, FlownOnLane]()
+        self._batch.call("take_agent", config.model_dump(mode="json"))
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
-        for environment in range(count):
+        for environment in range(self._batch.num_envs):
             self._send_off(environment)
 
     def game(self, lane: int) -> Flown:

@@ -6,29 +6,18 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uavaccel.draw.film import Film
+from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.envs.flight_client import FlightSample
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.rl.agents import make_agent
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.errors import UserError
+from uavaccel.rl.agents import is_baseline, make_agent
+from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.scores import count_events
 from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.filmed import FilmedAgent, FilmedLane
 from uavaccel.suites.evaluation.flights import fly_lane
 from uavaccel.wire.image_api import lane_layout
-
-
-class FilmedLane(ObstacleLane):
-    """An `ObstacleLane` that remembers the samples of the running game."""
-
-    def __init__(self, **task: Any) -> None:
-        super().__init__(**task)
-        self.samples: list[FlightSample] = []
-
-    def _see(self, sample: FlightSample) -> NDArray[Any]:
-        self.samples.append(sample)
-        return super()._see(sample)
 
 
 def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -41,24 +30,45 @@ def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def film_lane(config: EvaluateConfig, lane: int) -> Film:
-    """The game of that lane once more: the same one in `virtual` and `lockstep`, a new one in `wall`."""
+    """The game of that lane once more: the same one in `virtual` and `lockstep`, a new one in `wall`.
+
+    Raises UserError for a policy that sees no events, in `wall`.
+    """
     task = config.task
-    pictures = task if task.observation == "dvs" else task.model_copy(update={"observation": "dvs"})
-    environment = FilmedLane(**pictures.model_dump(mode="json"))
+    agent = FilmedAgent(make_agent(config.agent, task))
+    environment = FilmedLane(**_seen_by_camera(config).model_dump(mode="json"))
     try:
-        info = list(fly_lane(config, environment, make_agent(config.agent, task), lane))[-1]
+        info = list(fly_lane(config, environment, agent, lane))[-1]
     finally:
         environment.close()
-    samples = environment.samples
+    samples, hit = environment.samples, str(info["collision"] or "")
     images = np.stack([sample.image for sample in samples])
-    time_s = np.array([sample.state.time_ns - samples[0].state.time_ns for sample in samples]) / 1e9
+    time_s = np.array([sample.time_ns - samples[0].time_ns for sample in samples]) / 1e9
+    position_m = np.array([sample.position_m for sample in samples])
+    attitude = np.array([sample.orientation_wxyz for sample in samples])
     on, off = count_events(images, time_s, environment.flown.dvs_parameters, task.dvs_seed)
-    end = (
-        "reached the end"
-        if info["is_success"]
-        else f"hit {info['collision'] or 'nothing, ran out of commands'}"
-    )
+    end = "reached the end" if info["is_success"] else f"hit {hit}" if hit else "ran out of commands"
     title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}"
-    position_m = np.array([sample.state.position_m for sample in samples])
     layout = lane_layout(environment.flown.wire_lane(lane))
-    return Film(title, time_s, images, on, off, position_m, layout)
+    return Film(
+        title,
+        time_s,
+        images,
+        on,
+        off,
+        position_m,
+        layout,
+        chase=ChaseView(layout, position_m, attitude, PANEL),
+        decisions=agent.decisions(task.headings_deg, [sample.command for sample in samples]),
+        hit=hit,
+    )
+
+
+def _seen_by_camera(config: EvaluateConfig) -> LaneTask:
+    """The task; where nothing but messages can ask for pictures, one that asks for them."""
+    task = config.task
+    if task.observation == "dvs" or task.timing != "wall":
+        return task
+    if not is_baseline(config.agent):
+        raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
+    return task.model_copy(update={"observation": "dvs"})

@@ -66,10 +66,18 @@ def _line(row: Mapping[str, Any]) -> tuple[str, ...]:
     return (row["says"], row["place"], row["paper"], *found, at_the_papers_n(row))
 
 
+def _said(stem: str) -> str:
+    """A figure's file in words: figure5_stlc as Figure 5, stlc."""
+    number, _, subject = stem.partition("_")
+    return f"{number.capitalize().replace('Figure', 'Figure ')}, {subject.replace('_', ' ')}"
+
+
 def _part_blocks(run: RunDirectory, name: str) -> Sequence[Block]:
     part = part_run(run, name)
     pictures = [
-        Picture(run.write_bytes(f"figures/{name}-{path.name}", path.read_bytes()), f"{name}: {path.stem}.")
+        Picture(
+            run.write_bytes(f"figures/{name}-{path.name}", path.read_bytes()), f"{name}: {_said(path.stem)}."
+        )
         for path in sorted((part.path / "figures").glob("*.png"))
     ]
     return [Heading(name), Paragraph(f"Its own report: parts/{name}/report.html."), *pictures]

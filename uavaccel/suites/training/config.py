@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
+from pydantic import Field, model_validator
+
+from uavaccel.limits import MOST_GAMES, Games
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.suites.experiment import Experiment
 
@@ -12,3 +15,15 @@ class TrainConfig(LearnerConfig, Experiment):
     """Keys of experiments/train.yaml."""
 
     suite: Literal["train"] = "train"
+    evaluate_every_games: Annotated[int, Field(ge=0, le=MOST_GAMES)] = 0
+    """Games after which the present greedy policy is flown on evaluation lanes, and again after the last; 0: never."""
+    evaluation_games: Games = 100
+    """Lanes of each of these evaluations, from number 500 000 on: those that `uavaccel evaluate` flies stay unseen."""
+
+    @model_validator(mode="after")
+    def _evaluations_fit(self) -> TrainConfig:
+        if self.evaluate_every_games and self.task.timing == "wall":
+            raise ValueError(
+                "evaluate_every_games must be 0 with timing wall: the clock would run on meanwhile"
+            )
+        return self

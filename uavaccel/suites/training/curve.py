@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.draw.evaluated import Evaluated
 from uavaccel.draw.learning_curve import LearningCurve, draw_learning_curves
 from uavaccel.draw.learning_games import GamesCurve, draw_learning_games
 from uavaccel.draw.style import clock_label, command_name
@@ -17,6 +18,7 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.host_time import running_s
+from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.rows import RECENT
 
 PAPER_S = {"paper: 5 000 games in real time, 182 h": 182 * 3600.0}  # section IV-D: one week and 14 hours
@@ -32,14 +34,24 @@ def learning_curve(run: RunDirectory, label: str) -> LearningCurve:
     if not rows or len(timings) < len(rows) or any("wall_s" not in entry for entry in timings):
         raise UserError(f"{run.path}: is no training with a wall time in timing.jsonl for each game")
     games, success = _recent_success([row["is_success"] for row in rows])
-    wall_s = np.array(running_s(run))[games - 1]
-    return LearningCurve(label, wall_s.tolist(), success.tolist())
+    wall_s = np.array(running_s(run))
+    return LearningCurve(label, wall_s[games - 1].tolist(), success.tolist(), evaluated(run, wall_s))
 
 
 def games_curve(run: RunDirectory, label: str) -> GamesCurve:
     """The share won of the last 100 games, or of all so far, after each game from the 100th, or the first, on."""
-    games, success = _recent_success([row["is_success"] for row in run.rows()])
-    return GamesCurve(label, games.tolist(), success.tolist())
+    rows = run.rows()
+    games, success = _recent_success([row["is_success"] for row in rows])
+    return GamesCurve(label, games.tolist(), success.tolist(), evaluated(run, np.arange(1.0, len(rows) + 1)))
+
+
+def evaluated(run: RunDirectory, after_game: NDArray[np.float64]) -> Evaluated | None:
+    """Its evaluations, where an axis has the end of each game at `after_game` (n,); None where there were none."""
+    lines = [line for line in evaluations(run) if line["games"] <= len(after_game)]
+    if not lines:
+        return None
+    at = [float(after_game[line["games"] - 1]) for line in lines]
+    return Evaluated(at, [line["successes"] for line in lines], len(lines[0]["lanes"]))
 
 
 def _recent_success(won: Sequence[bool]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

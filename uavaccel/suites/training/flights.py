@@ -20,6 +20,7 @@ from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.suite import Flown
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.evaluations import Evaluations, drop_evaluations_after
 from uavaccel.suites.training.rows import GameRows
 
 CHECKPOINTS = "checkpoints"
@@ -62,6 +63,7 @@ class Trainer:
             if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
                 load_checkpoint(checkpoint, self._learner)
             self._rows = GameRows(config, run.path / "tensorboard", run.rows())
+            self._evaluations = Evaluations(config, run)
         except BaseException:
             self._lanes.close()
             raise
@@ -75,6 +77,9 @@ class Trainer:
             if learner.at_rest:
                 self._save_if_due()  # every game handed out has its row by now
             self._finished.extend(self._rows.flown(game, learner.stopwatch) for game in learner.advance())
+            if self._evaluations.due(learner.games):
+                with self._rows.clock_stopped():
+                    self._evaluations.fly(learner)
         game = self._finished.popleft()
         if learner.games == self._config.games and not self._finished:
             self._export()
@@ -98,6 +103,7 @@ class Trainer:
         export_policy(self._run.path, policy, self._config, trained)
 
     def close(self) -> None:
+        self._evaluations.close()
         self._lanes.close()
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -124,7 +130,7 @@ def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
 
 
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
-    """Forget the rows that the last checkpoint does not know: a training goes on from there, and flies them again."""
+    """Forget the rows and evaluations that the last checkpoint does not know: they are flown again from there."""
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:
@@ -133,3 +139,4 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
             f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
         )
     run.keep_first(games)
+    drop_evaluations_after(run, games)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from uavaccel.config import validate
 from uavaccel.draw.document import Picture, Table
@@ -21,8 +22,9 @@ from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_p
 from uavaccel.suites.suite import Summary
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.curve import draw_over_games, draw_runs
+from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
-from uavaccel.suites.training.summary import headline, summarise
+from uavaccel.suites.training.summary import headline, summarise, summarise_evaluations
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
@@ -40,11 +42,18 @@ def write_report(run: RunDirectory) -> Summary:
     summary = summarise(config, rows, trained["weights_sha256"] if over else None)
     if over and (run.path / REAL_TIME).is_file():
         summary |= in_real_time(summary["commands"], run.read_json(REAL_TIME))
+    if evaluated := summarise_evaluations(evaluations(run)):
+        summary["evaluations"] = evaluated
     run.write_json("summary.json", summary)
     path = draw_trainings([run], run.file(FIGURE))
     picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
     blocks = summary_blocks(
-        headline(summary), summary, _beside_the_papers(run, summary), *_curves(run), picture
+        headline(summary),
+        summary,
+        _beside_the_papers(run, summary),
+        *_curves(run),
+        *_evaluated(evaluated),
+        picture,
     )
     write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
     return summary
@@ -63,6 +72,26 @@ def _curves(run: RunDirectory) -> list[Picture]:
         )
         pictures.append(Picture(over_time, caption))
     return pictures
+
+
+def _evaluated(lines: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Success of the policy of the moment, where it was evaluated."""
+    if not lines:
+        return []
+    rows = [
+        (
+            str(line["games"]),
+            f"{line['success_ratio']:.1%} [{100 * line['wilson_low']:.0f}, {100 * line['wilson_high']:.0f}]",
+            str(line["lanes"]),
+            f"{line['distance_m_median']:.1f}",
+        )
+        for line in lines
+    ]
+    return [
+        Table(
+            ("games learned from", "success on evaluation lanes [95 %]", "lanes", "median distance, m"), rows
+        )
+    ]
 
 
 def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,15 @@ class GameRows:
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
+
+    @contextmanager
+    def clock_stopped(self) -> Iterator[None]:
+        """What is done meanwhile is no part of the training's wall time."""
+        begun_ns = self._clock.now_ns()
+        try:
+            yield
+        finally:
+            self._start_ns += self._clock.now_ns() - begun_ns
 
     def flown(self, game: Game, learning: Stopwatch) -> Flown:
         """A game's row, and host times since this start of the training: wall, the lane's own, the learner's."""

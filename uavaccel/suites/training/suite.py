@@ -83,8 +83,10 @@ class Training(Suite[TrainConfig, Case]):
         return {"torch_threads": config.torch_threads, **started}
 
     def cost(self, config: TrainConfig, case: Case) -> Cost:
-        commands = case.simulated_s() / config.task.t_move_s
-        return Cost(flying_s(case, config.task.clock_speed) + commands * LEARNING_S, ROW_BYTES)
+        commands, game_s = case.simulated_s() / config.task.t_move_s, flying_s(case, config.task.clock_speed)
+        every = config.evaluate_every_games
+        evaluated = config.evaluation_games / every if every else 0.0
+        return Cost(game_s * (1.0 + evaluated) + commands * LEARNING_S, ROW_BYTES)
 
     def status(self, rows: Sequence[Row]) -> str:
         recent = rows[-RECENT:]

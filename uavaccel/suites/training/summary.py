@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.host_time import in_words
 from uavaccel.suites.suite import Row, Summary
@@ -31,6 +34,26 @@ def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | No
         "phase_s": {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES},
         "weights_sha256": weights_sha256,
     }
+
+
+def summarise_evaluations(lines: Sequence[Row]) -> list[dict[str, Any]]:
+    """Of each line of evaluations.jsonl: success with its 95 % Wilson interval, and how far the policy got."""
+    found = []
+    for line in lines:
+        lanes, successes = len(line["lanes"]), line["successes"]
+        low, high = wilson_interval(successes, lanes)
+        found.append(
+            {
+                "games": line["games"],
+                "lanes": lanes,
+                "successes": successes,
+                "success_ratio": successes / lanes,
+                "wilson_low": low,
+                "wilson_high": high,
+                "distance_m_median": float(np.median(line["distance_m"])),
+            }
+        )
+    return found
 
 
 def headline(summary: Summary) -> str:

@@ -1,0 +1,44 @@
+"""The view from behind: the drone is in it, seen along its heading, in the lane that was flown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.opengl import needs_opengl
+from uavaccel.sim.chase import ChaseView
+from uavaccel.sim.lane.layout import draw_layout
+
+
+def drone(picture: np.ndarray) -> np.ndarray:
+    """Rows and columns of its orange rotors (n, 2), where no red obstacle is: low and in the middle."""
+    picture = picture.copy()
+    picture[:72] = picture[:, :96] = picture[:, 160:] = 0
+    red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
+    return np.argwhere((red > 70) & (red > 2 * green) & (green > blue))
+
+
+@needs_opengl
+def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
+    position_m = np.array([[3.0, 0.0, -2.0], [23.0, 1.5, -2.0], [3.0, 0.0, -2.0], [3.0, 0.0, -2.0]])
+    half = np.sqrt(0.5)
+    attitude = np.array(
+        [[1.0, 0, 0, 0], [1.0, 0, 0, 0], [half, 0, 0, half], [np.cos(0.1), np.sin(0.1), 0, 0]]
+    )
+    views = [ChaseView(draw_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
+    start, further, east, rolled = (views[0](number) for number in range(4))
+    assert start.shape == (144, 256, 3)
+    places = drone(start)
+    assert len(places) > 20
+    rows, columns = places.T
+    assert abs(np.median(columns) - 128) < 6
+    assert np.ptp(rows) < 20  # in one piece
+    west, other = columns[columns < 128], columns[columns >= 128]
+    assert min(len(west), len(other)) > 8  # both front rotors
+    by_roll = drone(rolled)
+    left, right = (np.median(by_roll[side][:, 0]) for side in (by_roll[:, 1] < 128, by_roll[:, 1] >= 128))
+    assert left < right - 2  # rolled to the right, the horizon stays level
+    assert abs(np.median(drone(further)[:, 1]) - 128) < 6  # wherever it is
+    for other_view in (further, east, views[1](0)):
+        assert (np.abs(other_view.astype(int) - start) > 20).mean() > 0.1
+    for view in views:
+        view.close()
