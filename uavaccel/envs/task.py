@@ -21,6 +21,7 @@ from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
+from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_thresholds
@@ -115,6 +116,11 @@ class Task(Config):
     def dvs_ticks(self) -> int | None:
         """Ticks from one of the event camera's frames to the next; None: it sees the samples alone."""
         return None if self.dvs_rate_hz is None else rate_ticks(self.dvs_rate_hz, self.profile)
+
+    @property
+    def scenery(self) -> str:
+        """What its scene looks like."""
+        return PLAIN
 
     @property
     def t_th_ns(self) -> int:

@@ -12,6 +12,7 @@ SHORT = {
     "wind": "task.difficulty.wind_m_s",
     "light": "task.difficulty.light",
     "textures": "task.difficulty.texture_variation",
+    "scenery": "task.difficulty.scenery",
     "spacing": "task.difficulty.row_spacing_m",
     "gap": "task.difficulty.min_gap_m",
     "mass": "task.difficulty.mass_ratio",
