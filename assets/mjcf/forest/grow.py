@@ -38,7 +38,7 @@ def wood_edge(seed: int) -> Mesh:
         x = even_m + (random.uniform(-0.6, 0.6) if 0 < index < len(columns) - 1 else 0.0)
         profile = _tree(random) if index % 2 == 0 else _gap(random)
         points += [(x - LENGTH_M / 2, back, up) for back, up, _ in profile]
-        texture += [(x / EDGE_M, v) for _, _, v in profile]
+        texture += [(x / EDGE_M, 1.0 - v) for _, _, v in profile]  # a picture's top is 0
     faces = []
     for index in range(len(columns) - 1):
         for level in (0, 1):

@@ -70,8 +70,8 @@ KNOT_COLOUR = (0.11, 0.12, 0.06)
 
 def furrowed(shades: Colours, seed: int, depth: float) -> Array:
     """Bark of plates, drawn out upwards, with dark furrows between."""
-    plates = mixed(0.5 + 0.32 * noise(*BARK, 1.2, seed, stretch=3.0), *shades)
-    furrows = smooth(np.abs(noise(*BARK, 1.35, seed + 1, stretch=3.5)), 0.05, 0.33)
+    plates = mixed(0.5 + 0.32 * noise(*BARK, 1.2, seed, stretch=0.35), *shades)
+    furrows = smooth(np.abs(noise(*BARK, 1.35, seed + 1, stretch=0.28)), 0.05, 0.33)
     grain = 1 + 0.06 * noise(*BARK, 0.4, seed + 2)
     return np.asarray(plates * ((1 - depth + depth * furrows) * grain)[..., None])
 
@@ -82,8 +82,8 @@ def pine() -> Array:
 
 def birch() -> Array:
     bark = mixed(0.6 + 0.2 * noise(*BARK, 1.3, 4), (0.66, 0.64, 0.6), (0.95, 0.94, 0.9))
-    lines = 0.8 * smooth(noise(*BARK, 1.0, 5, stretch=0.25), 1.4, 1.9)
-    scars = smooth(noise(*BARK, 1.6, 6, stretch=0.7), 1.35, 1.6)
+    lines = 0.8 * smooth(noise(*BARK, 1.0, 5, stretch=4.0), 1.4, 1.9)
+    scars = smooth(noise(*BARK, 1.6, 6, stretch=1.5), 1.35, 1.6)
     return over(bark, np.maximum(lines, scars), (0.1, 0.09, 0.09))
 
 
@@ -95,8 +95,8 @@ def larch() -> Array:
 
 def beech() -> Array:
     bark = mixed(0.5 + 0.25 * noise(*BARK, 1.5, 11), (0.36, 0.4, 0.44), (0.66, 0.71, 0.76))
-    rings = 0.4 * smooth(noise(*BARK, 1.1, 12, stretch=0.2), 1.2, 2.2)
-    moss = 0.8 * smooth(noise(*BARK, 1.6, 13, stretch=1.6), 0.7, 1.3)
+    rings = 0.4 * smooth(noise(*BARK, 1.1, 12, stretch=5.0), 1.2, 2.2)
+    moss = 0.8 * smooth(noise(*BARK, 1.6, 13, stretch=0.6), 0.7, 1.3)
     return over(over(bark, rings, (0.0, 0.0, 0.0)), moss, (0.28, 0.4, 0.16))
 
 
