@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 
+from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.furnished import furnished_model, furnished_spec, put_spares_by
 from uavaccel.sim.lane.layout import PLAIN
@@ -18,7 +19,11 @@ OTHERS_GROUP = 2  # those of the others, which it sees
 
 def scene_path(scene: str, scenery: str = PLAIN) -> Path:
     """The file of a scene in a scenery. Raises UserError where there is none."""
-    return asset(f"mjcf/{scene}.xml" if scenery == PLAIN else f"mjcf/{scenery}/{scene}.xml")
+    plain = asset(f"mjcf/{scene}.xml")
+    path = plain if scenery == PLAIN else plain.parent / scenery / plain.name
+    if not path.is_file():
+        raise UserError(f"scenery = {scenery}: the scene {scene} has none of that name")
+    return path
 
 
 def load_scene(

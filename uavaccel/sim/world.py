@@ -122,9 +122,7 @@ class World(Led):
         self.lead.set_airframe(self._models(), layout.mass_ratio, layout.thrust_ratio)
 
     def _move_to(self, scenery: str) -> None:
-        scene_path(self.scene, scenery)
-        if len(self.vehicles) > 1:
-            raise UserError("a scenery can be chosen only while one vehicle flies")
+        scene_path(self.scene, scenery)  # raises UserError, while nothing has changed
         physics, carried = self.physics(), self.lead.carry()
         self.close()
         self.scenery = scenery
