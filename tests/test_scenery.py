@@ -44,7 +44,7 @@ def test_a_wood_changes_the_colours_and_nothing_else() -> None:
     """Depth to the bit, what is segmented by name; and the plain lane looks as it did before."""
     world, seen = World("lane", NATIVE), []
     for scenery in ("plain", "forest", "plain"):
-        world.set_lane(draw_layout(3, Difficulty(scenery=scenery)))  # type: ignore[arg-type]
+        world.set_lane(draw_layout(3, Difficulty(scenery=scenery)))
         names = [world.camera(256, 144).object_names(each) for each in pictures(world, "segmentation")]
         seen.append((pictures(world, "depth"), names, pictures(world, "colour"), pictures(world, "gray")))
     world.close()
@@ -98,7 +98,7 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
     for sceneries in (["plain"], ["forest"], ["plain", "forest"], ["forest", "plain"]):
         world = World("lane", NATIVE)
         for scenery in sceneries:  # the second one in the middle of the flight
-            world.set_lane(draw_layout(0, Difficulty(scenery=scenery, wind_m_s=2.0)))  # type: ignore[arg-type]
+            world.set_lane(draw_layout(0, Difficulty(scenery=scenery, wind_m_s=2.0)))
             if scenery == sceneries[0]:
                 world.reset((0.0, 0.0, -2.0))
                 world.fly_velocity(VelocityGoal((2.0, 0.6, 0.0), -2.0))
@@ -139,5 +139,5 @@ def test_sceneries_that_there_are_not_are_refused() -> None:
         layout_from({"obstacles": [], "scenery": "jungle"}, "lane")
     with pytest.raises(UserError, match="scenery = forest: the scene blocks has none of that name"):
         World("blocks", NATIVE).set_lane(draw_layout(0, Difficulty(scenery="forest")))
-    own = LaneTask(lane={"obstacles": [], "scenery": "forest"})  # type: ignore[arg-type]
+    own = LaneTask(lane={"obstacles": [], "scenery": "forest"})
     assert own.scenery == own.wire_lane(0)["scenery"] == "forest"

@@ -34,11 +34,9 @@ class FlightClient(CameraClient):
     The guard sees pictures as they were drawn.
     """
 
-    def __init__(
-        self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch], noise: ImageNoise
-    ) -> None:
+    def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
         super().__init__(client, kind or "")
-        self._noise = noise
+        self.noise = ImageNoise()
         self._wants_image = kind is not None
         self._stopwatches = stopwatches
 
@@ -47,7 +45,7 @@ class FlightClient(CameraClient):
         image = NO_IMAGE
         if self._wants_image and not collision:
             self._switch("rendering")
-            image = self._noise.add(super().gather(state).image, state.time_ns)
+            image = self.noise.add(super().gather(state).image, state.time_ns)
             self._switch("simulation")
         return FlightSample(state, image, collision)
 

@@ -59,7 +59,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
         self._client: FlightClient | None = None
-        self._noise = ImageNoise(0.0, 0)
+        self._noise = ImageNoise()
         self._now: Moment
 
     # --- Gymnasium --------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
         if self.flown.image_noise:
-            state["noise_seed"] = self._noise.seed
+            state |= under("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
         if self._told is not None:
             state |= under("told", self._told.get_state())
         state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
@@ -158,7 +158,6 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         session, game = self._opened(), json.loads(str(state["game"]))
         assert isinstance(session, VirtualSession)
         self._take_on(game["course"])
-        self._make_noise(int(state.get("noise_seed", 0)))
         self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
@@ -171,6 +170,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             self._told.set_state(part("told", state))
         assert self._client is not None
         self._client.set_state(part("guard", state))
+        self._make_noise(int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
         self._frames.extend(state["frames"])
         return self._observation()
 
@@ -184,9 +184,10 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         if self.flown.latency.scale != before.latency.scale and isinstance(self._session, VirtualSession):
             self._session.set_latency(self.flown.latency)
 
-    def _make_noise(self, seed: int) -> None:
+    def _make_noise(self, seed: int, start_ns: int) -> None:
         """Of this game's pictures and events; v2e's presets by themselves have the same noise in each game."""
-        self._noise = ImageNoise(self.flown.image_noise, seed)
+        assert self._client is not None
+        self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
         if isinstance(self._sensor, EventCamera):
             self._sensor.noise_seed = seed if self.flown.has_own_noise else 0
 
@@ -215,21 +216,21 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._stopwatches = [Stopwatch(client.transport.clock)]
         if self.task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
-        self._client = FlightClient(client, self._sensor.picture, self._stopwatches, self._noise)
+        self._client = FlightClient(client, self._sensor.picture, self._stopwatches)
 
     def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
         session = self._opened()
         self._take_on(course)
-        self._make_noise(noise_seed(latencies))
         task, start_z_m = self.flown, -self.flown.altitude_m
         client = session.start_game(task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m)
         self._connect(client, client.now_ns())
         assert self._client is not None
-        first: FlightSample = self._client.gather(self._client.kinematics())
+        self._make_noise(noise_seed(latencies), (start := self._client.kinematics()).time_ns)
+        first: FlightSample = self._client.gather(start)
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)
-        start = self._sensor.reset(first.state, first.image, course)
-        seen = start if task.sees_start and not task.blank_images else self._sensor.blank
+        frame = self._sensor.reset(first.state, first.image, course)
+        seen = frame if task.sees_start and not task.blank_images else self._sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         if self._told is not None:
             self._told.start(first.state.time_ns)

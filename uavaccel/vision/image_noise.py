@@ -16,16 +16,22 @@ _APART = 0x6E01  # of a game's noise from what else it draws
 
 @dataclass(frozen=True)
 class ImageNoise:
-    """Noise of a standard deviation in grey levels of 255, from a seed; 0 leaves images as they are."""
+    """Noise of a standard deviation in grey levels of 255, from a seed, in a game that began at `start_ns`."""
 
-    sigma: float
-    seed: int
+    sigma: float = 0.0
+    seed: int = 0
+    start_ns: int = 0
 
     def add(self, image: Image, time_ns: int) -> Image:
-        """A copy of a uint8 image of any shape, with the noise of a time in ns, rounded and clipped to 0..255."""
+        """A copy of a uint8 image of any shape, with the noise of a moment, rounded and clipped to 0..255.
+
+        The image itself where the deviation is 0.
+        """
         if self.sigma == 0.0:
             return image
-        random = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(time_ns,)))
+        random = np.random.default_rng(
+            np.random.SeedSequence(self.seed, spawn_key=(time_ns - self.start_ns,))
+        )
         noisy = image + np.float32(self.sigma) * random.standard_normal(image.shape, np.float32)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
