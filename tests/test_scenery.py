@@ -1,4 +1,4 @@
-"""The lane in a wood: other pictures of the same bodies, in worlds, batches, saved games and over the wire."""
+"""The lane in a wood: other pictures of the same bodies, in worlds, saved games and over the wire."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaccel.envs.batch import LaneBatch
+from uavaccel import open_session
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
@@ -110,16 +110,17 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
 
 
 @pytest.mark.opengl
-@pytest.mark.slow
-def test_a_batch_sees_the_wood_that_a_single_environment_sees() -> None:
-    batch, alone = LaneBatch(ObstacleLane, 2, 1, "shared", **FOREST), ObstacleLane(**FOREST)
-    with closing(batch), closing(alone):
-        seen, _ = batch.reset(seed=4)
-        np.testing.assert_array_equal(seen[0], alone.reset(seed=4)[0])
-        for action in (2, 3):
-            expected = alone.step(action)[0]
-            np.testing.assert_array_equal(batch.step(np.array([action, action]))[0][0], expected)
-        assert np.unique(expected).size > 20  # events there are
+def test_clients_change_the_scenery_and_find_the_same_objects() -> None:
+    with open_session(timing="lockstep", scene="lane") as session:
+        client, seen = session.start_game(10, lane=1), []
+        for difficulty in ({}, {"scenery": "forest"}):
+            client.set_lane({"seed": 1, "difficulty": difficulty})
+            poses = [client.call("simGetObjectPose", name) for name in ("ground", "obstacle_05")]
+            ids = client.call("simGetImage", "0", 5, "", False)
+            seen.append((client.call("simListSceneObjects", ".*"), poses, ids, client.image("colour")))
+    plain, forest = seen
+    assert forest[:3] == plain[:3]
+    assert (forest[3] != plain[3]).mean() > 0.9
 
 
 @pytest.mark.opengl
