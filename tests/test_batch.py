@@ -29,7 +29,7 @@ COMMANDS = 40
 SIZES = [(1, 1, 1), (3, 2, 2), (8, 3, 5)]  # lanes, processes, tiles
 OTHERS: list[dict[str, Any]] = [
     {"timing": "virtual", "clock_speed": 10.0, "command": "adsc"},
-    {"observation": "colour", "history": 2},
+    {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0},
     {"observation": "depth", "timing": "virtual", "clock_speed": 5.0},
 ]
 FLOWN = [*((size, {}) for size in SIZES), *((SIZES[1], task) for task in OTHERS)]

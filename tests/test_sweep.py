@@ -60,6 +60,12 @@ def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
     assert flown[0] == "as-trained"
     usual = {
         "wind-0",
+        "scenery-plain",
+        "spread-1",
+        "shot_noise-0",
+        "leak-0",
+        "hot_pixels-0",
+        "image_noise-0",
         "spacing-10",
         "gap-2",
         "speed-1",
@@ -69,7 +75,7 @@ def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
         "command-tcsc",
     }
     assert not usual & set(flown)
-    assert len(flown) == len(set(flown)) == 1 + sum(map(len, config.sweep.values())) - 13
+    assert len(flown) == len(set(flown)) == 1 + sum(map(len, config.sweep.values())) - 19
 
 
 def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:

@@ -193,7 +193,7 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
 def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderService | None:
     if renderer == "own" or task.sensor().picture is None:
         return None
-    service = RenderService(task.scene, cameras, tiles)
+    service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:
         drawn_by = service.ready()
     except BaseException:

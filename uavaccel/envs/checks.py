@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,3 +40,11 @@ def within(space: spaces.Space[Any], action: Any) -> Any:
     elif space.contains(action):
         return action
     raise UserError(f"action {action!r} is not in the action space: {space}")
+
+
+def known_options(options: Mapping[str, Any], known: Sequence[str]) -> Mapping[str, Any]:
+    """The options of a reset, if the task knows them all. Raises UserError."""
+    unknown = [str(key) for key in options if key not in known]
+    if unknown:
+        raise UserError(f"reset: unknown option {unknown[0]!r}; known: {', '.join(known) or 'none'}")
+    return options

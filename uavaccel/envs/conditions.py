@@ -31,7 +31,16 @@ OF_DIFFICULTY = (
     "mass_ratio",
     "thrust_ratio",
 )
-OF_TASK = ("speed_m_s", "altitude_m", "dvs_threshold_ratio")
+OF_TASK = (
+    "speed_m_s",
+    "altitude_m",
+    "dvs_threshold_ratio",
+    "dvs_spread_ratio",
+    "dvs_shot_noise_hz",
+    "dvs_leak_hz",
+    "dvs_hot_pixels",
+    "image_noise",
+)
 LATENCY = "latency_scale"
 
 
@@ -51,6 +60,11 @@ class Ranges(Config):
     speed_m_s: Range | None = None
     altitude_m: Range | None = None
     dvs_threshold_ratio: Range | None = None
+    dvs_spread_ratio: Range | None = None
+    dvs_shot_noise_hz: Range | None = None
+    dvs_leak_hz: Range | None = None
+    dvs_hot_pixels: Range | None = None
+    image_noise: Range | None = None
     latency_scale: Range | None = None
     """Of timing virtual alone."""
     share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0

@@ -14,6 +14,7 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.saved import State
 from uavaccel.vision.guard import GuardState
+from uavaccel.vision.image_noise import ImageNoise
 from uavaccel.wire.client import Client
 
 NO_IMAGE = np.zeros((0, 0), np.uint8)
@@ -28,10 +29,14 @@ class FlightSample(NamedTuple):
 
 
 class FlightClient(CameraClient):
-    """Gathers flight samples, with pictures of `kind` unless it is None; tells the stopwatches when it renders."""
+    """Gathers flight samples, with noisy pictures of `kind` unless it is None; tells the stopwatches when it renders.
+
+    The guard sees pictures as they were drawn.
+    """
 
     def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
         super().__init__(client, kind or "")
+        self.noise = ImageNoise()
         self._wants_image = kind is not None
         self._stopwatches = stopwatches
 
@@ -40,7 +45,7 @@ class FlightClient(CameraClient):
         image = NO_IMAGE
         if self._wants_image and not collision:
             self._switch("rendering")
-            image = super().gather(state).image
+            image = self.noise.add(super().gather(state).image, state.time_ns)
             self._switch("simulation")
         return FlightSample(state, image, collision)
 

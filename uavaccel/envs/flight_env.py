@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import make_task, within
+from uavaccel.envs.checks import known_options, make_task, within
 from uavaccel.envs.flight_client import FlightClient, FlightSample
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
@@ -25,6 +25,7 @@ from uavaccel.kinematics import Kinematics
 from uavaccel.sim import gl
 from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
+from uavaccel.vision.image_noise import ImageNoise, noise_seed
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session, VirtualSession, open_session
 
@@ -58,6 +59,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
         self._client: FlightClient | None = None
+        self._noise = ImageNoise()
         self._now: Moment
 
     # --- Gymnasium --------------------------------------------------------------------------------
@@ -70,7 +72,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         Raises UserError for options that the task does not know.
         """
         super().reset(seed=seed)
-        course = self.task.draw(self.np_random, self._checked(options or {}))
+        course = self.task.draw(self.np_random, known_options(options or {}, self.task.reset_options))
         latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
         self._games = self._games + 1 if seed is None else 1
         conditions = self.task.draw_conditions(self.np_random, self._games - 1)
@@ -140,6 +142,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         state["game"] = json.dumps(game)
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
+        if self.flown.image_noise:
+            state |= under("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
         if self._told is not None:
             state |= under("told", self._told.get_state())
         state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
@@ -166,25 +170,26 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             self._told.set_state(part("told", state))
         assert self._client is not None
         self._client.set_state(part("guard", state))
+        self._make_noise(int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
         self._frames.extend(state["frames"])
         return self._observation()
 
     # --- inside -----------------------------------------------------------------------------------
 
-    def _checked(self, options: Mapping[str, Any]) -> Mapping[str, Any]:
-        unknown = [str(key) for key in options if key not in self.task.reset_options]
-        if unknown:
-            known = ", ".join(self.task.reset_options) or "none"
-            raise UserError(f"reset: unknown option {unknown[0]!r}; known: {known}")
-        return options
-
     def _take_on(self, course: Course) -> None:
         """Fly, see and pay for messages as under the conditions of this game."""
         before, self.flown = self.flown, self.task.under(course.get(CONDITIONS, {}))
-        if self.flown.dvs_threshold_ratio != before.dvs_threshold_ratio:
+        if self.flown.dvs_parameters != before.dvs_parameters:
             self._sensor = self.flown.sensor()
         if self.flown.latency.scale != before.latency.scale and isinstance(self._session, VirtualSession):
             self._session.set_latency(self.flown.latency)
+
+    def _make_noise(self, seed: int, start_ns: int) -> None:
+        """Of this game's pictures and events; v2e's presets by themselves have the same noise in each game."""
+        assert self._client is not None
+        self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
+        if isinstance(self._sensor, EventCamera):
+            self._sensor.noise_seed = seed if self.flown.has_own_noise else 0
 
     def _opened(self) -> Session:
         task = self.task
@@ -203,7 +208,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self._sensor.counter.look(self._session.picture(), time_ns)
+            self._sensor.counter.look(self._noise.add(self._session.picture(), time_ns), time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""
@@ -220,11 +225,12 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         client = session.start_game(task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m)
         self._connect(client, client.now_ns())
         assert self._client is not None
-        first: FlightSample = self._client.gather(self._client.kinematics())
+        self._make_noise(noise_seed(latencies), (start := self._client.kinematics()).time_ns)
+        first: FlightSample = self._client.gather(start)
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)
-        start = self._sensor.reset(first.state, first.image, course)
-        seen = start if task.sees_start and not task.blank_images else self._sensor.blank
+        frame = self._sensor.reset(first.state, first.image, course)
+        seen = frame if task.sees_start and not task.blank_images else self._sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         if self._told is not None:
             self._told.start(first.state.time_ns)

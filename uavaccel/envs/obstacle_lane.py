@@ -110,6 +110,11 @@ class LaneTask(Task):
         return Told(self.knows, self.headings_deg, self.frames_per_command * self.history)
 
     @property
+    def scenery(self) -> str:
+        """That of the lane, drawn or one's own."""
+        return (self.lane or self.difficulty).scenery
+
+    @property
     def typical_s(self) -> float:
         """Simulated seconds of a game that gets far, for estimates."""
         return min(self.max_commands * self.t_move_s, 1.3 * LENGTH_M / self.speed_m_s)

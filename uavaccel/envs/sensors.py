@@ -71,10 +71,11 @@ class Memoryless(ABC):
 class EventCamera:
     """Event images (1, 36, 64): 128 plus ON minus OFF events since the last sample, summed over 4 x 4 pixels.
 
-    `listed` keeps the events one by one too.
+    `listed` keeps the events one by one too. `noise_seed` is that of the next game's leak jitter and shot noise.
     """
 
     picture: str | None = "gray"
+    noise_seed = 0
 
     def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
         self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
@@ -82,7 +83,7 @@ class EventCamera:
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         """Nothing has moved: no events."""
-        self.counter.start(image, state.time_ns)
+        self.counter.start(image, state.time_ns, self.noise_seed)
         return self.blank
 
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:

@@ -21,9 +21,10 @@ from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
+from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_thresholds
+from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -68,6 +69,17 @@ class Task(Config):
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
     dvs_threshold_ratio: Positive = 1.0
     """Times the preset's contrast thresholds."""
+    dvs_spread_ratio: NotNegative = 1.0
+    """Times their spread from pixel to pixel."""
+    dvs_shot_noise_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    """Noise events per second of a black pixel, a quarter of them of a white one, beside the preset's: at most one ON
+    and one OFF per frame that the event camera sees."""
+    dvs_leak_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    """ON events per second of a pixel that sees no change, beside the preset's."""
+    dvs_hot_pixels: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Share of the pixels that make 10 ON events per second, whatever they see; the sensor's, drawn by dvs_seed."""
+    image_noise: Annotated[float, Field(ge=0.0, le=255.0)] = 0.0
+    """Standard deviation of each picture's Gaussian noise, of 255 grey levels, before the event camera sees it."""
 
     dvs_rate_hz: Positive | None = None
     """Frames per simulated second that the event camera sees, up to every step of the physics; else one per sample."""
@@ -111,10 +123,21 @@ class Task(Config):
         _ = self.dvs_ticks
         return self
 
+    @model_validator(mode="after")
+    def _noise_is_of_pictures(self) -> Self:
+        if self.image_noise and self.observation == "depth":
+            raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
+        return self
+
     @property
     def dvs_ticks(self) -> int | None:
         """Ticks from one of the event camera's frames to the next; None: it sees the samples alone."""
         return None if self.dvs_rate_hz is None else rate_ticks(self.dvs_rate_hz, self.profile)
+
+    @property
+    def scenery(self) -> str:
+        """What its scene looks like."""
+        return PLAIN
 
     @property
     def t_th_ns(self) -> int:
@@ -137,7 +160,14 @@ class Task(Config):
     @property
     def dvs_parameters(self) -> DvsParameters:
         """The event camera's."""
-        return with_thresholds(PRESETS[self.dvs_preset], self.dvs_threshold_ratio)
+        preset = with_thresholds(PRESETS[self.dvs_preset], self.dvs_threshold_ratio)
+        noise = self.dvs_shot_noise_hz, self.dvs_leak_hz, self.dvs_spread_ratio, self.dvs_hot_pixels
+        return with_noise(preset, *noise)
+
+    @property
+    def has_own_noise(self) -> bool:
+        """Whether the event camera has noise beside its preset's."""
+        return self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0
 
     def observation_space(self) -> spaces.Box:
         """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""

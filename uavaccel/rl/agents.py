@@ -69,6 +69,11 @@ SENSES = (
     "dvs_preset",
     "dvs_seed",
     "dvs_threshold_ratio",
+    "dvs_spread_ratio",
+    "dvs_shot_noise_hz",
+    "dvs_leak_hz",
+    "dvs_hot_pixels",
+    "image_noise",
     "dvs_rate_hz",
 )
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")

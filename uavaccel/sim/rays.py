@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco
 
 NEAR_END_M = 1e-3
-_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # what is drawn: not the vehicles' hulls
+_GROUPS = np.array([1, 1, 1, 0, 0, 1], np.uint8)  # what depth shows: neither the vehicles' hulls nor looks
 
 
 class Hits(NamedTuple):

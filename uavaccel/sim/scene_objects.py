@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.sim.boxes import refit_bounding_boxes
 from uavaccel.sim.furnished import PARKED_M, SPARE
+from uavaccel.sim.lane.looks import LOOKS_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 
@@ -71,7 +72,8 @@ class SceneObjects:
         return self._world.model
 
     def _still_geoms(self) -> list[int]:
-        return [int(geom) for geom in np.flatnonzero(self._model.geom_bodyid == 0)]
+        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != LOOKS_GROUP)
+        return [int(geom) for geom in np.flatnonzero(still)]
 
     def names(self) -> list[str]:
         """All objects that are there, sorted."""

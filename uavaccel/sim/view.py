@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.lane.looks import BODIES_GROUP, LOOKS_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
@@ -51,6 +52,7 @@ class View:
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
+        self._show_looks(True)
         self._eye: Pose | None = None
         self._resized = not self._models_own_view(width)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
@@ -74,6 +76,7 @@ class View:
             self._place_eye(data, self._eye)
         if as_ids != self._as_ids:
             self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
+            self._show_looks(not as_ids)
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
         if self._resized:
             self._set_field_of_view()
@@ -86,6 +89,11 @@ class View:
         for geom in self.scene.geoms[: self.scene.ngeom]:
             ids[geom.segid + 1] = geom.objid
         return np.take(ids, segments, out=out)
+
+    def _show_looks(self, on: bool) -> None:
+        """What a scenery looks like, or the bodies behind that."""
+        self._options.geomgroup[LOOKS_GROUP] = on
+        self._options.geomgroup[BODIES_GROUP] = not on
 
     def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:
         """Let the model's camera be elsewhere: physics takes no notice of cameras, and each step places them anew."""

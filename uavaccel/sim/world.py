@@ -15,14 +15,14 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim import hotloop, world_state
 from uavaccel.sim.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.clearance import Clearance
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.led import Led
 from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
-from uavaccel.sim.scene import load_scene
+from uavaccel.sim.scene import load_scene, scene_path
 from uavaccel.sim.scene_objects import take_over
 from uavaccel.sim.touch import deepest_contact
 from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
@@ -56,7 +56,7 @@ class World(Led):
         self.still = False
         self._furnished = furnished
         self._mounted_camera: MountedCamera | None = None
-        self.scene = scene
+        self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
         self.recorder = Samples(profile.recorder_ticks)
@@ -69,7 +69,7 @@ class World(Led):
     def _load(self) -> None:
         """Make the model for the vehicles that there are."""
         others = [vehicle.prefix for vehicle in self.vehicles[1:]]
-        self.model = load_scene(self.scene, others, self._furnished)
+        self.model = load_scene(self.scene, others, self._furnished, self.scenery)
         self.model.opt.timestep = self.profile.tick_s
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(self.model)
@@ -109,12 +109,26 @@ class World(Led):
         return camera
 
     def set_lane(self, layout: LaneLayout) -> None:
-        """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene."""
+        """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene.
+
+        Another scenery is another model of MuJoCo's: cameras are made anew, and the vehicle flies on in it.
+        """
+        if layout.scenery != self.scenery:
+            self._move_to(layout.scenery)
         apply_layout(self.model, self.data, layout)
         self.lane = layout
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
         self.lead.set_airframe(self._models(), layout.mass_ratio, layout.thrust_ratio)
+
+    def _move_to(self, scenery: str) -> None:
+        scene_path(self.scene, scenery)  # raises UserError, while nothing has changed
+        physics, carried = self.physics(), self.lead.carry()
+        self.close()
+        self.scenery = scenery
+        self._load()
+        self.set_physics(physics)
+        self.lead.take_over(carried)
 
     def _models(self) -> list[mujoco.MjModel]:
         """All in which the leading vehicle flies."""

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.vision import dvs_kernels as kernels
-from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, DvsSensor, make_sensor, sensor_from_maps
+from uavaccel.vision.dvs_sensor import (
+    HOT_RATE_HZ,
+    PRESETS,
+    DvsParameters,
+    DvsSensor,
+    make_sensor,
+    sensor_from_maps,
+)
 
 __all__ = [
     "PRESETS",
@@ -166,6 +173,9 @@ def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame
 
 def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Generator | None) -> Floats:
     parameters = sensor.parameters
+    if sensor.hot is not None:
+        rise = np.float32(dt_s * HOT_RATE_HZ) * sensor.positive_threshold.astype(np.float32)
+        base_log = np.where(sensor.hot, base_log - rise, base_log)
     if rng is None or parameters.leak_rate_hz <= 0:
         return base_log
     jitter = 1 - parameters.leak_jitter_fraction * rng.standard_normal(base_log.shape, np.float32)

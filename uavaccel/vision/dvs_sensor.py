@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.floating]
 
 MIN_THRESHOLD = np.float32(0.01)
+HOT_RATE_HZ = 10.0  # of a hot pixel; this project's choice
+_HOT = 0x407  # sets the draw of hot pixels apart from those of v2e's maps
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class DvsParameters:
     leak_rate_spread_decades: float = 0.0
     shot_noise_rate_hz: float = 0.0
     refractory_s: float = 0.0
+    hot_share: float = 0.0
+    """Of the pixels: hot ones, which make ON events in the dark too, HOT_RATE_HZ of them. Not v2e's."""
 
 
 _LEAK_SPREAD = {"leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1}
@@ -62,6 +66,23 @@ def with_thresholds(parameters: DvsParameters, ratio: float) -> DvsParameters:
     )
 
 
+def with_noise(
+    parameters: DvsParameters,
+    shot_noise_hz: float = 0.0,
+    leak_hz: float = 0.0,
+    spread_ratio: float = 1.0,
+    hot_share: float = 0.0,
+) -> DvsParameters:
+    """The parameters with more noise: rates are added, the thresholds' spread from pixel to pixel is multiplied."""
+    return replace(
+        parameters,
+        shot_noise_rate_hz=parameters.shot_noise_rate_hz + shot_noise_hz,
+        leak_rate_hz=parameters.leak_rate_hz + leak_hz,
+        threshold_sigma=spread_ratio * parameters.threshold_sigma,
+        hot_share=hot_share,
+    )
+
+
 class DvsSensor(NamedTuple):
     """One sensor: its parameters, and what is drawn once per pixel. Arrays are (H, W).
 
@@ -72,16 +93,22 @@ class DvsSensor(NamedTuple):
     positive_threshold: Floats
     negative_threshold: Floats
     leak_rate_factor: NDArray[np.float32]
+    hot: NDArray[np.bool_] | None = None
+    """None without hot pixels."""
 
 
 def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
-    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates."""
+    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
     rng = np.random.default_rng(seed)
     positive = _draw_thresholds(parameters, parameters.positive_threshold, shape, rng)
     negative = _draw_thresholds(parameters, parameters.negative_threshold, shape, rng)
     spread = np.float32(math.log(10) * parameters.leak_rate_spread_decades)
     factor = np.exp(spread * rng.standard_normal(shape, np.float32))
-    return sensor_from_maps(parameters, positive, negative, factor)
+    sensor = sensor_from_maps(parameters, positive, negative, factor)
+    if parameters.hot_share <= 0:
+        return sensor
+    drawn = np.random.default_rng((seed, _HOT)).random(shape)
+    return sensor._replace(hot=drawn < parameters.hot_share)
 
 
 def sensor_from_maps(

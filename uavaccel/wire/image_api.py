@@ -123,7 +123,12 @@ class ImageApi:
 
     def set_lane(self, lane: Any) -> None:
         """Our own: lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
-        self.simulation.world.set_lane(lane_layout(lane))
+        layout, world = lane_layout(lane), self.simulation.world
+        moves = layout.scenery != world.scenery
+        world.set_lane(layout)
+        if moves:  # what is kept of the model before
+            self.simulation.frames.forget()
+            self._scenery.forget()
 
     def collision(self) -> dict[str, Any]:
         """Our own: tick in simulated ns, object and north position of the latched collision; empty without one."""

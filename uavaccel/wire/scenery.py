@@ -66,6 +66,11 @@ class Scenery:
     def _external_cameras(self) -> Cameras:
         return Cameras(self.settings.camera_defaults, self.settings.external_cameras, external=True)
 
+    def forget(self) -> None:
+        """The world's model is another one: its objects are as they were at first."""
+        for name in ("objects", "segmentation", "pictures"):
+            self.__dict__.pop(name, None)
+
     @cached_property
     def objects(self) -> SceneObjects:
         return SceneObjects(self.simulation.world)

@@ -26,6 +26,7 @@ from uavaccel.sim.lane.layout import (
     WALL_TEXTURES,
     WIDTH_M,
     LaneLayout,
+    Scenery,
     Share,
     clearance_m,
 )
@@ -64,6 +65,8 @@ class LaneFile(Config):
     """Heading in which the sun shines; 0 is north, the way the drone faces."""
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """NED."""
+    scenery: Scenery = "plain"
+    """forest: each texture is a kind of bark, of wood beyond the walls, of ground."""
 
 
 def parse_lane(lane: Any) -> Any:
@@ -95,6 +98,7 @@ def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
         light=lane.light,
         sun_azimuth_rad=lane.sun_azimuth_rad,
         wind_m_s=lane.wind_m_s,
+        scenery=lane.scenery,
     )
     if clearance_m(layout, (0.0, 0.0)) <= 0.0:
         raise UserError(f"{source}: an obstacle is within {HULL_RADIUS_M:g} m of the start at x_m = y_m = 0")

@@ -17,6 +17,7 @@ from uavaccel.config import Config
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation"]
+Scenery = Literal["plain", "forest"]
 
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
@@ -27,6 +28,7 @@ MAX_OBSTACLES = 64  # as many as lane.xml provides
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
 WALL_TEXTURES = ("concrete", "brick")
 GROUND_TEXTURES = ("asphalt", "grass")
+PLAIN = "plain"  # the scenery of assets/mjcf/lane.xml; others have a folder there
 
 EVALUATION_SEEDS = 1_000_000  # lower seeds are evaluation lanes, all others training lanes
 
@@ -51,6 +53,8 @@ class Difficulty(Config):
     """Share of surfaces and obstacles with a random texture; the others wear the first one."""
     wind_m_s: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
     """Speed of a steady horizontal wind from a random direction."""
+    scenery: Scenery = "plain"
+    """What the lane looks like, its bodies in the same places: banded posts between walls, or trees in a wood."""
 
     mass_ratio: Annotated[float, Field(ge=0.5, le=1.5)] = 1.0
     """Times the vehicle's mass and moments of inertia."""
@@ -105,6 +109,7 @@ class LaneLayout:
     light: float = 1.0
     sun_azimuth_rad: float = 0.5  # heading of the sunlight: 0 shines north, the way the drone looks
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scenery: str = PLAIN
     mass_ratio: float = 1.0
     thrust_ratio: float = 1.0
 
@@ -139,6 +144,7 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
         light=float(rng.uniform(*difficulty.light)),
         sun_azimuth_rad=float(rng.uniform(-1.0, 1.0)),
         wind_m_s=(difficulty.wind_m_s * np.cos(direction), difficulty.wind_m_s * np.sin(direction), 0.0),
+        scenery=difficulty.scenery,
         mass_ratio=difficulty.mass_ratio,
         thrust_ratio=difficulty.thrust_ratio,
     )

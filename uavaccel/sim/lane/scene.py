@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.sim.boxes import refit_bounding_boxes
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, WALL_TEXTURES, LaneLayout
+from uavaccel.sim.lane.looks import named, put_on_looks
 from uavaccel.units import ned_to_mujoco
 
 OBSTACLE_HALF_HEIGHT_M = 10.0
@@ -39,15 +40,14 @@ def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout)
     model.geom_rgba[parked, 3] = 0.0  # not drawn
     _set_materials(model, used, layout)
     _set_light(model, layout)
+    put_on_looks(model, used, layout)
     refit_bounding_boxes(model, set(geoms.tolist()))
     mujoco.mj_kinematics(model, data)
 
 
 def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Ids of the geoms that a layout moves, in order of their names; empty in scenes other than the lane."""
-    return np.array(
-        [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith("obstacle_")], int
-    )
+    return named(model, "obstacle_")
 
 
 def _set_shapes(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:

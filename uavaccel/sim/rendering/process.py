@@ -1,6 +1,6 @@
 """The process that draws for many simulations, in the one GL context of the machine, until the last has ended.
 
-    python -m uavaccel.sim.rendering.process '{"scene": "lane", "cameras": 8, "tiles": 8, "memory": 3, ...}'
+    python -m uavaccel.sim.rendering.process '{"scene": "lane", "scenery": "plain", "cameras": 8, "tiles": 8, ...}'
 
 prints one line of JSON when it is ready: who draws, or why nobody can.
 """
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.resources import asset
 from uavaccel.sim.rendering.slots import (
     DONE,
     KINDS,
@@ -35,6 +34,7 @@ from uavaccel.sim.rendering.slots import (
     slot_dtype,
 )
 from uavaccel.sim.rendering.tiles import SHEETS, Tiles
+from uavaccel.sim.scene import load_scene
 from uavaccel.sim.view import View
 
 _READ_BYTES = 1 << 12
@@ -136,7 +136,7 @@ def _hand_over(tiles: Tiles, sheet: Sheet) -> None:
 def main() -> None:
     options = json.loads(sys.argv[1])
     cv2.setNumThreads(0)
-    model = mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{options['scene']}.xml")))
+    model = load_scene(options["scene"], scenery=options["scenery"])
     try:
         tiles = Tiles(model, options["tiles"])
     except UserError as error:

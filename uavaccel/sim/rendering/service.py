@@ -8,12 +8,11 @@ import subprocess
 import sys
 from typing import Any
 
-import mujoco
-
 from uavaccel.errors import UserError
-from uavaccel.resources import asset
 from uavaccel.sim.gl import GlRenderer
+from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.rendering.slots import anonymous_memory, slot_dtype
+from uavaccel.sim.scene import load_scene
 
 STOP_S = 10.0
 END_S = 2.0  # between the end of its pipes and of the process
@@ -26,15 +25,21 @@ class RenderService:
     ended and `close` was called here, or this process has ended.
     """
 
-    def __init__(self, scene: str, cameras: int, tiles: int) -> None:
-        model = mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{scene}.xml")))
+    def __init__(self, scene: str, cameras: int, tiles: int, scenery: str = PLAIN) -> None:
+        model = load_scene(scene, scenery=scenery)
         self.cameras = cameras
         self._memory = anonymous_memory(slot_dtype(model).itemsize * cameras)
         requests, self._requests = os.pipe()
         pipes = [os.pipe() for _ in range(cameras)]
         self._replies = [read for read, _ in pipes]
         theirs = [self._memory, requests, *(write for _, write in pipes)]
-        options = {"scene": scene, "cameras": cameras, "tiles": tiles, "memory": self._memory}
+        options = {
+            "scene": scene,
+            "scenery": scenery,
+            "cameras": cameras,
+            "tiles": tiles,
+            "memory": self._memory,
+        }
         options |= {"requests": requests, "replies": theirs[2:]}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "uavaccel.sim.rendering.process", json.dumps(options)],

@@ -24,6 +24,7 @@ DONE = b"\1"
 _PICTURE_BYTES = WIDTH * HEIGHT * 4
 _LOOKS = (  # all of the model that a lane's layout changes and that is seen
     *("geom_type", "geom_size", "geom_rbound", "geom_pos", "geom_quat", "geom_rgba", "geom_matid"),
+    *("geom_dataid", "geom_sameframe"),
     *("light_pos", "light_dir", "light_diffuse", "light_ambient"),
 )
 

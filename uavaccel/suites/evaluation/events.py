@@ -32,13 +32,19 @@ class WatchedLane(ObstacleLane):
         opened = self._session is not None
         session = super()._opened()
         if not opened and isinstance(session, VirtualSession):
-            session.watch(self._every_ticks, lambda time_ns: self.events.look(session.picture(), time_ns))
+            session.watch(self._every_ticks, self._look_too)
         return session
 
     def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
         super()._start_game(course, latencies)
         assert isinstance(self._session, VirtualSession)
-        self.events.start(self._session.picture(), self._now.state.time_ns)
+        now_ns = self._now.state.time_ns
+        seed = self._noise.seed if self.flown.has_own_noise else 0
+        self.events.start(self._noise.add(self._session.picture(), now_ns), now_ns, seed)
+
+    def _look_too(self, time_ns: int) -> None:
+        assert isinstance(self._session, VirtualSession)
+        self.events.look(self._noise.add(self._session.picture(), time_ns), time_ns)
 
 
 def lane_events(config: EvaluateConfig, lane: int, rate_hz: float) -> NDArray[np.float32]:

@@ -1,0 +1,164 @@
+"""Noise beside v2e's presets: as much as it says, another in each game, the same in the same game, none when off."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.vision.dvs import init_state, make_sensor, step
+from uavaccel.vision.image_noise import ImageNoise, noise_seed
+
+SHAPE = (144, 256)
+NOISES: dict[str, Any] = {"dvs_shot_noise_hz": 1.0, "dvs_leak_hz": 0.5, "image_noise": 4.0}
+
+
+def events_per_s(grey: int, frames_per_s: int, duration_s: float = 1.0, **keys: Any) -> NDArray[np.float64]:
+    """ON and OFF events (2, H, W) per second of a sensor of a task that looks at an even grey."""
+    parameters, frame = LaneTask(**keys).dvs_parameters, np.full(SHAPE, grey, np.uint8)
+    sensor = make_sensor(parameters, SHAPE, 0)
+    state, total = init_state(sensor, frame, noise_seed=3), np.zeros((2, *SHAPE))
+    for index in range(1, round(duration_s * frames_per_s) + 1):
+        state, on, off = step(sensor, state, frame, index / frames_per_s)
+        total += on, off
+    return total / duration_s
+
+
+# --- how much -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("grey", "share"), [(0, 1 - 0.75 * 20 / 275), (255, 0.25)])
+@pytest.mark.parametrize("rate_hz", [0.5, 4.0])
+def test_shot_noise_makes_as_many_events_as_it_says(grey: int, share: float, rate_hz: float) -> None:
+    """Half of them ON, half OFF; v2e's share of intensity; a Poisson process's own scatter."""
+    seen = events_per_s(grey, 20, dvs_shot_noise_hz=rate_hz, dvs_spread_ratio=0.0)
+    for polarity in seen:
+        assert polarity.mean() == pytest.approx(rate_hz / 2 * share, rel=0.05)
+
+
+def test_leak_makes_on_events_alone() -> None:
+    on, off = events_per_s(100, 10, 4.0, dvs_leak_hz=1.5, dvs_spread_ratio=0.0)
+    assert not off.any()
+    assert on.mean() == pytest.approx(1.5, abs=0.01)
+
+
+def test_hot_pixels_fire_whatever_they_see_and_others_do_not() -> None:
+    for grey in (0, 200):
+        on, off = events_per_s(grey, 3, 4.0, dvs_hot_pixels=0.03)
+        assert not off.any()
+        assert (on > 0).mean() == pytest.approx(0.03, abs=0.003)
+        assert on[on > 0].mean() == pytest.approx(10.0, abs=0.15)
+    assert not events_per_s(0, 3).any()
+
+
+def test_the_spread_of_thresholds_is_a_multiple_of_the_presets() -> None:
+    for ratio in (0.5, 3.0):
+        sensor = make_sensor(LaneTask(dvs_spread_ratio=ratio).dvs_parameters, SHAPE, 0)
+        assert sensor.positive_threshold.std() == pytest.approx(0.02 * ratio, rel=0.02)
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (*SHAPE, 3)])
+def test_image_noise_has_its_deviation_and_no_mean(shape: tuple[int, ...]) -> None:
+    grey = np.full(shape, 120, np.uint8)
+    noisy = ImageNoise(6.0, 1).add(grey, 330).astype(float) - 120
+    assert noisy.mean() == pytest.approx(0.0, abs=0.1)
+    assert noisy.std() == pytest.approx(np.hypot(6.0, np.sqrt(1 / 12)), rel=0.02)
+    assert abs(np.corrcoef(noisy.ravel()[1:], noisy.ravel()[:-1])[0, 1]) < 0.02
+    white = ImageNoise(6.0, 1).add(np.full(shape, 255, np.uint8), 0)
+    assert white.dtype == np.uint8
+    assert white.min() > 200
+
+
+def test_image_noise_is_of_its_seed_and_moment() -> None:
+    grey, game = np.full(SHAPE, 50, np.uint8), np.random.SeedSequence(5)
+    noise = ImageNoise(3.0, noise_seed(game))
+    np.testing.assert_array_equal(noise.add(grey, 7), ImageNoise(3.0, noise_seed(game)).add(grey, 7))
+    assert (noise.add(grey, 8) != noise.add(grey, 7)).mean() > 0.5
+    other = ImageNoise(3.0, noise_seed(np.random.SeedSequence(6)))
+    assert (other.add(grey, 7) != noise.add(grey, 7)).mean() > 0.5
+    assert ImageNoise(0.0, 1).add(grey, 7) is grey
+
+
+# --- in games -----------------------------------------------------------------------------------------------------
+
+
+def flown(environment: ObstacleLane, commands: int, **reset: Any) -> list[bytes]:
+    first = environment.reset(**reset)[0]
+    return [first.tobytes(), *(environment.step(2)[0].tobytes() for _ in range(commands))]
+
+
+@pytest.mark.opengl
+def test_a_game_has_its_own_noise_and_always_the_same() -> None:
+    with closing(ObstacleLane(**NOISES)) as noisy, closing(ObstacleLane()) as clean:
+        lane = {"lane": 3}
+        first = flown(noisy, 1, seed=1, options=lane)
+        assert flown(noisy, 1, options=lane)[1] != first[1]  # the same lane in the next game
+        assert flown(noisy, 1, seed=1, options=lane) == first
+        assert flown(clean, 1, seed=1, options=lane)[1] != first[1]
+        assert flown(clean, 1, options=lane) == flown(clean, 1, seed=7, options=lane)
+
+
+@pytest.mark.opengl
+def test_a_saved_game_goes_on_with_its_noise() -> None:
+    keys = {**NOISES, "dvs_rate_hz": 20.0, "dvs_hot_pixels": 0.01}
+    with closing(ObstacleLane(**keys)) as first, closing(ObstacleLane(**keys)) as other:
+        first.reset(seed=2)
+        first.step(2)
+        other.set_state({name: np.asarray(value) for name, value in first.get_state().items()})
+        np.testing.assert_array_equal(first.step(1)[0], other.step(1)[0])
+
+
+@pytest.mark.opengl
+def test_hot_pixels_are_hot_in_flight() -> None:
+    """Among pixels whose view changes by less than a threshold: as many ON events as a second of 10 Hz has."""
+    counts = []
+    for share in (0.0, 0.05):
+        with closing(ObstacleLane(list_events=True, dvs_hot_pixels=share)) as environment:
+            environment.reset(seed=0, options={"lane": 0})
+            environment.take_events()
+            environment.step(2)
+            _, x, y, polarity = environment.take_events().T
+        count = np.zeros((2, *SHAPE), int)
+        np.add.at(count, ((polarity < 0).astype(int), y.astype(int), x.astype(int)), 1)
+        counts.append(count)
+    still = ~counts[0].any(axis=0)
+    hot = counts[1][0][still]
+    assert (hot > 0).mean() == pytest.approx(0.05, abs=0.01)
+    assert hot[hot > 0].mean() == pytest.approx(10.0, abs=0.5)
+
+
+@pytest.mark.opengl
+def test_noise_is_drawn_for_each_game_and_seen() -> None:
+    ranges = {"image_noise": [2, 20], "dvs_hot_pixels": [0.01, 0.3], "dvs_shot_noise_hz": [1, 2]}
+    with closing(ObstacleLane(randomise=ranges)) as environment:
+        _, info = environment.reset(seed=0)
+        drawn, seen = info["conditions"], environment.step(2)[0]
+        assert set(drawn) == set(ranges)
+        assert environment.flown.dvs_parameters.hot_share == drawn["dvs_hot_pixels"]
+        assert environment.flown.dvs_parameters.shot_noise_rate_hz == drawn["dvs_shot_noise_hz"]
+        lane = json.loads(json.dumps(info["lane"]))
+    with closing(ObstacleLane(**drawn)) as environment:
+        environment.reset(seed=0, options={"lane": lane})
+        np.testing.assert_array_equal(environment.step(2)[0], seen)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"image_noise": -1}, "image_noise"),
+        ({"image_noise": 2, "observation": "depth"}, "needs observation dvs or colour"),
+        ({"dvs_hot_pixels": 1.5}, "dvs_hot_pixels"),
+        ({"dvs_shot_noise_hz": 1e9}, "dvs_shot_noise_hz"),
+        ({"dvs_spread_ratio": float("nan")}, "dvs_spread_ratio"),
+        ({"randomise": {"image_noise": [0, 999]}}, "image_noise"),
+    ],
+)
+def test_noise_that_cannot_be_is_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        ObstacleLane(**keys)
