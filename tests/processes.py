@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -62,3 +63,9 @@ def left_after(pids: Iterable[int], seconds: float) -> set[int]:
             return left
         clock.sleep_until(clock.now_ns() + LOOK_NS)
     return set()
+
+
+def resident_mib(pid: int) -> float:
+    """Resident memory of a process."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
