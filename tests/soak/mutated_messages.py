@@ -2,8 +2,9 @@
 
     python -m tests.soak.mutated_messages --count 1000000
 
-Each connection carries a few calls with wrong contents, then a ping that has to be answered, then a message of changed
-bytes, and is closed without a word. Ends with status 1 where the server died or did not answer within a minute.
+In turns: a connection carries calls with wrong contents, then a ping that has to be answered; others carry a message
+of changed bytes each, and are closed without a word. Ends with status 1 where the server died or did not answer within
+a minute.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 
 HANGS_S = 60.0
-MOST_CALLS = 8  # of a connection
+MOST_CALLS = 40  # of a turn
+STRANGERS = 10  # connections of a turn that carry changed bytes
 PING = 0  # its id, which no mutated call has
+CALM = rpc.pack_request(1, "uavaccelSetClockSpeed", [1.0])  # else it would soon do nothing but fly
 LOOKS = 20  # at the memory, in all
 
 
@@ -52,7 +55,7 @@ def main() -> None:
 def serving(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     """A server that writes whatever it says, and records, into a folder."""
     said = folder / "said"
-    options = ["serve", "--port", "0", "--clock", "20", "--recordings", str(folder)]
+    options = ["serve", "--port", "0", "--recordings", str(folder)]
     with said.open("wb") as file:
         server = subprocess.Popen([sys.executable, "-m", "uavaccel", *options], stdout=file, stderr=file)
     clock = MonotonicClock()
@@ -83,10 +86,11 @@ def soak(server: subprocess.Popen[bytes], port: int, count: int, choose: random.
                 flush=True,
             )
         batch = list(itertools.islice(calls, choose.randint(0, MOST_CALLS)))
+        strange = [changed_bytes(next(calls), choose) for _ in range(STRANGERS)]
         begun_ns = clock.now_ns()
-        send(port, batch, changed_bytes(next(calls), choose))
+        send(port, batch, strange)
         longest_ns = max(longest_ns, clock.now_ns() - begun_ns)
-        sent += len(batch) + 1
+        sent += len(batch) + len(strange)
     took_s = (clock.now_ns() - start_ns) / NS_PER_S
     print(
         f"{sent} sent in {took_s:.0f} s: {resident_mib(server.pid):.1f} MiB; longest answer {longest_ns / 1e9:.2f} s"
@@ -94,19 +98,24 @@ def soak(server: subprocess.Popen[bytes], port: int, count: int, choose: random.
     return int(server.poll() is not None)
 
 
-def send(port: int, calls: list[bytes], last: bytes) -> None:
-    """Raises TimeoutError where the ping in between is not answered, ConnectionRefusedError where nobody listens."""
+def send(port: int, calls: list[bytes], strange: list[bytes]) -> None:
+    """Raises TimeoutError where the ping is not answered, ConnectionRefusedError where nobody listens."""
     decoder = rpc.Decoder(1 << 28, 1 << 24)
-    with socket.create_connection(("127.0.0.1", port), timeout=HANGS_S) as connection:
-        connection.sendall(b"".join(calls) + rpc.pack_request(PING, "ping", []))
+    for data in strange:
+        with connected(port) as connection, contextlib.suppress(ConnectionError):
+            connection.sendall(data)
+    with connected(port) as connection:
+        connection.sendall(b"".join(calls) + CALM + rpc.pack_request(PING, "ping", []))
         answered = False
         while not answered:
             data = connection.recv(1 << 16)
             if not data:
                 raise ConnectionRefusedError("it hung up before the ping was answered")
             answered = any(message[1] == PING for message in decoder.messages(data))
-        with contextlib.suppress(ConnectionError):
-            connection.sendall(last)
+
+
+def connected(port: int) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=HANGS_S)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,9 @@ LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next t
         "uavaccelTrace",
     }
 )
-AT_ONCE = frozenset({"pause", "continue", "state"})  # channels whose calls keep a server busy for microseconds
+AT_ONCE = frozenset(
+    {"pause", "continue", "state"}
+)  # channels whose calls keep a server busy for microseconds
 
 
 class Call:
