@@ -29,7 +29,7 @@ GOOD: dict[str, list[Any]] = {
     "moveByRC": [{"roll": 0.1, "pitch": 0.0, "throttle": 0.6, "yaw": 0.0, "is_valid": True}, ""],
     "simSetVehiclePose": [POSE, True, ""],
     "simSetKinematics": [{**POSE, "linear_velocity": HERE}, True, ""],
-    "simAddVehicle": ["Drone2", "simpleflight", POSE, ""],
+    "simAddVehicle": ["Drone2", "car", POSE, ""],  # of a heap of vehicles the server would only fly contacts
     "simSpawnObject": ["Box", "Cube", POSE, HERE, False, False],
     "simSetObjectPose": ["Box", POSE, True],
     "simSetSegmentationObjectID": [".*", 7, True],
