@@ -32,7 +32,12 @@ class WatchedServer:
     def __init__(self, options: dict[str, Any]) -> None:
         self._clock = MonotonicClock()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.wire.server_process", json.dumps(options)],
+            [
+                sys.executable,
+                "-m",
+                "uavaccel.wire.server_process",
+                json.dumps({**options, "parent": os.getpid()}),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on its own core too
