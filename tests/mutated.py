@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from uavaccel.wire import rpc
@@ -60,6 +60,7 @@ WILD: tuple[Any, ...] = (
     YAW,
     IMAGE,
 )
+STRANGE = (b"\xdd\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff", b"\xc1", b"\x91")
 
 
 def mutated_calls(api: Api, choose: random.Random) -> Iterator[bytes]:
@@ -94,17 +95,13 @@ def changed(value: Any, choose: random.Random) -> Any:
 def changed_bytes(data: bytes, choose: random.Random) -> bytes:
     """With one to four changes: a byte, a cut, a piece twice, a piece gone, something strange put in."""
     for _ in range(choose.randint(1, 4)):
-        data = choose.choice(CHANGES)(
-            data, *sorted(choose.randrange(len(data) + 1) for _ in range(2)), choose
-        )
+        start, end = sorted(choose.randrange(len(data) + 1) for _ in range(2))
+        put_in = choose.choice(STRANGE)
+        data = choose.choice((
+            data[:start] + choose.randbytes(1) + data[start + 1 :],
+            data[:start],
+            data[:end] + data[start:end] + data[end:],
+            data[:start] + data[end:],
+            data[:start] + put_in + data[start:],
+        ))  # fmt: skip
     return data
-
-
-CHANGES: list[Callable[[bytes, int, int, random.Random], bytes]] = [
-    lambda data, start, end, choose: data[:start] + choose.randbytes(1) + data[start + 1 :],
-    lambda data, start, end, choose: data[:start],
-    lambda data, start, end, choose: data[:end] + data[start:end] + data[end:],
-    lambda data, start, end, choose: data[:start] + data[end:],
-    lambda data, start, end, choose: data[:start] + choose.choice(STRANGE) + data[start:],
-]
-STRANGE = (b"\xdd\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff", b"\xc1", b"\x91")
