@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
+import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -63,6 +65,13 @@ WILD: tuple[Any, ...] = (
 STRANGE = (b"\xdd\xff\xff\xff\xff", b"\xdb\xff\xff\xff\xff", b"\xc1", b"\x91")
 
 
+HANGS_S = 120.0  # without a word of an answer, on however busy a machine
+PING = 0  # its id, which no mutated call has
+CALM = b"".join(  # else it would soon do nothing but fly
+    rpc.pack_request(1, name, [value]) for name, value in (("uavaccelSetClockSpeed", 1.0), ("simPause", True))
+)
+
+
 def mutated_calls(api: Api, choose: random.Random) -> Iterator[bytes]:
     """Packed calls without end: framed as they should be, with whatever inside. Every id is above 0."""
     methods = sorted(api.methods)
@@ -105,3 +114,23 @@ def changed_bytes(data: bytes, choose: random.Random) -> bytes:
             data[:start] + put_in + data[start:],
         ))  # fmt: skip
     return data
+
+
+def send(port: int, calls: list[bytes], strange: list[bytes]) -> None:
+    """Raises TimeoutError where the ping is not answered, ConnectionRefusedError where nobody listens."""
+    decoder = rpc.Decoder(1 << 28, 1 << 24)
+    for data in strange:
+        with connected(port) as connection, contextlib.suppress(ConnectionError):
+            connection.sendall(data)
+    with connected(port) as connection:
+        connection.sendall(b"".join(calls) + CALM + rpc.pack_request(PING, "ping", []))
+        answered = False
+        while not answered:
+            data = connection.recv(1 << 16)
+            if not data:
+                raise ConnectionRefusedError("it hung up before the ping was answered")
+            answered = any(message[1] == PING for message in decoder.messages(data))
+
+
+def connected(port: int) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=HANGS_S)

@@ -124,9 +124,7 @@ def judge(out: Path, games: int, done: Sequence[Disturbance], status: int) -> in
     print(f"{sum(row.get('restarts', 0) for row in rows)} restarts in the rows, {len(replaced)} servers lost")
     if replaced:
         print(f"another server after {statistics.median(replaced):.1f} s, {max(replaced):.1f} s at most")
-    print(
-        f"{len(slow)} rows without a flag took {SLOWER_S} s more than the median of their like: the machine's other work"
-    )
+    print(f"{len(slow)} rows without a flag took {SLOWER_S} s more than their like: the machine's other work")
     for one in unseen:
         print(f"in no flagged row: {one}")
     whole = status == 0 and played == 2 * games and len(set(cases)) == len(rows)
