@@ -1,4 +1,4 @@
-"""What the tests share: the mark of those that draw, the lane's scene, and worlds to fly in."""
+"""What the tests share: Hypothesis' settings, the mark of those that draw, the lane's scene, and worlds to fly in."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import mujoco
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.scenes import Scene
 from uavaccel.errors import UserError
@@ -14,6 +15,10 @@ from uavaccel.sim import gl
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
+
+# How long an example takes says something about the machine's other work alone.
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

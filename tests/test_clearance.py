@@ -115,7 +115,7 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
         assert ends[0][0] is not None
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     seed=st.integers(0, 2**32),
     speed_m_s=st.floats(0, 15),
@@ -139,7 +139,7 @@ def test_no_flight_accelerates_more_than_the_strongest(
     assert clearance._strongest_acceleration(gains, speed_m_s + wind_m_s) >= strongest
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(distance_m=st.floats(1e-3, 50), speed_m_s=st.floats(0, 15), strongest=st.floats(1, 200))
 def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, strongest: float) -> None:
     """In steps of a thousandth of it: neither there yet, nor faster by more than a gust; and no time is given away."""
@@ -152,7 +152,7 @@ def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, st
     assert travelled[-1] > 0.999 * distance_m or gained[-1] > 0.999 * clearance.GUST_M_S
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     north_m=st.floats(-5, 60),
     east_m=st.floats(-4.5, 4.5),

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
@@ -74,7 +74,6 @@ def test_quotient_that_is_rounded_up_to_a_whole_number_counts_one_less() -> None
     assert kernels.count_double(change, np.zeros_like(change), threshold, threshold) == 10
 
 
-@settings(deadline=None)
 @given(small_frames, st.sampled_from(["clean", "constructor"]), st.floats(1e-4, 1.0), st.integers(0, 99))
 def test_constant_brightness_makes_no_events(frame: NDArray, preset: str, dt_s: float, seed: int) -> None:
     sensor = dvs.make_sensor(replace(dvs.PRESETS[preset], leak_rate_hz=0.0), frame.shape, seed)
@@ -85,7 +84,6 @@ def test_constant_brightness_makes_no_events(frame: NDArray, preset: str, dt_s: 
         assert not off.any()
 
 
-@settings(deadline=None)
 @given(st.integers(0, 255), st.lists(st.integers(0, 255), min_size=1, max_size=20), st.integers(0, 99))
 def test_remainder_is_kept_so_that_counts_sum_to_the_whole_change(
     first: int, intensities: list[int], seed: int
@@ -103,7 +101,6 @@ def test_remainder_is_kept_so_that_counts_sum_to_the_whole_change(
         )
 
 
-@settings(deadline=None)
 @given(small_frames, st.integers(0, 99), st.sampled_from(["clean", "noisy", "command_line"]))
 def test_counts_do_not_depend_on_the_layout_of_the_frame(frame: NDArray, seed: int, preset: str) -> None:
     sensor = dvs.make_sensor(dvs.PRESETS[preset], frame.shape, seed)

@@ -39,9 +39,19 @@ def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("threads_as_ray")
-def test_results_come_in_order_though_they_are_handed_out_in_parts() -> None:
+def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And one set of workers has all parts: to start them takes seconds each."""
+    started: list[int] = []
+    start = ThreadingBackend.configure
+
+    def noted(self: ThreadingBackend, n_jobs: int = 1, *others: Any, **keys: Any) -> Any:
+        started.append(n_jobs)
+        return start(self, n_jobs, *others, **keys)
+
+    monkeypatch.setattr(ThreadingBackend, "configure", noted)
     calls = [delayed(int)(number) for number in range(23)]
     assert list(on_cluster("ray", 2, 2, calls)) == list(range(23))
+    assert started == [2]
 
 
 @pytest.mark.usefixtures("threads_as_ray")

@@ -65,7 +65,7 @@ def test_a_million_lanes_belong_to_each_split_and_none_to_both(split: Split, fir
             lane_seed(split, index)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     seed=st.integers(0, 2**63),
     per_row=st.integers(0, 4),

@@ -122,7 +122,7 @@ def test_seeds_and_their_children_draw_other_numbers() -> None:
 
 
 @given(st.lists(st.sampled_from(CHANNELS), max_size=60), st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_channels_are_independent(others: list[str], seed: int) -> None:
     """What is drawn on other channels, for replies, timers and issues, leaves a channel's own draws as they are."""
     tables = dict.fromkeys(CHANNELS, RISING_US)

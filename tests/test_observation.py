@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from uavaccel.vision.observation import dvs_observation
@@ -15,7 +15,6 @@ def test_without_events_the_image_is_neutral_grey() -> None:
     assert (image == 128).all()
 
 
-@settings(deadline=None)
 @given(st.integers(0, 999), st.sampled_from([np.int32, np.uint8]))
 def test_blocks_are_summed_and_clipped(seed: int, dtype: type) -> None:
     on, off = np.random.default_rng(seed).integers(0, 30, (2, 12, 20)).astype(dtype)

@@ -125,7 +125,7 @@ def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
         assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(games=st.integers(0, 40), over=st.integers(0, 30), seed=st.integers(0, 99))
 def test_ranges_widen_with_the_games_from_the_usual_to_the_whole(games: int, over: int, seed: int) -> None:
     ranges = Ranges(wind_m_s=(0.0, 6.0), light=(0.1, 1.0), widen_over_games=over)

@@ -98,7 +98,7 @@ def sessions() -> dict[tuple[str, str, int], Any]:
     return {}
 
 
-@settings(max_examples=24, deadline=None)
+@settings(max_examples=24)
 @given(
     seed=st.integers(0, 2**32),
     before=st.integers(0, 4),

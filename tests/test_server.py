@@ -1,15 +1,19 @@
 """Bad bytes and bad clients cost themselves their own connection; simulated time and everybody else go on."""
 
 import contextlib
+import random
 import socket
 import struct
 from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import msgpack
 import pytest
 
 from tests.airsim_client import MultirotorClient, RPCError
+from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
 from uavaccel.wire import rpc, server, transport
 from uavaccel.wire.server import Server
@@ -225,6 +229,17 @@ def test_a_packet_full_of_requests_for_large_replies_is_not_answered_at_once(
     with stranger(running) as connection, pytest.raises(ConnectionError):
         send_for_ever(connection, rpc.pack_request(1, "uavaccelRecording", []) * 100)
     assert made < 100
+
+
+def test_messages_that_are_nearly_requests_leave_a_server_that_answers(tmp_path: Path) -> None:
+    """By the million: `python -m tests.soak.mutated_messages`."""
+    choose = random.Random(0)
+    with running_server(render=False, recordings=tmp_path) as server:
+        calls = mutated_calls(server.api, choose)
+        strange = [changed_bytes(next(calls), choose) for _ in range(100)]
+        send(server.address[1], list(islice(calls, 300)), strange)
+        with MultirotorClient(port=server.address[1]) as client:
+            assert client.ping()
 
 
 def test_two_hundred_at_once(running: Server, witness: MultirotorClient) -> None:

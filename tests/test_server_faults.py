@@ -9,11 +9,13 @@ from typing import Any
 
 import pytest
 
+from tests.processes import state_of
 from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, begin_run, run_suite
 from uavaccel.suites.suite import Flown
+from uavaccel.wire import server_watch
 from uavaccel.wire.server_watch import ServerGoneError, WatchedServer
 from uavaccel.wire.session import WallSession
 
@@ -41,19 +43,44 @@ def servers(monkeypatch: pytest.MonkeyPatch) -> list[WatchedServer]:
 def test_a_stopped_server_is_noticed_and_does_not_outlive_its_session(call: str) -> None:
     with WallSession("blocks", "native") as session:
         client = session.start_game(10.0)
-        os.kill(session.server.pid, signal.SIGSTOP)
+        stop(session.server.pid)
         client.transport.known.state = None
         with pytest.raises(ServerGoneError, match="did not answer"):
             getattr(client, call)()
     assert session.server.returncode == -signal.SIGKILL
 
 
-def test_a_long_command_is_no_silence_of_a_dead_server() -> None:
+def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        server_watch, "STALL_NS", 1_000_000_000
+    )  # of the 1.5 s after it was asked whether it is there
     with WallSession("blocks", "native") as session:
         client = session.start_game(1.0)
         state = client.continue_for(2_500_000_000)
         assert client.transport.stalled_ns == 0
         assert client.kinematics() == state
+
+
+def test_a_short_stop_is_seen_where_simulated_time_stands_and_counted_once() -> None:
+    """The simulation loses nothing then, and says nothing: only the client knows."""
+    with WallSession("blocks", "native") as session:
+        client = session.start_game(50.0)
+        transport = client.transport
+        stop(session.server.pid)
+        call = transport.send("simPause", (True,), blocking=True)
+        asked_ns = transport.clock.now_ns()
+        assert not transport.wait(call, asked_ns + 150_000_000)
+        os.kill(session.server.pid, signal.SIGCONT)
+        transport.wait(call)
+        assert 150_000_000 <= transport.stalled_ns <= transport.clock.now_ns() - call.sent_ns
+        assert client.speed()["lost_wall_ns"] == 0
+
+
+def stop(pid: int) -> None:
+    """On return it does stand."""
+    os.kill(pid, signal.SIGSTOP)
+    while state_of(pid) != "T":
+        pass
 
 
 def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(

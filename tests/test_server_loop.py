@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import selectors
 import socket
 from collections.abc import Iterator
@@ -55,9 +56,21 @@ def connected(server: Server) -> tuple[Connection, socket.socket]:
     return connection, client
 
 
+def read(server: Server, connection: Connection) -> None:
+    """Let the server read what a client has sent, once that has come: a busy kernel takes a moment."""
+    assert select.select([connection.socket], [], [], 60)[0]
+    server._read(connection)
+
+
+def silent(client: socket.socket) -> bool:
+    """Whether nothing has been sent to it that it has not read."""
+    return not select.select([client], [], [], 0)[0]
+
+
 def replies(client: socket.socket) -> list[Any]:
-    """What the server has sent, without waiting for more: messages [1, id, error, result]."""
+    """What the server has sent in one turn, once that has come: messages [1, id, error, result]."""
     unpacker = msgpack.Unpacker()
+    assert select.select([client], [], [], 60)[0]
     client.setblocking(False)
     try:
         while data := client.recv(1 << 16):
@@ -92,7 +105,7 @@ def test_it_is_awake_before_something_ends_and_after_a_message(stepped: tuple[Se
     with client:
         client.sendall(rpc.pack_request(1, "ping", []))
         clock.charge(MS // 2)
-        server._read(connection)
+        read(server, connection)
         assert server._wake_ns(simulation) == clock.now_ns(), "the next one may come at once"
         clock.charge(MS // 4)
         assert server._wake_ns(simulation) == 1 * MS
@@ -125,8 +138,8 @@ def test_a_message_sees_what_is_due_when_it_is_handled(stepped: tuple[Server, St
         start_ns = server.api.simulation.time_ns
         clock.charge(1_050_000)
         client.sendall(rpc.pack_request(7, "uavaccelState", []))
-        server._read(connection)
-        assert replies(client) == [], "all answers of a turn go together"
+        read(server, connection)
+        assert silent(client), "all answers of a turn go together"
         server._flush()
         [[kind, message_id, error, state]] = replies(client)
     assert (kind, message_id, error) == (rpc.RESPONSE, 7, None)
@@ -144,13 +157,13 @@ def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
     with client:
         requests: list[Any] = [(1, *MOVE), (2, "uavaccelContinueFor", [100 * MS]), (3, "ping", [])]
         client.sendall(b"".join(rpc.pack_request(*request) for request in requests))
-        server._read(connection)
+        read(server, connection)
         server._flush()
         assert replies(client) == [[rpc.RESPONSE, 3, None, True]]
         clock.charge(10 * MS - 1)
         simulation.advance_to(clock.now_ns())
         server._flush()
-        assert replies(client) == []
+        assert silent(client)
         clock.charge(1)
         simulation.advance_to(clock.now_ns())
         server._flush()
@@ -164,7 +177,7 @@ def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(
     connection, client = connected(server)
     with client:
         client.sendall(rpc.pack_request(1, "uavaccelContinueFor", [0]) + rpc.pack_request(2, "fly", []))
-        server._read(connection)
+        read(server, connection)
         server._flush()
         second, first = replies(client)
     assert first[1:3] == [1, None]
@@ -180,7 +193,7 @@ def test_a_notification_gets_no_answer(stepped: tuple[Server, SteppedClock]) -> 
         for method in ("simPause", "fly"):
             client.sendall(msgpack.packb([rpc.NOTIFY, method, [False]]))
         client.sendall(rpc.pack_request(1, "ping", []))
-        server._read(connection)
+        read(server, connection)
         server._flush()
         assert replies(client) == [[rpc.RESPONSE, 1, None, True]]
     assert not server.api.simulation.paused, "it was heeded"
@@ -194,7 +207,7 @@ def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Serve
     received = b""
     with client:
         client.sendall(rpc.pack_request(1, "ping", []) * 8)
-        server._read(connection)
+        read(server, connection)
         server._flush()
         assert connection.unsent, "the buffers of both ends hold less"
         assert server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
@@ -261,11 +274,6 @@ def test_no_server_is_one_line() -> None:
         SocketTransport(*unused.address)
 
 
-def wait_for_sockets(server: Server) -> None:
-    """Until what was sent has come."""
-    server._selector.select(timeout=10)
-
-
 @pytest.fixture
 def clients() -> Iterator[contextlib.ExitStack]:
     """Closes their sockets."""
@@ -292,9 +300,8 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     assert other is not None
     flood.sendall(b"".join(rpc.pack_request(number, "ping", []) for number in range(40)))
     client.sendall(rpc.pack_request(7, "ping", []))
-    wait_for_sockets(server)
-    server._read(flooding)
-    server._read(other)
+    read(server, flooding)
+    read(server, other)
     server._flush()
     first = [reply[1] for reply in replies(flood)]
     assert 0 < len(first) < 10
@@ -325,13 +332,11 @@ def test_silent_clients_make_room_and_a_line_says_so(
     )
     assert None not in (waiting, silent, speaking)
     pilot.sendall(rpc.pack_request(1, "moveByVelocity", [1.0, 0.0, 0.0, 1e6, 0, MOVE[1][5]]))
-    wait_for_sockets(server)
-    server._read(waiting)  # type: ignore[arg-type]
+    read(server, waiting)  # type: ignore[arg-type]
     assert joined(server, clients)[0] is None, "nobody has been silent for long"
     clock.charge(IDLE_LIMIT_NS + 1)
     speaker.sendall(PING)
-    wait_for_sockets(server)
-    server._read(speaking)  # type: ignore[arg-type]
+    read(server, speaking)  # type: ignore[arg-type]
     newcomer, _ = joined(server, clients)
     assert server._connections == {waiting, speaking, newcomer}, "who waits for an answer is not silent"
     assert [line.partition("; ")[0] for line in said] == ["warning: 3 clients are connected"] * 2
@@ -363,16 +368,14 @@ def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.Exit
     assert drawing is not None
     assert other is not None
     painter.sendall(rpc.pack_request(1, "simGetImages", [[{}] * 6]) + rpc.pack_request(2, "ping", []))
-    wait_for_sockets(server)
-    server._read(drawing)
+    read(server, drawing)
     client.sendall(rpc.pack_request(7, "ping", []))
-    wait_for_sockets(server)
-    server._read(other)
+    read(server, other)
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7]
     turns = 0
     while server._backlog:
-        assert replies(painter) == []
+        assert silent(painter)
         server._serve_backlog()
         turns += 1
     assert turns >= 6

@@ -151,7 +151,7 @@ def test_a_backlog_within_bounds_is_made_good() -> None:
 held_up = st.lists(st.integers(0, 3 * CATCH_UP_NS), min_size=1, max_size=12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(held_up, st.sampled_from([0.5, 1.0, 1.5]))
 def test_what_is_not_flown_is_counted_as_lost(waits_ns: list[int], clock_speed: float) -> None:
     """Simulated time is ClockSpeed times the wall time that was not lost, to a tick, however often some was lost."""
@@ -256,7 +256,7 @@ def test_another_speed_goes_on_from_here() -> None:
 looks = st.lists(st.integers(0, 3 * 10**7), max_size=20).map(sorted)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(looks, st.sampled_from([0.5, 1.5, 100.0]))
 def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: float) -> None:
     """Two commands, a gap with position hold, a continue-for: the same samples, bit for bit."""

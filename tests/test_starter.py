@@ -119,7 +119,7 @@ def test_commands_of_the_readme_parse(folder: Path) -> None:
 @pytest.mark.slow
 def test_the_task_of_ones_own_trains(folder: Path) -> None:
     command = [sys.executable, "task.py", "--commands", "256", "--games", "2"]
-    said = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=120).stdout
+    said = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=600).stdout
     assert "of 2 games" in said
     assert (folder / "there_and_back.zip").is_file()
 

@@ -204,7 +204,7 @@ speeds = st.sampled_from([0.1, 0.3333333, 1.5, 62.5, 100]) | st.floats(0.01, 200
     st.sampled_from(sorted(COMMANDS)),
     st.sampled_from([(0.1, 0.1), (0.2, 0.066), (0.01, 0.002)]),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_virtual_clock_never_spins_for_ever(
     clock_speed: float, latency: LatencyConfig, command: str, times_s: tuple[float, float]
 ) -> None:
@@ -214,7 +214,7 @@ def test_a_virtual_clock_never_spins_for_ever(
 
 
 @given(speeds, latencies, st.sampled_from(sorted(COMMANDS)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_nor_does_it_with_airsims_wall_timers(
     clock_speed: float, latency: LatencyConfig, command: str
 ) -> None:

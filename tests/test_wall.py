@@ -15,6 +15,7 @@ from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import SQUARE
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
+from uavaccel.wire import server_watch
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session, VirtualSession, WallSession
 
@@ -93,7 +94,8 @@ def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Se
     client.run()
     issued_ns = client.now_ns()
     future = client.move_async(NORTH, 1.0)
-    assert not client.join(future, issued_ns + 1_000_000)
+    came = client.join(future, issued_ns + 1_000_000)
+    assert not came or client.now_ns() - issued_ns >= 50_000_000  # this process may have been held up
     assert client.join(future)
     assert client.now_ns() - issued_ns >= 50_000_000
     assert future.result() is True
@@ -122,7 +124,8 @@ def test_a_pause_releases_a_continue_for(session: Session) -> None:
     assert period.result()[0] == client.kinematics().time_ns
 
 
-def test_the_server_ends_with_its_session() -> None:
+def test_the_server_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_watch, "END_S", 60.0)  # by itself, on however busy a machine
     session = WallSession("blocks", "native")
     session.start_game(1.0, SEED)
     session.close()

@@ -7,13 +7,26 @@ import select
 import signal
 import threading
 
+_BOUND: set[int] = set()
 
-def end_with_parent() -> None:
+
+def work_for_parent(parent: int) -> None:
+    """As `end_with_parent`, and Ctrl-C is the parent's to handle. For the main thread; a second time it does nothing.
+
+    This module imports nothing heavy, so that a process may call it before it imports what is.
+    """
+    if os.getpid() not in _BOUND:
+        _BOUND.add(os.getpid())
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        end_with_parent(parent)
+
+
+def end_with_parent(parent: int) -> None:
     """From now on this process is killed as soon as its parent is gone (Linux; elsewhere nothing happens).
 
-    Whatever it does then cannot be wanted any more, and no handler of its own may hold it up.
+    Whatever it does then cannot be wanted any more, and no handler of its own may hold it up. `parent` is the process
+    that started it, which may be gone by now: who is asked for it then has got another one.
     """
-    parent = os.getppid()
     if not hasattr(os, "pidfd_open"):
         return
     try:

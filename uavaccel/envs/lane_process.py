@@ -109,7 +109,7 @@ def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int
 
 def main() -> None:
     options = json.loads(sys.argv[1])
-    end_with_parent()
+    end_with_parent(options["parent"])
     os.nice(NICENESS)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
     threads = [threading.Thread(target=fly, args=(options, place)) for place in options["lanes"]]

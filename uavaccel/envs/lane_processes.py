@@ -51,8 +51,9 @@ class LaneProcesses:
                 inherited |= set(descriptors.values())
                 renderer = {"number": lane, "count": service.cameras, **descriptors}
             places.append({"lane": lane, "connection": connection, "renderer": renderer})
+        told = {**options, "lanes": places, "parent": os.getpid()}
         return subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.envs.lane_process", json.dumps({**options, "lanes": places})],
+            [sys.executable, "-m", "uavaccel.envs.lane_process", json.dumps(told)],
             pass_fds=sorted(inherited),
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, each draws on its own core
             start_new_session=True,  # Ctrl-C is for the process that flies the batch

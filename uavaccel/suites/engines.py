@@ -37,11 +37,15 @@ def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Any]) -> Iter
     Raises UserError where a worker is lost.
     """
     clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
-    with clusters[engine](jobs), parallel_config(backend=engine, n_jobs=jobs):
-        most = jobs * batch * AHEAD
+    most = jobs * batch * AHEAD
+    with (
+        clusters[engine](jobs),
+        parallel_config(backend=engine, n_jobs=jobs),
+        Parallel(batch_size=batch) as parallel,  # its workers stay, with what they opened
+    ):
         for first in range(0, len(calls), most):
             try:
-                yield from Parallel(batch_size=batch)(calls[first : first + most])
+                yield from parallel(calls[first : first + most])
             except Exception as error:
                 if type(error).__module__.partition(".")[0] not in PACKAGES.values():
                     raise

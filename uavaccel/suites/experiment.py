@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import field_validator
+from pydantic import AfterValidator
 
 from uavaccel.config import Config, apply_overrides, load_yaml, validate
 from uavaccel.limits import CLOCK_SPEEDS, Cost, Seed
@@ -17,37 +17,6 @@ from uavaccel.wire.latency import LatencyModel
 Timing = Literal["wall", "virtual", "lockstep"]
 ProfileName = Literal["native", "airsim"]
 CommandName = Literal["adsc", "tcsc"]
-
-
-class Experiment(Config):
-    """Keys that every suite has. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
-
-    seed: Seed = 0
-
-
-class FlightExperiment(Experiment):
-    """Keys of suites that fly commands at several ClockSpeeds."""
-
-    clock_speed: tuple[float, ...]
-    """ClockSpeeds to fly at: simulated seconds per wall second, above 0; 1.5 is 1.5."""
-    command: tuple[CommandName, ...] = ("adsc", "tcsc")
-    timing: Timing = "virtual"
-    """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
-    profile: ProfileName = "native"
-    t_th_wall_s: Cost = 0.001
-    """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
-    latency: LatencyModel
-    """The latency model that `virtual` draws from, or the name of its file; `uavaccel calibrate` writes one."""
-
-    @field_validator("clock_speed")
-    @classmethod
-    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return within(speeds, *CLOCK_SPEEDS)
-
-    @field_validator("command")
-    @classmethod
-    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
-        return distinct(commands)
 
 
 def within(values: tuple[float, ...], least: float, most: float) -> tuple[float, ...]:
@@ -72,6 +41,31 @@ def distinct(values: Values) -> Values:
         if names.count(name) > 1:
             raise ValueError(f"has {name} twice")
     return values
+
+
+ClockSpeeds = Annotated[tuple[float, ...], AfterValidator(lambda speeds: within(speeds, *CLOCK_SPEEDS))]
+CommandNames = Annotated[tuple[CommandName, ...], AfterValidator(distinct)]
+
+
+class Experiment(Config):
+    """Keys that every suite has. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
+
+    seed: Seed = 0
+
+
+class FlightExperiment(Experiment):
+    """Keys of suites that fly commands at several ClockSpeeds."""
+
+    clock_speed: ClockSpeeds
+    """ClockSpeeds to fly at: simulated seconds per wall second, above 0; 1.5 is 1.5."""
+    command: CommandNames = ("adsc", "tcsc")
+    timing: Timing = "virtual"
+    """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
+    profile: ProfileName = "native"
+    t_th_wall_s: Cost = 0.001
+    """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
+    latency: LatencyModel
+    """The latency model that `virtual` draws from, or the name of its file; `uavaccel calibrate` writes one."""
 
 
 def timing_of(config: Experiment) -> str:

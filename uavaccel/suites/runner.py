@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 import warnings
 from collections import Counter
@@ -18,7 +17,7 @@ from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import MOST_PROCESSES
-from uavaccel.parent import end_with_parent
+from uavaccel.parent import work_for_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.engines import LOKY, on_cluster
@@ -140,7 +139,9 @@ def _fly_one_by_one(
 def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[Flown]:
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    # bound to this process before they import what takes them seconds
+    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
+    with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
         ahead = f"{suite.batch}*n_jobs"  # of long games none, or an interruption would find them waiting
         parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch=ahead, batch_size=suite.batch)
         games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
@@ -178,9 +179,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     key = (str(folder), case.timing)
     if key not in _OPENED:
         if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            if not _OPENED:
-                end_with_parent()
+            work_for_parent(os.getppid())
         # drawing in software, it leaves the other cores to its siblings
         os.environ.setdefault("LP_NUM_THREADS", "0")
         run = RunDirectory(folder)

@@ -1,6 +1,6 @@
 """The process that a session starts: one server on a free loopback port, until standard input ends.
 
-    python -m uavaccel.wire.server_process '{"scene": "blocks", "profile": "native", "core": null}'
+    python -m uavaccel.wire.server_process '{"scene": "blocks", "profile": "native", "core": null, "parent": 1}'
 
 prints one line of JSON, {"port": ...}, when it listens.
 """
@@ -25,7 +25,7 @@ from uavaccel.wire.server import Server
 
 def main() -> None:
     options = json.loads(sys.argv[1])
-    end_with_parent()
+    end_with_parent(options["parent"])
     if options["core"] is not None:
         os.sched_setaffinity(0, {options["core"]})
     simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])

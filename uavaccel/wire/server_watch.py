@@ -7,7 +7,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,12 @@ class WatchedServer:
     def __init__(self, options: dict[str, Any]) -> None:
         self._clock = MonotonicClock()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.wire.server_process", json.dumps(options)],
+            [
+                sys.executable,
+                "-m",
+                "uavaccel.wire.server_process",
+                json.dumps({**options, "parent": os.getpid()}),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on its own core too
@@ -122,6 +127,7 @@ class Silence:
         self._clock = MonotonicClock()
         self._answered: Callable[[], bool] | None = None
         self._asked_ns = 0
+        self._counted_ns = 0
 
     def goes_on(self) -> None:
         """To be called after every LOOK_NS of it: asks, then looks at the process. Raises ServerGoneError."""
@@ -131,10 +137,20 @@ class Silence:
         self._server.answered()
         self._answered, self._asked_ns = self._ask(), self._clock.now_ns()
 
-    def broken_ns(self) -> int:
-        """To be called when something came: for how long the server had not answered; 0 if it only flew."""
-        if self._answered is None or not self._answered():
+    def broken_ns(self, due_ns: Sequence[int]) -> int:
+        """To be called when something came: for how long the server had not answered; 0 if it only flew.
+
+        `due_ns` are the instants at which the answers that came were due. No wall time is counted twice.
+        """
+        since = list(due_ns)
+        if self._answered is not None and self._answered():
+            self._answered = None
+            since.append(self._asked_ns)
+        if not since:
             return 0
-        self._answered = None
-        silent_ns = self._clock.now_ns() - self._asked_ns
-        return silent_ns if silent_ns > STALL_NS else 0
+        now_ns = self._clock.now_ns()
+        silent_ns = now_ns - max(min(since), self._counted_ns)
+        if silent_ns <= STALL_NS:
+            return 0
+        self._counted_ns = now_ns
+        return silent_ns

@@ -37,6 +37,9 @@ LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next t
         "uavaccelTrace",
     }
 )
+AT_ONCE = frozenset(
+    {"pause", "continue", "state"}
+)  # channels whose calls keep a server busy for microseconds
 
 
 class Call:
@@ -51,7 +54,14 @@ class Call:
         self.deferred: DeferredReply | None = None
         self.handled_ns = 0
         self.reply_wall_ns: int | None = None
+        self.sent_ns = 0
         self.expected_ns: int | None = None  # when the client thinks the answer is due
+
+    def due_ns(self) -> int | None:
+        """When a server that is there has answered, on the client's clock; None where that cannot be said."""
+        if self.channel in AT_ONCE:
+            return self.sent_ns
+        return self.expected_ns if self.channel == "continue_for" else None
 
     def result(self) -> Any:
         """The reply's value. Raises rpc.RpcError with the server's text."""
@@ -87,7 +97,10 @@ class Transport(Protocol):
     clock: WallClock
     known: KnownState
     stalled_ns: int
-    """Wall time for which a watched server did not answer, since it was last set to 0; to be seen it takes a second."""
+    """Wall time for which a watched server did not answer, since it was last set to 0.
+
+    Of calls that take no simulated time, and of a continue-for beyond its end, 0.1 s are seen; of others a second.
+    """
 
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         """Issue a call; `blocking` says that the caller waits for it at once.
@@ -153,6 +166,7 @@ class SocketTransport:
     def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
+        call.sent_ns = self.clock.now_ns()
         self._next_id = (self._next_id + 1) & 0xFFFFFFFF
         self._open[self._next_id] = call
         self._unsent += rpc.pack_request(self._next_id, method, params)
@@ -209,13 +223,15 @@ class SocketTransport:
         if not data:
             raise ServerGoneError("the server closed the connection")
         set_quick_ack(self._socket)
+        due_ns = []
         for message in self._decoder.messages(data):
             _, message_id, text, value = message
             call = self._open.pop(message_id, None)
             if call is not None:
                 call.done, call.error, call.value = True, text, value
+                due_ns.append(call.due_ns())
         if self._silence is not None:
-            self.stalled_ns += self._silence.broken_ns()
+            self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
 
     def _ask(self) -> Callable[[], bool]:
         """Ask the server whether it is there; what is returned says whether it has answered."""

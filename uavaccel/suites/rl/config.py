@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from uavaccel.config import Config
-from uavaccel.limits import CLOCK_SPEEDS, ClockSpeed, Games
-from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, within
+from uavaccel.limits import ClockSpeed, Games
+from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, ProfileName
 from uavaccel.suites.parts import Part
 
 SimulatedTiming = Literal["virtual", "lockstep"]
@@ -19,22 +19,12 @@ class Block(Config):
 
     profile: ProfileName
     timing: SimulatedTiming = "virtual"
-    command: tuple[CommandName, ...] = ("adsc", "tcsc")
-    clock_speed: tuple[float, ...]
+    command: CommandNames = ("adsc", "tcsc")
+    clock_speed: ClockSpeeds
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
     """What sets these trainings apart from others of the same command and ClockSpeed; claims look at those without."""
     task: dict[str, Any] = Field(default_factory=dict)
     """Keys of the task, dotted, in training and evaluation."""
-
-    @field_validator("clock_speed")
-    @classmethod
-    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return within(speeds, *CLOCK_SPEEDS)
-
-    @field_validator("command")
-    @classmethod
-    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
-        return distinct(commands)
 
 
 class RlConfig(Experiment):

@@ -6,9 +6,9 @@ from typing import Literal
 
 from pydantic import field_validator
 
-from uavaccel.limits import CLOCK_SPEEDS, MOST_SCALE, Games
+from uavaccel.limits import MOST_SCALE, Games
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.experiment import CommandName, Experiment, ProfileName, distinct, within
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, distinct
 from uavaccel.suites.parts import Part
 
 
@@ -19,18 +19,13 @@ class RobustnessConfig(Experiment):
     agent: str = DEFAULT
     """As `uavaccel evaluate` takes it."""
     profile: ProfileName = "airsim"
-    command: tuple[CommandName, ...] = ("tcsc", "adsc")
-    clock_speed: tuple[float, ...]
+    command: CommandNames = ("tcsc", "adsc")
+    clock_speed: ClockSpeeds
     latency_scale: tuple[float, ...]
     """Times the latencies of the profile's model; flown in this order, so begin with what matters most."""
     games: Games = 100
     """Evaluation lanes of each cell, the same ones in all."""
     evaluation: Part = Part(experiment="evaluate")
-
-    @field_validator("clock_speed")
-    @classmethod
-    def _positive(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        return within(speeds, *CLOCK_SPEEDS)
 
     @field_validator("latency_scale")
     @classmethod
@@ -38,8 +33,3 @@ class RobustnessConfig(Experiment):
         if any(not 0 <= scale <= MOST_SCALE for scale in scales):
             raise ValueError(f"must be 0 to {MOST_SCALE:g}")
         return distinct(scales)
-
-    @field_validator("command")
-    @classmethod
-    def _distinct(cls, commands: tuple[CommandName, ...]) -> tuple[CommandName, ...]:
-        return distinct(commands)

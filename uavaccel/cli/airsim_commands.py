@@ -1,0 +1,86 @@
+"""What AirSim's clients and scripts need: serve, fly.
+
+Thin shells over plain functions, which are imported when a command runs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def serve(
+    settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
+    clock: Annotated[float | None, typer.Option(help="ClockSpeed; otherwise the settings', or 1.")] = None,
+    port: Annotated[
+        int | None, typer.Option(help="Otherwise the settings', or 41451; 0: any free one.")
+    ] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; without it never beyond this machine.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+    scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
+    recordings: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for what startRecording records; otherwise the settings', or ~/Documents/AirSim."
+        ),
+    ] = None,
+) -> None:
+    """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""
+    from uavaccel.cli.serve import ServeOptions
+    from uavaccel.cli.serve import serve as serve_clients
+
+    serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
+
+
+def fly(
+    script: Annotated[Path, typer.Argument(help="An AirSim script in Python.")],
+    arguments: Annotated[list[str] | None, typer.Argument(help="The script's own arguments.")] = None,
+    clock: Annotated[
+        str | None,
+        typer.Option(help="ClockSpeed, or several with commas: 1,10,100; otherwise the settings'."),
+    ] = None,
+    timing: Annotated[
+        str, typer.Option(help="wall (measured), virtual (modelled) or lockstep (no latency).")
+    ] = "virtual",
+    check: Annotated[
+        bool, typer.Option("--check", help="Fly twice, and compare messages and trajectory to the byte.")
+    ] = False,
+    until: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Stop the script after so many simulated seconds, pauses included."),
+    ] = None,
+    think: Annotated[
+        float, typer.Option(min=0.0, help="Wall seconds that the script takes before each call.")
+    ] = 0.0,
+    seed: Annotated[int | None, typer.Option(help="Of Python's and NumPy's global generators.")] = None,
+    settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
+    profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
+    scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
+    out: Annotated[Path | None, typer.Option(help="Folder to make for trajectory and messages.")] = None,
+    film: Annotated[bool, typer.Option("--film", help="Film the front camera's view, into --out.")] = False,
+) -> None:
+    """Fly an unmodified AirSim script, on a simulated clock: fast, headless, and the same every time.
+
+    Options come before the script, its own arguments after it.
+    """
+    from uavaccel.cli.fly import FlyRequest, fly_script, parse_clocks
+    from uavaccel.fly.options import FlightOptions
+
+    flight = FlightOptions(
+        script,
+        tuple(arguments or ()),
+        folder=Path(),
+        timing=timing,
+        profile=profile,
+        scene=scene,
+        settings=settings,
+        think_s=think,
+        seed=seed,
+        until_s=until,
+        film=film,
+    )
+    fly_script(FlyRequest(flight, parse_clocks(clock), check, out))
