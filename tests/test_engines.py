@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -71,6 +73,20 @@ def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
         list(on_cluster("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
     with pytest.raises(ZeroDivisionError):
         list(on_cluster("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
+
+
+def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def init(**options: Any) -> None:
+        raise Exception("The current node timed out during startup.\nMore.")
+
+    modules = {
+        "ray": SimpleNamespace(init=init),
+        "ray.util.joblib": SimpleNamespace(register_ray=lambda: None),
+    }
+    for name, module in {**modules, "ray.util": SimpleNamespace()}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    with pytest.raises(UserError, match=r"^ray cannot be started or reached: The current node .* startup\.$"):
+        list(on_cluster("ray", 1, 1, [delayed(int)(1)]))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Callable
 
 import typer
 
@@ -18,17 +19,20 @@ from uavaccel.cli.result_commands import export, report, view
 from uavaccel.cli.starter_commands import init, schema
 from uavaccel.errors import mistake_of
 
+COMMANDS: list[Callable[..., None]] = [
+    *(run, report, view, calibrate, advise, train, evaluate),
+    *(export, bench, serve, fly, init, schema, doctor),
+]
+"""In the order of `uavaccel --help`."""
+
 app = typer.Typer(
     name="uavaccel",
     help="Fast, time-controlled quadrotor simulation, and what the acceleration costs.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, report, view, calibrate, advise, train, evaluate, export, bench, serve):
-    app.command()(command)
-app.command(context_settings={"allow_interspersed_args": False})(fly)  # what follows a script is its own
-for command in (init, schema, doctor):
-    app.command()(command)
+for command in COMMANDS:  # what follows a script is its own
+    app.command(context_settings={"allow_interspersed_args": command is not fly})(command)
 
 
 def main() -> None:

@@ -61,7 +61,10 @@ def _ray(jobs: int) -> Iterator[None]:
 
     register_ray()
     own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "_node_ip_address": "127.0.0.1"}
-    ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **own)
+    try:
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **own)
+    except Exception as error:  # of no kind of its own
+        raise UserError(f"ray cannot be started or reached: {str(error).partition(chr(10))[0]}") from error
     try:
         yield
     finally:
