@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,12 +29,16 @@ from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import Lanes, make_lanes, seed_lanes
 from uavaccel.rl.learner import learning_rhythm
-from uavaccel.rl.policy import load_policy, weights_sha256
+from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.rl.replay import Batch
+from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.suite import Flown
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
 from uavaccel.suites.training.flights import CHECKPOINTS
+from uavaccel.suites.training.suite import Training
 
 pytestmark = pytest.mark.slow
 
@@ -116,7 +120,7 @@ def test_another_seed_learns_other_weights_on_other_lanes(tmp_path: Path, lockst
 def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
     tmp_path: Path, task: dict[str, Any]
 ) -> None:
-    config = tiny_config(task, mirror=task is not STATE, games=6, **(EVALUATED if task is STATE else {}))
+    config = tiny_config(task, mirror=task is not STATE, games=6)
     (tmp_path / "config.yaml").write_text(to_yaml(config))
     command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "5"]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
@@ -127,31 +131,8 @@ def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
     resumed = train_into(tmp_path / "killed", config, resume=True)
     whole = train_into(tmp_path / "whole", config)
     assert resumed == whole
-    files = ("rows.jsonl", FILE) if task is STATE else ("rows.jsonl",)
-    for file in files:
-        assert (tmp_path / "killed" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
-
-
-def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(tmp_path: Path) -> None:
-    plain = tiny_config(STATE, mirror=False)
-    config = tiny_config(STATE, mirror=False, **EVALUATED)
-    summary = train_into(tmp_path / "evaluated", config)
-    evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
-    assert {**summary, "evaluations": None} == {**train_into(tmp_path / "plain", plain), "evaluations": None}
-    assert (run.path / "rows.jsonl").read_bytes() == (tmp_path / "plain" / "rows.jsonl").read_bytes()
-    lines = evaluations(run)
-    assert [line["games"] for line in lines] == [each["games"] for each in evaluated] == [3, 4]
-    assert lines[-1]["weights_sha256"] == summary["weights_sha256"] != lines[0]["weights_sha256"]
-    flown = evaluation_of(config, run.path)  # whose policy is that of the last evaluation
-    environment = ObstacleLane(**flown.task.model_dump(mode="json"))
-    agent = make_agent(flown.agent, flown.task)
-    rows = [fly_game(flown, environment, agent, lane) for lane in lines[-1]["lanes"]]
-    environment.close()
-    for key in ("is_success", "distance_m"):
-        assert lines[-1][key] == [row[key] for row in rows]
-    assert min(lines[-1]["lanes"]) >= 500_000
-    with pytest.raises(UserError, match="evaluate_every_games must be 0 with timing wall"):
-        tiny_config({**STATE, "timing": "wall"}, mirror=False, **EVALUATED)
+    rows = [(tmp_path / name / "rows.jsonl").read_bytes() for name in ("killed", "whole")]
+    assert rows[0] == rows[1]
 
 
 def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:
@@ -191,6 +172,75 @@ def side_by_side(task: LaneTask, count: int) -> Lanes:
     """As make_lanes, but in this process."""
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+
+
+def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "make_lanes", side_by_side)
+    config, without = (tiny_config(STATE, mirror=False, **keys) for keys in (EVALUATED, {}))
+    summary = train_into(tmp_path / "evaluated", config)
+    evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
+    plain = begin_run(Training(), without, tmp_path / "plain", {})
+    run_suite(Training(), without, plain)
+    assert trained_with(plain.path) == trained_with(run.path)
+    assert (plain.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
+    lines = evaluations(run)
+    assert [line["games"] for line in lines] == [each["games"] for each in evaluated] == [3, 4]
+    assert lines[-1]["weights_sha256"] == summary["weights_sha256"] != lines[0]["weights_sha256"]
+    flown = evaluation_of(config, run.path)  # whose policy is that of the last evaluation
+    environment = ObstacleLane(**flown.task.model_dump(mode="json"))
+    agent = make_agent(flown.agent, flown.task)
+    rows = [fly_game(flown, environment, agent, lane) for lane in lines[-1]["lanes"]]
+    environment.close()
+    for key in ("is_success", "distance_m"):
+        assert lines[-1][key] == [row[key] for row in rows]
+    assert min(lines[-1]["lanes"]) >= 500_000
+    with pytest.raises(UserError, match="evaluate_every_games must be 0 with timing wall"):
+        tiny_config({**STATE, "timing": "wall"}, mirror=False, **EVALUATED)
+
+
+class GamesHere:
+    """As GamesInBatch, but in this process."""
+
+    def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
+        self._environment = ObstacleLane(**config.task.model_dump(mode="json"))
+        self.begin(config, lanes)
+
+    def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
+        self._config, self._agent = config, make_agent(config.agent, config.task)
+
+    def game(self, lane: int) -> Flown:
+        return Flown(fly_game(self._config, self._environment, self._agent, lane))
+
+    def close(self) -> None:
+        self._environment.close()
+
+
+def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "make_lanes", side_by_side)
+    monkeypatch.setattr("uavaccel.suites.training.evaluations.GamesInBatch", GamesHere)
+    config = tiny_config(STATE, mirror=False, games=7, checkpoint_games=4, **EVALUATED)
+    whole, cut = (begin_run(Training(), config, tmp_path / name, {}) for name in ("whole", "cut"))
+
+    def stop(case: Any, row: Any) -> None:
+        if row["game"] == 5:
+            raise RuntimeError("stopped")
+
+    run_suite(Training(), config, whole)
+    with pytest.raises(RuntimeError, match="stopped"):
+        run_suite(Training(), config, cut, on_flown=stop)
+    assert [line["games"] for line in evaluations(cut)] == [3, 6]
+    cut_short = (tmp_path / "cut" / FILE).read_bytes()
+    (tmp_path / "cut" / FILE).write_bytes(cut_short[:-9])  # died while it wrote
+    Training().prepare(config, cut)
+    assert [line["games"] for line in evaluations(cut)] == [3]  # what the checkpoint of 4 games knows
+    run_suite(Training(), config, cut)
+    assert [line["games"] for line in evaluations(cut)] == [3, 6, 7]
+    for file in (FILE, "rows.jsonl", "policies/0000006/policy.json"):
+        assert (tmp_path / "cut" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
