@@ -202,7 +202,7 @@ def test_view_writes_a_film_that_plays_and_a_contact_sheet(
     while (frame := film.read())[0]:
         played.append(frame[1])
     assert len(played) == SAMPLES
-    assert played[0].shape == (480, 1280, 3)
+    assert played[0].shape == (808, 1280, 3)
     assert np.mean(np.abs(played[-1].astype(int) - played[1])) > 1.0
     sheet = cv2.imread(str(tmp_path / "tcsc-k100.png"))
     assert sheet is not None
