@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -90,10 +91,24 @@ def trained_with(folder: Path) -> Mapping[str, Any]:
 
 
 def load_policy(path: Path) -> Policy:
-    """The policy in a run directory or any folder with its two files.
+    """The policy in a run directory or any folder with its two files; not to be changed, it is read once.
 
     Raises UserError if there is none, if it is damaged, or if its weights are not those that its manifest describes.
     """
+    return _read_policy(path, _stamp(path / MANIFEST), _stamp(path / WEIGHTS))
+
+
+def _stamp(file: Path) -> tuple[int, int] | None:
+    """What changes with a file; None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=4)  # a sweep asks for the same policy in each of its cases
+def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
     manifest = _read_manifest(path)
     weights = _read_weights(path / WEIGHTS, manifest)
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
