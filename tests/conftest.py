@@ -20,7 +20,8 @@ from uavaccel.sim.world import World
 # How long an example takes says something about the machine's other work alone.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell: nor would programs heed it
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # In the background of a shell Ctrl-C is ignored, by the programs that tests start too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
