@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from uavaccel.draw import film as films
-from uavaccel.draw.canvas import IMPACT, TAKEN, UNTAKEN
-from uavaccel.draw.decisions import Decisions, draw_ratings
-from uavaccel.draw.film import Film, dvs_picture, frames, write_contact_sheet, write_video
+from uavaccel.draw.decisions import TAKEN, UNTAKEN, Decisions, draw_ratings
+from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, write_contact_sheet, write_video
 from uavaccel.draw.lane_map import (
     DRONE,
     GOAL,

@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.movie import Bgr
+Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
 
 PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
-TAKEN, UNTAKEN, IMPACT = (178, 114, 0), (200, 200, 200), (0, 94, 213)  # style.BLUE, a grey, style.VERMILION
-
-__all__ = ["FAINT", "IMPACT", "INK", "PAPER", "TAKEN", "UNTAKEN", "Bgr", "paste", "to_bgr", "write"]
+BLUE, VERMILION, GREEN = (178, 114, 0), (0, 94, 213), (115, 158, 0)  # those of draw/style.py
 
 
 def paste(page: Bgr, picture: Bgr, at: tuple[int, int]) -> None:

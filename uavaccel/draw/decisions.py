@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.canvas import FAINT, INK, PAPER, TAKEN, UNTAKEN, Bgr, paste, write
+from uavaccel.draw.canvas import BLUE, FAINT, INK, PAPER, Bgr, paste, write
 
+TAKEN, UNTAKEN = BLUE, (200, 200, 200)
 LEAST = 0.1  # of the film's largest difference: the worst action's bar
 MARGIN, FOOT = 24, 40  # pixels above the bars, for their values, and below, for their headings
 

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.canvas import FAINT, IMPACT, INK, PAPER, paste, to_bgr, write
+from uavaccel.draw.canvas import BLUE, FAINT, INK, PAPER, VERMILION, Bgr, paste, to_bgr, write
 from uavaccel.draw.decisions import Decisions, draw_given, draw_ratings
 from uavaccel.draw.lane_map import draw_impact, draw_lane, draw_track, follow, whole_lane
-from uavaccel.draw.movie import Bgr, movie
+from uavaccel.draw.movie import movie
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LaneLayout
 
@@ -31,7 +31,8 @@ NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 86)
 SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where there is one
 HELD_S = 2.0  # seconds of film for which an impact is shown
 
-NO_EVENT, ON, OFF = (246, 246, 246), (178, 114, 0), (0, 94, 213)  # style.BLUE and style.VERMILION
+NO_EVENT, ON, OFF = (246, 246, 246), BLUE, VERMILION
+IMPACT = VERMILION
 FULL_COLOUR_FROM = 3  # events of a pixel
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_GAP, SHEET_CAPTION = 5, 4, 10, 24

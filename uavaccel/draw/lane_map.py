@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from uavaccel.draw.canvas import BLUE, GREEN, VERMILION, Bgr
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
-Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
-
 GROUND, OUTSIDE, WALL = (240, 240, 240), (222, 222, 222), (110, 110, 110)
-OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), (178, 114, 0), (0, 94, 213), (115, 158, 0)
+OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), BLUE, VERMILION, GREEN
 WALL_M = 0.25  # as thick as it is drawn
 BEHIND = 0.25  # share of the near map that shows what was passed
 IMPACT_PIXELS = 12  # half of the cross

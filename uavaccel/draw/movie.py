@@ -7,13 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import av
-import numpy as np
-from numpy.typing import NDArray
 
+from uavaccel.draw.canvas import Bgr
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
-
-Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
 
 CRF = "32"  # of x264: a game of 165 s is 2.5 MB, and a pixel's event still shows
 BT709, LIMITED_RANGE = 1, 1  # as FFmpeg and H.264 number them: players need not guess

@@ -31,9 +31,7 @@ OF_DIFFICULTY = (
     "mass_ratio",
     "thrust_ratio",
 )
-OF_TASK = (
-    "speed_m_s",
-    "altitude_m",
+OF_SENSOR = (
     "dvs_threshold_ratio",
     "dvs_spread_ratio",
     "dvs_shot_noise_hz",
@@ -41,6 +39,7 @@ OF_TASK = (
     "dvs_hot_pixels",
     "image_noise",
 )
+OF_TASK = ("speed_m_s", "altitude_m", *OF_SENSOR)
 LATENCY = "latency_scale"
 
 

@@ -185,11 +185,11 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             self._session.set_latency(self.flown.latency)
 
     def _make_noise(self, seed: int, start_ns: int) -> None:
-        """Of this game's pictures and events; v2e's presets by themselves have the same noise in each game."""
+        """Of this game's pictures and events."""
         assert self._client is not None
         self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
         if isinstance(self._sensor, EventCamera):
-            self._sensor.noise_seed = seed if self.flown.has_own_noise else 0
+            self._sensor.noise_seed = self.flown.events_seed(seed)
 
     def _opened(self) -> Session:
         task = self.task

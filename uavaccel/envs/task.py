@@ -164,10 +164,9 @@ class Task(Config):
         noise = self.dvs_shot_noise_hz, self.dvs_leak_hz, self.dvs_spread_ratio, self.dvs_hot_pixels
         return with_noise(preset, *noise)
 
-    @property
-    def has_own_noise(self) -> bool:
-        """Whether the event camera has noise beside its preset's."""
-        return self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0
+    def events_seed(self, seed: int) -> int:
+        """Of the event camera's noise in a game of that seed; v2e's presets by themselves have one for all games."""
+        return seed if self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0 else 0
 
     def observation_space(self) -> spaces.Box:
         """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""

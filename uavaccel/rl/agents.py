@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 
+from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
@@ -68,12 +69,7 @@ SENSES = (
     "blank_images",
     "dvs_preset",
     "dvs_seed",
-    "dvs_threshold_ratio",
-    "dvs_spread_ratio",
-    "dvs_shot_noise_hz",
-    "dvs_leak_hz",
-    "dvs_hot_pixels",
-    "image_noise",
+    *OF_SENSOR,
     "dvs_rate_hz",
 )
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")

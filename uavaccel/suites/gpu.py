@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 import torch as th
 
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
 MOST_PROCESSES = 256
+
+Opened = TypeVar("Opened")
 
 _place: TextIO | None = None  # held as long as this process lives
 
@@ -34,6 +37,13 @@ def take_gpu(device: str) -> None:
     _stay_on_cores(place, len(visible))
     if gpu.isdigit():
         os.environ.setdefault(EGL_DEVICE, gpu)
+
+
+@contextmanager
+def on_own_gpu(opened: Opened, device: str = "cuda") -> Iterator[Opened]:
+    """For `Suite.open`: what is opened, in a process that has a GPU of its own from now on, where there are several."""
+    take_gpu(device)
+    yield opened
 
 
 def _stay_on_cores(share: int, shares: int) -> None:

@@ -39,7 +39,7 @@ class WatchedLane(ObstacleLane):
         super()._start_game(course, latencies)
         assert isinstance(self._session, VirtualSession)
         now_ns = self._now.state.time_ns
-        seed = self._noise.seed if self.flown.has_own_noise else 0
+        seed = self.flown.events_seed(self._noise.seed)
         self.events.start(self._noise.add(self._session.picture(), now_ns), now_ns, seed)
 
     def _look_too(self, time_ns: int) -> None:

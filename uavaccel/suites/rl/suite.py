@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.gpu import take_gpu
+from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_suite
 from uavaccel.suites.rl import report
 from uavaccel.suites.rl.cells import (
@@ -56,12 +56,9 @@ class Rl(Suite[RlConfig, Cell]):
         parts = [training_part(config, cell) for cell in cells(config.model_copy(update={"seeds": 1}))]
         return any(suite.renders(training) for suite, training in [part_suite(part, 0) for part in parts])
 
-    @contextmanager
-    def open(self, config: RlConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
-        """The run; this process has a GPU of its own from now on, where there are several."""
+    def open(self, config: RlConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         part = training_part(config, next(cells(config)))
-        take_gpu(str(getattr(part_suite(part, config.seed)[1], "device", "cpu")))
-        yield run
+        return on_own_gpu(run, str(getattr(part_suite(part, config.seed)[1], "device", "cpu")))
 
     def fly(self, config: RlConfig, case: Cell, opened: RunDirectory) -> Flown:
         return fly_cell(config, case, opened)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import policy_sha256
-from uavaccel.suites.evaluation.outcomes import outcomes
+from uavaccel.suites.evaluation.as_part import fly_evaluation, won
 from uavaccel.suites.experiment import CommandName
-from uavaccel.suites.gpu import take_gpu
-from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
+from uavaccel.suites.gpu import on_own_gpu
+from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.robustness import report
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
@@ -69,24 +69,21 @@ class Robustness(Suite[RobustnessConfig, Cell]):
     def provenance(self, config: RobustnessConfig) -> Mapping[str, Any]:
         return {"policy_sha256": policy_sha256(config.agent)}
 
-    @contextmanager
-    def open(self, config: RobustnessConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
-        """The run; this process draws on a GPU of its own from now on, where there are several."""
-        take_gpu("cuda")
-        yield run
+    def open(
+        self, config: RobustnessConfig, timing: str, run: RunDirectory
+    ) -> AbstractContextManager[RunDirectory]:
+        return on_own_gpu(run)
 
     def fly(self, config: RobustnessConfig, case: Cell, opened: RunDirectory) -> Flown:
-        summary = fly_part(opened, case.id, part_of(config, case), config.seed)
         row = {
             "suite": self.name,
             "case": case.id,
             **{name: getattr(case, name) for name in ("command", "clock_speed", "latency_scale")},
-            **{name: summary[name] for name in ("games", "successes", "distance_m_median", "sim_time_s")},
         }
-        return Flown(row, outcomes(part_run(opened, case.id)))
+        return fly_evaluation(opened, row, part_of(config, case), config.seed)
 
     def status(self, rows: Sequence[Row]) -> str:
-        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+        return won(rows[-1])
 
     def headline(self, summary: Summary) -> str:
         return report.headline(summary)

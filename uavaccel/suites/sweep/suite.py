@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import policy_sha256
+from uavaccel.suites.evaluation.as_part import OF_SUMMARY, fly_evaluation, won
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.outcomes import outcomes
 from uavaccel.suites.experiment import timing_of
-from uavaccel.suites.gpu import take_gpu
-from uavaccel.suites.parts import fly_part, part_cost, part_run, part_suite
+from uavaccel.suites.gpu import on_own_gpu
+from uavaccel.suites.parts import part_cost, part_suite
 from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
 from uavaccel.suites.sweep import report
 from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
 from uavaccel.suites.sweep.config import SweepConfig
-
-OF_SUMMARY = ("games", "successes", "distance_m_median", "sim_time_s", "timing")
 
 
 class Sweep(Suite[SweepConfig, Case]):
@@ -58,26 +56,23 @@ class Sweep(Suite[SweepConfig, Case]):
     def provenance(self, config: SweepConfig) -> Mapping[str, Any]:
         return {"policy_sha256": policy_sha256(config.agent)}
 
-    @contextmanager
-    def open(self, config: SweepConfig, timing: str, run: RunDirectory) -> Iterator[RunDirectory]:
-        """The run; this process draws on a GPU of its own from now on, where there are several."""
-        take_gpu("cuda")
-        yield run
+    def open(
+        self, config: SweepConfig, timing: str, run: RunDirectory
+    ) -> AbstractContextManager[RunDirectory]:
+        return on_own_gpu(run)
 
     def fly(self, config: SweepConfig, case: Case, opened: RunDirectory) -> Flown:
-        summary = fly_part(opened, case.id, part_of(config, case), config.seed)
         row = {
             "suite": self.name,
             "case": case.id,
             "condition": case.condition,
             "value": case.value,
             "same": list(case.same),
-            **{name: summary[name] for name in OF_SUMMARY},
         }
-        return Flown(row, outcomes(part_run(opened, case.id)))
+        return fly_evaluation(opened, row, part_of(config, case), config.seed, (*OF_SUMMARY, "timing"))
 
     def status(self, rows: Sequence[Row]) -> str:
-        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+        return won(rows[-1])
 
     def headline(self, summary: Summary) -> str:
         return report.headline(summary)
