@@ -24,6 +24,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
+from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
@@ -464,6 +465,10 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
         th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items()
     )
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
+    seen = np.random.default_rng(0).integers(0, 256, (64, *environment.observation_space.shape), np.uint8)
+    at_first = {learner: learner._act(seen) for learner in (first, started)}
+    assert np.array_equal(at_first[started], greedy(started.policy, seen)), "it flies before it learns"
+    assert not np.array_equal(at_first[first], greedy(first.policy, seen)), "at random"
     environment.close()
 
 

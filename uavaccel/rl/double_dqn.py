@@ -130,8 +130,8 @@ class DoubleDQN:
 
     def _act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         with self.stopwatch.phase("inference"):
-            warming_up = self.commands < self.options.learning_starts
-            if warming_up or self.random.rand() < self.exploration_rate:
+            unknowing = self.config.start_from is None and self.commands < self.options.learning_starts
+            if unknowing or self.random.rand() < self.exploration_rate:
                 return np.array([self.lanes.action_space.sample() for _ in observations])
             return greedy(self.policy, observations)
 

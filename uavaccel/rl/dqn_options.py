@@ -21,7 +21,7 @@ class DqnOptions(Config):
     buffer_size: Count = 150_000
     """Commands that can be learned from, of all lanes together."""
     learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 2_000
-    """Commands flown at random before learning begins."""
+    """Commands flown before learning begins: at random, or as the policy of start_from would."""
     batch_size: Count = 32
     gamma: Ratio = 0.95
     n_steps: Count = 3
