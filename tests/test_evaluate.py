@@ -141,7 +141,7 @@ def test_against_another_run_on_the_command_line(
 
 @needs_opengl
 def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", "first_lane=2", games=2), None, True)
+    evaluate_agent(request("straight", tmp_path / "run", "task.max_commands=4", games=2), None, True)
     made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
 
@@ -167,7 +167,7 @@ def test_a_film_is_of_the_very_game_up_to_its_impact() -> None:
             assert film.decisions.taken.tolist() == row["actions"]
             assert film.decisions.of_sample.tolist() == [command for command in range(5) for _ in range(3)]
             assert film.decisions.given is not None
-            assert film.decisions.given.shape == (5, 3, 36, 64)
+            assert film.decisions.given.shape == (5, *config.task.observation_space().shape)
             assert len({each.tobytes() for each in film.decisions.given}) == 5
 
 
@@ -191,15 +191,16 @@ def test_evaluations_are_reported_side_by_side(tmp_path: Path, straight: RunDire
 
 @pytest.mark.slow
 @needs_opengl
-def test_view_films_an_evaluated_game(
-    tmp_path: Path, straight: RunDirectory, capsys: pytest.CaptureFixture[str]
-) -> None:
-    view_game(str(straight.path), None, tmp_path)
-    best = max(straight.rows(), key=lambda row: row["distance_m"])["case"]
+def test_view_films_an_evaluated_game(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "run"
+    evaluated("offset:3", run, "task.max_commands=10", games=2)
+    capsys.readouterr()
+    view_game(str(run), None, tmp_path)
+    best = max(RunDirectory(run).rows(), key=lambda row: row["distance_m"])["case"]
     assert capsys.readouterr().out.split() == [str(tmp_path / f"{best}.{kind}") for kind in ("mp4", "png")]
     assert (tmp_path / f"{best}.mp4").stat().st_size > 10_000
     with pytest.raises(UserError, match="--case lane-99: not in"):
-        view_game(str(straight.path), "lane-99", tmp_path)
+        view_game(str(run), "lane-99", tmp_path)
 
 
 # --- policies ---------------------------------------------------------------------------------------------------
@@ -336,11 +337,11 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("task.history=2", "task.history = 2: default was trained with 1"),
+        ("task.history=1", "task.history = 1: default was trained with 2"),
         ("task.observation=depth", "task.observation = 'depth': default was trained with 'dvs'"),
         (
             "task.t_sample_s=0.5",
-            "task.t_sample_s = 0.5: 2 frames per observation, but default was trained with 3",
+            "task.t_sample_s = 0.5: 4 frames per observation, but default was trained with 6",
         ),
         ("task.headings_deg=[-30, 0, 30]", "task.headings_deg: 3 actions, but default was trained with 5"),
     ],

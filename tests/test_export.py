@@ -25,9 +25,10 @@ from uavaccel.suites.tables import row_table, sample_tables, write_tables
 from uavaccel.vision.observation import dvs_observation
 
 
-def policy(algorithm: str = "double_dqn", **task: Any) -> Policy:
+def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **task: Any) -> Policy:
     options = {} if algorithm != "double_dqn" else {"options": {"learning_starts": 8}}
-    config = tiny_config(task, mirror=False, algorithm=algorithm, **options)
+    both_ways = {"mirrored_decisions": mirrored_decisions}
+    config = tiny_config(task, mirror=False, algorithm=algorithm, **options, **both_ways)
     th.manual_seed(0)
     network = make_policy(config, lambda _: 0.0)
     network.set_training_mode(False)
@@ -56,11 +57,24 @@ def test_depth_and_colour_are_reduced_as_the_environment_reduces_them() -> None:
     )
 
 
+def test_a_policy_that_decides_both_ways_does_in_the_mirror_the_mirrored() -> None:
+    """And rates by the mean of both; without, the mirror changes more than the sides."""
+    seen = np.random.default_rng(0).integers(0, 256, (50, 3, 36, 64), dtype=np.uint8)
+    in_mirror = np.ascontiguousarray(seen[..., ::-1])
+    plain, both = policy(), policy(mirrored_decisions=True)
+    turned = [4, 3, 2, 1, 0]
+    ratings = [plain.rate(each)[1] for each in (seen, in_mirror)]
+    np.testing.assert_allclose(both.rate(seen)[1], (ratings[0] + ratings[1][:, turned]) / 2, atol=1e-6)
+    assert both.act(in_mirror).tolist() == [turned[action] for action in both.act(seen)]
+    assert plain.act(in_mirror).tolist() != [turned[action] for action in plain.act(seen)]
+
+
 @pytest.mark.parametrize(
     ("algorithm", "task"),
     [
         ("double_dqn", {}),
         ("double_dqn", {"knows": ["last_action", "frame_age"], "history": 2}),
+        ("double_dqn", {"knows": ["last_action"], "mirrored_decisions": True}),
         ("ppo", {"observation": "depth"}),
         ("double_dqn", {"observation": "state"}),
     ],
@@ -79,7 +93,7 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
         inputs[0] = th.round(inputs[0] / 64 - 2)
         seen[:, : planes[0].shape[1]] = reduced(inputs[0], "dvs").numpy()
     with th.inference_mode():
-        _, action = Flown(trained.network, observation).eval()(*inputs)
+        _, action = Flown(trained).eval()(*inputs)
     assert action.tolist() == trained.act(seen).tolist()
     if importlib.util.find_spec("onnxscript") and importlib.util.find_spec("onnxruntime"):
         _runs_alike(trained, inputs, action, tmp_path / "policy.onnx")

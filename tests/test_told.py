@@ -16,7 +16,8 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
-from uavaccel.rl.double_dqn import DoubleDQN, mirrored_actions
+from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.mirror import turned_actions
 from uavaccel.rl.replay import Batch
 
 KNOWS = ("last_action", "frame_age")
@@ -48,7 +49,7 @@ def test_the_last_action_turns_with_the_mirror(sides: list[int], ahead: bool, ra
 def test_a_learner_mirrors_the_plane_with_the_action() -> None:
     config = tiny_config({"knows": list(KNOWS)})
     learner = DoubleDQN.__new__(DoubleDQN)
-    learner.mirror = th.tensor(mirrored_actions(config))
+    learner.mirror = th.tensor(turned_actions(config.task.headings_deg))
     headings = list(config.task.headings_deg)
     last = [0, 1, 3, 4]
     planes = th.tensor(np.stack([action_plane(headings, action) for action in last]))[:, None]
@@ -117,7 +118,7 @@ def test_what_cannot_be_told_is_one_clear_line(keys: dict[str, Any], said: str) 
     assert "\n" not in str(caught.value)
 
 
-def test_a_policy_that_was_not_told_does_not_fly_a_task_that_tells() -> None:
-    assert trained_keys("default")["knows"] == []
-    with pytest.raises(UserError, match=r"task.knows = \('last_action',\): default was trained with \(\)"):
-        make_agent("default", LaneTask(knows=("last_action",)))
+def test_a_policy_that_was_told_does_not_fly_a_task_that_does_not() -> None:
+    assert trained_keys("default")["knows"] == ["last_action"]
+    with pytest.raises(UserError, match=r"task.knows = \(\): default was trained with \('last_action',\)"):
+        make_agent("default", LaneTask(history=2))

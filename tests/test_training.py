@@ -270,7 +270,7 @@ def test_lanes_in_turns_are_learned_from_row_by_row(tmp_path: Path) -> None:
 
 
 def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path) -> None:
-    config = tiny_config(STATE, mirror=False, environments=3, turns=2, games=9, checkpoint_games=3)
+    config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     (tmp_path / "config.yaml").write_text(to_yaml(config))
     command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "7"]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
@@ -465,7 +465,9 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
         th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items()
     )
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
-    seen = np.random.default_rng(0).integers(0, 256, (64, *environment.observation_space.shape), np.uint8)
+    seen = np.random.default_rng(0).integers(
+        0, 256, (64, *(environment.observation_space.shape or ())), dtype=np.uint8
+    )
     at_first = {learner: learner._act(seen) for learner in (first, started)}
     assert np.array_equal(at_first[started], greedy(started.policy, seen)), "it flies before it learns"
     assert not np.array_equal(at_first[first], greedy(first.policy, seen)), "at random"
@@ -523,6 +525,10 @@ def test_an_algorithm_that_cannot_be_is_one_clear_line(
     [
         (["task.timing=wall", "environments=2"], "environments must be 1 with timing wall"),
         (["algorithm=ppo", "start_from=default"], "start_from needs algorithm double_dqn, not ppo"),
+        (
+            ["algorithm=dqn", "mirror=false", "mirrored_decisions=true"],
+            "mirrored_decisions needs algorithm double_dqn",
+        ),
         (["task.observation=state"], "mirror must be false"),
         (["task.headings_deg=[0.0, 30.0]"], "mirror must be false"),
         (["gamess=3"], "unknown key 'gamess'; did you mean 'games'?"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.manifest import memory_bytes
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.mirror import rated_both_ways
 from uavaccel.rl.network import LaneFeatures
 
 OWN = "double_dqn"
@@ -114,23 +116,35 @@ def make_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
     return policy
 
 
-def greedy(policy: BasePolicy, observations: NDArray[Any]) -> NDArray[np.int64]:
-    """The best actions (n,) for observations (n, ...)."""
+def greedy(
+    policy: BasePolicy, observations: NDArray[Any], turned: Sequence[int] | None = None
+) -> NDArray[np.int64]:
+    """The best actions (n,) for observations (n, ...); with the actions' mirror images `turned`, rated both ways."""
     if not isinstance(policy, DQNPolicy):
         return np.asarray(policy.predict(observations, deterministic=True)[0])
     with (
         th.inference_mode()
     ):  # as `predict`, without its checks and switches, which take longer than the network
-        ratings = policy.q_net(th.from_numpy(observations).to(policy.device))
+        ratings = action_values(policy, th.from_numpy(observations).to(policy.device), turned)
         return np.asarray(ratings.argmax(dim=1).cpu())
 
 
-def action_ratings(policy: BasePolicy, observations: NDArray[Any]) -> tuple[str, NDArray[np.float64]]:
+def action_values(policy: DQNPolicy, seen: th.Tensor, turned: Sequence[int] | None) -> th.Tensor:
+    """DQN's ratings (n, actions) of what is seen, or the mean of both ways."""
+    if turned is None:
+        ratings: th.Tensor = policy.q_net(seen)
+        return ratings
+    return rated_both_ways(policy.q_net, seen, turned)
+
+
+def action_ratings(
+    policy: BasePolicy, observations: NDArray[Any], turned: Sequence[int] | None = None
+) -> tuple[str, NDArray[np.float64]]:
     """How a policy rates its actions (n, actions), and what the numbers are: DQN's values, others' probabilities."""
     seen = th.from_numpy(observations).to(policy.device)
     with th.inference_mode():
         if isinstance(policy, DQNPolicy):
-            return "action values", policy.q_net(seen).cpu().numpy().astype(np.float64)
+            return "action values", action_values(policy, seen, turned).cpu().numpy().astype(np.float64)
         assert isinstance(policy, ActorCriticPolicy)
         chances: Any = policy.get_distribution(seen).distribution
         return "probabilities of the actions", chances.probs.cpu().numpy().astype(np.float64)

@@ -35,6 +35,9 @@ class LearnerConfig(Config):
     """Of algorithms with a replay buffer."""
     mirror: bool = True
     """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
+    mirrored_decisions: bool = False
+    """Whether double_dqn's policy, once learned, decides by the mean of its ratings of what it sees and of the mirror
+    image; without it, by the first."""
     start_from: str | None = None
     """A policy whose weights double_dqn begins with: its folder, or default for the one that ships; None: random."""
     channels: Annotated[tuple[Width, ...], Field(min_length=1, max_length=4)] = (16, 32)
@@ -71,6 +74,9 @@ class LearnerConfig(Config):
     def _mirror_exists(self) -> LearnerConfig:
         headings = self.task.headings_deg
         symmetric = {-heading for heading in headings} == set(headings)
-        if self.mirror and (self.task.observation == "state" or not symmetric):
-            raise ValueError("mirror must be false: it needs pictures and headings symmetric about 0")
+        for key in ("mirror", "mirrored_decisions"):
+            if getattr(self, key) and (self.task.observation == "state" or not symmetric):
+                raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
+        if self.mirrored_decisions and self.algorithm != "double_dqn":
+            raise ValueError(f"mirrored_decisions needs algorithm double_dqn, not {self.algorithm}")
         return self

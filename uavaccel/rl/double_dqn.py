@@ -40,6 +40,7 @@ from uavaccel.rl.learner import (
     plain_generator,
     set_generator,
 )
+from uavaccel.rl.mirror import turned_actions
 from uavaccel.rl.replay import Batch, ReplayBuffer, Row
 
 COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
@@ -61,9 +62,8 @@ class DoubleDQN:
         self.buffer = ReplayBuffer(
             self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device
         )
-        self.mirror = (
-            None if (turned := mirrored_actions(config)) is None else th.tensor(turned, device=self.device)
-        )
+        turned = turned_actions(config.task.headings_deg) if config.mirror else None
+        self.mirror = None if turned is None else th.tensor(turned, device=self.device)
         self.observations: NDArray[Any] | None = None
         self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(lanes.num_envs), config.turns)
         self.holding = False
@@ -280,9 +280,3 @@ class DoubleDQN:
         self.observations = observations
         self._row = Row.like(observations)
         self._charges = [self.owed] * len(self.groups)
-
-
-def mirrored_actions(config: LearnerConfig) -> list[int] | None:
-    """For each action that which it is in a mirror; None where nothing is mirrored."""
-    headings = list(config.task.headings_deg)
-    return [headings.index(-heading) for heading in headings] if config.mirror else None

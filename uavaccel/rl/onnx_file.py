@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch as th
-from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 from torch.nn.functional import avg_pool2d
@@ -21,6 +21,7 @@ from torch.nn.functional import avg_pool2d
 from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
+from uavaccel.rl.algorithms import action_values
 from uavaccel.rl.policy import Policy, observed_frames
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
@@ -37,9 +38,10 @@ INPUTS = {
 class Flown(nn.Module):
     """From the sensor's pictures, whole, to a rating for each action and the best one's number."""
 
-    def __init__(self, policy: BasePolicy, observation: str) -> None:
+    def __init__(self, policy: Policy) -> None:
         super().__init__()
-        self.policy, self.observation = policy, observation
+        self.policy, self.turned = policy.network, policy.turned
+        self.observation = policy.config.task.observation
 
     def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
         """Ratings (n, actions) and actions (n,) for pictures, and the planes of `knows` if it has any."""
@@ -50,7 +52,7 @@ class Flown(nn.Module):
     def _rate(self, observations: th.Tensor) -> th.Tensor:
         policy = self.policy
         if isinstance(policy, DQNPolicy):
-            return policy.q_net(observations)
+            return action_values(policy, observations, self.turned)
         assert isinstance(policy, ActorCriticPolicy)
         features: Any = policy.extract_features(observations, policy.pi_features_extractor)
         rated: th.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
@@ -72,14 +74,13 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
     """Write it; what the file says about itself, which is in its metadata too. Raises UserError without onnxscript."""
     if importlib.util.find_spec("onnxscript") is None:
         raise UserError(MISSING)
-    task = policy.config.task
     inputs = example(policy)
     names = ["seen", "told"][: len(inputs)]
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of packages that it could do with
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of torch's exporter about itself
         program: Any = th.onnx.export(
-            Flown(policy.network, task.observation).eval(),
+            Flown(policy).eval(),
             inputs,
             input_names=names,
             output_names=["ratings", "action"],

@@ -22,6 +22,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import file_sha256, replacing, to_json
 from uavaccel.rl.algorithms import OWN, action_ratings, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.mirror import turned_actions
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # a copy for learning alone
@@ -41,11 +42,16 @@ class Policy:
 
     def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         """Actions (n,) for observations (n, ...)."""
-        return greedy(self.network, observations)
+        return greedy(self.network, observations, self.turned)
 
     def rate(self, observations: NDArray[Any]) -> tuple[str, NDArray[np.float64]]:
         """What its ratings are, and those of all actions (n, actions) for observations (n, ...)."""
-        return action_ratings(self.network, observations)
+        return action_ratings(self.network, observations, self.turned)
+
+    @property
+    def turned(self) -> list[int] | None:
+        """Each action's mirror image, of a policy that decides by the mean of both ways."""
+        return turned_actions(self.config.task.headings_deg) if self.config.mirrored_decisions else None
 
 
 def weights_sha256(policy: BasePolicy) -> str:
