@@ -131,7 +131,7 @@ CONFIGURATIONS = [
     *keys(EVALUATE, "agent", "3", "[straight]"),
     *[(f"{EVALUATE} agent={agent}", agent) for agent in ("nowhere", "offset:inf", "offset:left", "offset:11")],
     *keys("evaluate default --set", "task.observation", "colour", "state"),
-    *keys("evaluate default --set", "task.history", "2"),
+    *keys("evaluate default --set", "task.history", "1"),
     *keys("evaluate default --set", "task.headings_deg", "[0]"),
     *keys("run robustness --set", "latency_scale", "[-1]", "[1e308]", "[]", "[0,0]"),
     ("run robustness --set agent=nowhere", "nowhere"),

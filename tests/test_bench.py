@@ -26,10 +26,10 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_memory_is_what_the_processes_hold() -> None:
     before = proportional_mib([os.getpid()])
-    held = np.ones(64 * 2**20, np.uint8)
+    held = np.ones(400 * 2**20, np.uint8)
     after = proportional_mib([os.getpid()])
     assert before is not None
     assert after is not None
-    assert 60 < after - before < 70
+    assert 300 < after - before < 500  # other processes share this one's libraries, and come and go
     assert held.all()
     assert proportional_mib([2**22 + 1]) is None  # no such process

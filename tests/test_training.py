@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -134,6 +135,23 @@ def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(
     assert resumed == whole
     rows = [(tmp_path / name / "rows.jsonl").read_bytes() for name in ("killed", "whole")]
     assert rows[0] == rows[1]
+
+
+def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_go_on(tmp_path: Path) -> None:
+    config = tiny_config(STATE, mirror=False, games=100_000, checkpoint_games=100_000)
+    (tmp_path / "train.yaml").write_text(to_yaml(config))
+    rows, out = tmp_path / "run/rows.jsonl", str(tmp_path / "run")
+    command = [sys.executable, "-m", "uavaccel", "train", str(tmp_path / "train.yaml"), "--out", out]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as program:
+        while program.poll() is None and not (rows.exists() and rows.stat().st_size):
+            time.sleep(0.1)
+        program.send_signal(signal.SIGTERM)
+        said = program.communicate()[1]
+    assert program.returncode == 130, said
+    assert said.startswith("uavaccel: interrupted; go on with: uavaccel run --out"), said
+    kept = find_checkpoint(tmp_path / "run" / CHECKPOINTS)
+    assert kept is not None
+    assert int(kept.name) == len(rows.read_text().splitlines())
 
 
 def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
 """The command line: its commands, and how it ends.
 
-Exit status: 0 done; 1 one clear line on standard error; 2 wrong usage; 130 interrupted.
+Exit status: 0 done; 1 one clear line on standard error; 2 wrong usage; 130 interrupted,
+by Ctrl-C or SIGTERM.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 from collections.abc import Callable
+from types import FrameType
 
 import typer
 
@@ -38,6 +41,7 @@ for command in COMMANDS:  # what follows a script is its own
 def main() -> None:
     """Entry point: a user's mistake is one line, never a traceback."""
     _open_closed_streams()
+    signal.signal(signal.SIGTERM, _as_ctrl_c)
     try:
         status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
@@ -51,6 +55,12 @@ def main() -> None:
         status = _status_of(error)
     _leave_unread_output()
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
+    """SIGTERM, with which batch systems end a job, is heeded as Ctrl-C is, also where a shell has that ignored."""
+    heeded = signal.getsignal(signal.SIGINT)
+    (heeded if callable(heeded) else signal.default_int_handler)(signal.SIGINT, frame)
 
 
 def _status_of(error: Exception) -> int:

@@ -115,17 +115,20 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
-    """A trainer that Ctrl-C asks for a checkpoint, unless this process is to leave Ctrl-C to another."""
+    """A trainer that Ctrl-C asks for a checkpoint, or SIGTERM, unless this process leaves them to another."""
     trainer = Trainer(config, run)
-    before = signal.getsignal(signal.SIGINT)
-    heeds = threading.current_thread() is threading.main_thread() and before is not signal.SIG_IGN
-    if heeds:
-        signal.signal(signal.SIGINT, trainer.interrupt)
+    heeded = {
+        kind: before for kind in (signal.SIGINT, signal.SIGTERM) if callable(before := signal.getsignal(kind))
+    }
+    if threading.current_thread() is not threading.main_thread():
+        heeded = {}
+    for kind in heeded:
+        signal.signal(kind, trainer.interrupt)
     try:
         yield trainer
     finally:
-        if heeds:
-            signal.signal(signal.SIGINT, before)
+        for kind, before in heeded.items():
+            signal.signal(kind, before)
         trainer.close()
 
 
