@@ -27,8 +27,8 @@ from uavaccel.vision.observation import dvs_observation
 
 def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **task: Any) -> Policy:
     options = {} if algorithm != "double_dqn" else {"options": {"learning_starts": 8}}
-    both_ways = {"mirrored_decisions": mirrored_decisions}
-    config = tiny_config(task, mirror=False, algorithm=algorithm, **options, **both_ways)
+    keys = {"algorithm": algorithm, "mirrored_decisions": mirrored_decisions, **options}
+    config = tiny_config(task, mirror=False, **keys)
     th.manual_seed(0)
     network = make_policy(config, lambda _: 0.0)
     network.set_training_mode(False)

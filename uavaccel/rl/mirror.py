@@ -18,5 +18,6 @@ def rated_both_ways(
 ) -> th.Tensor:
     """Mean of the ratings (n, actions) of what is seen (n, ..., columns), and of its mirror image, turned back."""
     both = rate(th.cat([seen, seen.flip(-1)]))
-    straight, mirrored = both[: len(seen)], both[len(seen) :]
+    count = seen.shape[0]  # not len(): the exporter to ONNX would take it for fixed
+    straight, mirrored = both[:count], both[count:]
     return (straight + mirrored[:, list(turned)]) / 2
