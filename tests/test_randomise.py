@@ -154,6 +154,19 @@ def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
     environment.close()
 
 
+def test_a_condition_may_have_a_share_of_its_own() -> None:
+    ranges = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.1, shares={"wind_m_s": 0.6})
+    random = np.random.default_rng(0)
+    drawn = [ranges.draw(random) for _ in range(1000)]
+    for name, share in (("wind_m_s", 0.6), ("light", 0.1)):
+        three_deviations = 3 * (1000 * share * (1 - share)) ** 0.5
+        assert sum(name in each for each in drawn) == pytest.approx(1000 * share, abs=three_deviations)
+    always = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.5, shares={"wind_m_s": 1, "light": 1})
+    usual = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5))
+    same = [each.draw(np.random.default_rng(7)) for each in (always, usual)]
+    assert same[0] == same[1]
+
+
 def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
     assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
@@ -183,6 +196,8 @@ def test_a_batch_draws_what_single_environments_draw() -> None:
         ({"randomise": {"wind_m_s": [0, 1]}, "lane": {"obstacles": []}}, "leave lane out"),
         ({"randomise": {"speed_m_s": [-1, 1]}}, "speed_m_s"),
         ({"randomise": {"speed_m_s": [1, 2], "share": 0}}, "share"),
+        ({"randomise": {"speed_m_s": [1, 2], "shares": {"speed_m_s": 2}}}, "shares.speed_m_s"),
+        ({"randomise": {"speed_m_s": [1, 2], "shares": {"light": 0.5}}}, "shares.light: there is no range"),
         (
             {
                 "difficulty": {"thrust_ratio": 0.8},

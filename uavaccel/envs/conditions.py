@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from uavaccel.config import Config
 
@@ -20,6 +20,7 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Range = Annotated[tuple[float, float], AfterValidator(_rising)]
 
 OF_DIFFICULTY = (
@@ -66,10 +67,27 @@ class Ranges(Config):
     image_noise: Range | None = None
     latency_scale: Range | None = None
     """Of timing virtual alone."""
-    share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    share: Share = 1.0
     """Probability of each condition to be drawn for a game; else it stays as the task has it."""
+    shares: dict[str, Share] = Field(default_factory=dict)
+    """The same of single conditions, where it is not `share`: {wind_m_s: 0.6}."""
     widen_over_games: Annotated[int, Field(ge=0)] = 0
     """Games of each environment, in the training split, over which the ranges widen to the whole; 0: whole at once."""
+
+    @model_validator(mode="after")
+    def _shares_have_ranges(self) -> Self:
+        ranges = self.given()
+        for name in self.shares:
+            if name not in ranges:
+                raise ValueError(
+                    f"shares.{name}: there is no range of it; there are {', '.join(ranges) or 'none'}"
+                )
+        return self
+
+    @property
+    def all_drawn(self) -> bool:
+        """Whether each game has all of the conditions."""
+        return all(self.shares.get(name, self.share) == 1.0 for name in self.given())
 
     def given(self) -> dict[str, tuple[float, float]]:
         """The ranges that there are, in the order in which they are drawn."""
@@ -88,11 +106,15 @@ class Ranges(Config):
         return self.model_copy(update=between)
 
     def draw(self, random: np.random.Generator) -> dict[str, float]:
-        """A number from each range, or from a `share` of them."""
+        """A number from each range, or from a share of them."""
         drawn = {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
-        if self.share == 1.0:
+        if self.all_drawn:
             return drawn
-        return {name: value for name, value in drawn.items() if random.random() < self.share}
+        return {
+            name: value
+            for name, value in drawn.items()
+            if random.random() < self.shares.get(name, self.share)
+        }
 
 
 def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:

@@ -95,7 +95,7 @@ class LaneTask(Task):
             )
         if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
             raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
-        for ends in corners(ranges, alone=self.randomise.share < 1.0):
+        for ends in corners(ranges, alone=not self.randomise.all_drawn):
             keys = self.model_dump(mode="json", exclude={"randomise", "lane"})
             drawn = keys_of(ends)
             for part in ("difficulty", "latency"):
