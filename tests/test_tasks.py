@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as check_env_for_learning
 
@@ -51,6 +53,15 @@ def test_the_lanes_reward_is_progress_a_collision_and_the_goal() -> None:
     assert task.reward(before, moment((9.0, 2.0, -2.0), {"lane": 3})) == -0.5
     assert task.reward(before, moment((12.0, 2.0, -2.0), {"lane": 3}, hit="ground")) == 1.0 - 7.0
     assert task.reward(moment((149.0, 0.0, -2.0), {}), moment((150.0, 0.0, -2.0), {})) == 0.5 + 11.0
+
+
+@given(east_m=st.floats(-5.0, 5.0))
+def test_the_reward_at_a_wall_falls_with_the_square_of_the_distance_from_the_middle(east_m: float) -> None:
+    task = LaneTask(progress_reward=0.0, wall_reward=-0.4)
+    before = moment((10.0, 0.0, -2.0), {"lane": 3})
+    assert task.reward(before, moment((11.0, east_m, -2.0), {"lane": 3})) == pytest.approx(
+        -0.4 * east_m**2 / 25
+    )
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.limits import Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, Difficulty, Split, lane_seed
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M, Difficulty, Split, lane_seed
 
 Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
 Heading = Annotated[float, Field(ge=-360.0, le=360.0)]
@@ -61,6 +61,9 @@ class LaneTask(Task):
     """A metre northwards."""
     collision_reward: Reward = -1.0
     goal_reward: Reward = 0.0
+    wall_reward: Reward = 0.0
+    """Of a command that ends at one of the walls; elsewhere less, with the square of the distance from the middle. The
+    walls are plain, and an event camera hardly sees them."""
 
     @field_validator("lane", mode="before", json_schema_input_type=LaneFile | str | None)
     @classmethod
@@ -170,7 +173,8 @@ class LaneTask(Task):
     def reward(self, before: Moment, now: Moment) -> float:
         progress_m = float(now.position_m[0]) - float(before.position_m[0])
         ends = self.goal_reward * self.success(now) + self.collision_reward * self.failure(now)
-        return self.progress_reward * progress_m + ends
+        from_middle = 2.0 * float(now.position_m[1]) / WIDTH_M
+        return self.progress_reward * progress_m + self.wall_reward * from_middle**2 + ends
 
     def success(self, now: Moment) -> bool:
         """The lane's end without a collision (paper, section III-C3)."""
