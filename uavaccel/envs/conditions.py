@@ -87,7 +87,10 @@ class Ranges(Config):
     @property
     def all_drawn(self) -> bool:
         """Whether each game has all of the conditions."""
-        return all(self.shares.get(name, self.share) == 1.0 for name in self.given())
+        return all(self._share_of(name) == 1.0 for name in self.given())
+
+    def _share_of(self, name: str) -> float:
+        return self.shares.get(name, self.share)
 
     def given(self) -> dict[str, tuple[float, float]]:
         """The ranges that there are, in the order in which they are drawn."""
@@ -110,11 +113,7 @@ class Ranges(Config):
         drawn = {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
         if self.all_drawn:
             return drawn
-        return {
-            name: value
-            for name, value in drawn.items()
-            if random.random() < self.shares.get(name, self.share)
-        }
+        return {name: value for name, value in drawn.items() if random.random() < self._share_of(name)}
 
 
 def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:
