@@ -1,13 +1,10 @@
-"""The per-pixel arithmetic of the DVS model, compiled.
-
-Every operation keeps the type and the single rounding it has in v2e (SensorsINI/v2e, commit cac6384,
-`v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Arrays are (H, W).
-A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
-"""
+"""The DVS model over pictures: `dvs_pixel` for every pixel, and what needs all of them. Arrays are (H, W)."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from uavaccel.vision import dvs_pixel as pixel
 
 Floats = NDArray[np.floating]
 Counts = NDArray[np.int32]
@@ -30,40 +27,58 @@ def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table
     result = np.empty_like(filtered_log)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
-            weight = weight_table[frame[y, x]]
-            result[y, x] = (1.0 - weight) * filtered_log[y, x] + weight * log_table[frame[y, x]]
+            level = frame[y, x]
+            result[y, x] = pixel.low_passed(filtered_log[y, x], log_table[level], weight_table[level])
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def heat(base: Floats, positive: Floats, hot: NDArray[np.bool_], share: np.float32) -> Floats:
+    """The memorised intensity, fallen by a share of the threshold where a pixel is hot."""
+    result = base.copy()
+    for y in range(base.shape[0]):
+        for x in range(base.shape[1]):
+            if hot[y, x]:
+                result[y, x] = pixel.heated(base[y, x], positive[y, x], share)
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def leak(
+    base: Floats,
+    positive: Floats,
+    dt_s: np.float32,
+    rate_hz: np.float32,
+    factor: Floats,
+    jitter: np.float32,
+    normal: Floats,
+) -> Floats:
+    """The memorised intensity after a leak, uneven by `jitter` times a normal draw."""
+    result = np.empty_like(base)
+    for y in range(base.shape[0]):
+        for x in range(base.shape[1]):
+            uneven = pixel.jittered(jitter, normal[y, x])
+            result[y, x] = pixel.leaked(base[y, x], positive[y, x], dt_s, rate_hz, factor[y, x], uneven)
     return result
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Signed counts: whole thresholds in log - base, float32.
-
-    v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision
-    quotient: that of two float32 is never rounded up to a whole number below 2^28.
-    """
+    """Signed counts, float32."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
-            change, up, down = log[y, x] - base[y, x], positive[y, x], negative[y, x]
-            threshold = up if change > 0 else down
-            signed[y, x] = np.int32(np.float64(change) / np.float64(threshold))
+            signed[y, x] = pixel.count_single(log[y, x], base[y, x], positive[y, x], negative[y, x])
     return signed
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """As `count_single`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
+    """Signed counts, float64."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
-            change, up, down = log[y, x] - base[y, x], positive[y, x], negative[y, x]
-            threshold, size = up if change > 0 else down, abs(change)
-            quotient = size / threshold
-            count = np.int32(quotient)
-            if count > 0 and count == quotient and size % threshold > 0.5 * threshold:
-                count -= 1
-            signed[y, x] = count if change > 0 else -count
+            signed[y, x] = pixel.count_double(log[y, x], base[y, x], positive[y, x], negative[y, x])
     return signed
 
 
@@ -84,17 +99,32 @@ def drop_refractory(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def advance_base(signed: Counts, base: Floats, positive: Floats, negative: Floats) -> Floats:
-    """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
-
-    v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.
-    """
+    """The memorised log intensity after the events."""
     result = np.empty_like(base)
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
-            rise = np.float32(max(signed[y, x], 0)) * np.float32(positive[y, x])
-            fall = np.float32(max(-signed[y, x], 0)) * np.float32(negative[y, x])
-            result[y, x] = base[y, x] + rise - fall
+            result[y, x] = pixel.advanced(base[y, x], signed[y, x], positive[y, x], negative[y, x])
     return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def shoot(
+    frame: Frame,
+    chances: Floats,
+    draws: Floats,
+    positive: Floats,
+    negative: Floats,
+    nominal: tuple[np.float32, np.float32],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Where shot noise makes ON and OFF events; `chances` by intensity, `draws` of [0, 1)."""
+    on, off = np.empty(frame.shape, np.bool_), np.empty(frame.shape, np.bool_)
+    for y in range(frame.shape[0]):
+        for x in range(frame.shape[1]):
+            chance = chances[frame[y, x]]
+            chance_on = pixel.shot_chance(chance, nominal[0], positive[y, x])
+            noise = pixel.shot(draws[y, x], chance_on, pixel.shot_chance(chance, nominal[1], negative[y, x]))
+            on[y, x], off[y, x] = noise > 0, noise < 0 or noise == 2
+    return on, off
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
