@@ -1,0 +1,271 @@
+"""What many event cameras see: the pixels of vision/dvs_pixel over lanes, four in a row at a time.
+
+A lane's camera differs from the next one's in its parameters alone; what is drawn once per pixel is the sensor's, and
+one for all lanes. Events are summed over blocks of 4 x 4 pixels as they come (vision/observation), until they are taken.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.vision import dvs_pixel as pixel
+from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
+from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
+from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, normal_block, uniform_block
+from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.rounding import times
+
+# A lane's camera, float64 (CAMERA_FIELDS,): its parameters, and the deviation of its pictures' own noise.
+POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
+CAMERA_FIELDS = 10
+
+SEED, INDEX = range(2)  # of a game's noise; frames seen: int64 (2,) a lane
+TWO_PI = 2.0 * np.pi
+ON_AND_OFF = 2
+
+Four = tuple[Any, Any, Any, Any]
+
+
+class Pixels(NamedTuple):
+    """What the event cameras of L lanes know, (L, 144, 256): float32, or float64 after a low-pass.
+
+    `filtered` is empty without a low-pass, `last_s` without a refractory period. `gathered` (L, 36, 64) int32 are ON
+    minus OFF events since they were last taken; `clock` (L, 2) int64, `time_s` (L,) float64 of the last frame.
+    """
+
+    base: Any
+    filtered: Any
+    last_s: Any
+    gathered: Any
+    clock: Any
+    time_s: Any
+
+
+class Sensor(NamedTuple):
+    """What all lanes have in common: draws once per pixel (144, 256), and tables by intensity (256,)."""
+
+    up: Any
+    down: Any
+    leak_factor: Any
+    heat: Any
+    logs: Any
+    weights: Any
+    dimming: Any
+
+
+def sensor_of(draws: Draws) -> Sensor:
+    """The sensor of these draws."""
+    dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
+    return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, LIN_LOG, RELATIVE_INTENSITY, dimming)
+
+
+def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float64]:
+    """A lane's camera (CAMERA_FIELDS,)."""
+    tau_s = 1 / (np.pi * 2 * parameters.cutoff_hz) if parameters.cutoff_hz > 0 else 0.0
+    return np.array(
+        [
+            parameters.positive_threshold,
+            parameters.negative_threshold,
+            parameters.threshold_sigma,
+            tau_s,
+            parameters.leak_rate_hz,
+            parameters.leak_jitter_fraction,
+            parameters.shot_noise_rate_hz,
+            parameters.refractory_s,
+            parameters.hot_share,
+            read_noise,
+        ]
+    )
+
+
+@njit(cache=True)
+def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int) -> Four:
+    """Four grey levels in a row as a noisy camera reads them (vision/image_noise)."""
+    drawn, deviation = normal_block(np.uint64(seed), np.uint64(moment_ns), READ_NOISE, block), np.float32(sigma)
+    return (
+        noisy(levels[0], deviation, drawn[0]),
+        noisy(levels[1], deviation, drawn[1]),
+        noisy(levels[2], deviation, drawn[2]),
+        noisy(levels[3], deviation, drawn[3]),
+    )
+
+
+@njit(cache=True)
+def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
+    """A grey level with noise, rounded and clipped to 0..255."""
+    value = np.float32(level) + times(deviation, normal)
+    return int(min(max(np.rint(value), np.float32(0.0)), np.float32(255.0)))
+
+
+@njit(cache=True)
+def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.float32:
+    """A pixel's threshold, float32."""
+    if sigma == 0.0:
+        return np.float32(nominal)
+    return max(np.float32(nominal) + times(np.float32(sigma), normal), MIN_THRESHOLD)
+
+
+@njit(cache=True)
+def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
+    """A pixel's threshold after a low-pass: a plain number stays as precise as it is."""
+    return nominal if sigma == 0.0 else np.float64(single_threshold(nominal, sigma, normal))
+
+
+@njit(cache=True)
+def leaked(
+    base: Any, positive: Any, camera: Any, sensor: Any, y: int, x: int, dt_s: float, normal: np.float32
+) -> Any:
+    """The memorised intensity of a pixel after its heat and its leak over a frame."""
+    if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
+        base = pixel.heated(base, positive, np.float32(dt_s * HOT_RATE_HZ))
+    if camera[LEAK] > 0.0:
+        jitter = pixel.jittered(np.float32(camera[JITTER]), normal)
+        rate_hz, factor = np.float32(camera[LEAK]), sensor.leak_factor[y, x]
+        base = pixel.leaked(base, positive, np.float32(dt_s), rate_hz, factor, jitter)
+    return base
+
+
+@njit(cache=True)
+def shot(camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32) -> int:
+    """Noise events of a pixel in a frame, as `pixel.shot`."""
+    chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
+    chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
+    return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
+
+
+class Row(NamedTuple):
+    """How four pixels in a row are worked on; the memorised intensities are of one type."""
+
+    see: Any
+    """(levels, camera, sensor, base, filtered, seed, index, y, x, dt_s): ON minus OFF events, all at once."""
+    count: Any
+    """The same up to the events: writes signed counts into `counts` (144, 256) int32 instead of answering."""
+    settle: Any
+    """(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s): the rest, for the counts kept."""
+
+
+def _row(kind: Any, threshold: Any, count: Any) -> Row:
+    wide = kind is np.float64
+
+    @njit
+    def due(level, camera, sensor, base, filtered, y, x, dt_s, normal):  # type: ignore[no-untyped-def]
+        """Thresholds, logarithm, memorised intensity and signed count of a pixel."""
+        positive = threshold(camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
+        negative = threshold(camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
+        log = kind(sensor.logs[level])
+        if wide:
+            weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
+            log = filtered[y, x] = pixel.low_passed(filtered[y, x], log, weight)
+        before = leaked(base[y, x], positive, camera, sensor, y, x, dt_s, normal)
+        return positive, negative, log, before, count(log, before, positive, negative)
+
+    @njit
+    def after(level, camera, sensor, positive, negative, log, before, signed, dt_s, draw):  # type: ignore[no-untyped-def]
+        """The memorised intensity, and ON minus OFF events with the noise's."""
+        base, total = pixel.advanced(before, signed, positive, negative), signed
+        if camera[SHOT] > 0.0:
+            noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
+            if noise != 0:
+                base = log
+            if noise != ON_AND_OFF:
+                total += noise
+        return base, total
+
+    @njit
+    def see(levels, camera, sensor, base, filtered, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
+        normals, draws = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
+        total = 0
+        for place in range(BLOCK_SIDE):
+            at, level = x + place, levels[place]
+            positive, negative, log, before, signed = due(
+                level, camera, sensor, base, filtered, y, at, dt_s, normals[place]
+            )
+            base[y, at], events = after(
+                level, camera, sensor, positive, negative, log, before, signed, dt_s, draws[place]
+            )
+            total += events
+        return total
+
+    @njit
+    def count_row(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
+        normals, _ = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
+        most = 0
+        for place in range(BLOCK_SIDE):
+            at = x + place
+            _, _, _, before, signed = due(
+                levels[place], camera, sensor, base, filtered, y, at, dt_s, normals[place]
+            )
+            base[y, at], counts[y, at] = before, signed
+            most = max(most, abs(signed))
+        return most
+
+    @njit
+    def settle(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
+        _, draws = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
+        total = 0
+        for place in range(BLOCK_SIDE):
+            at, level = x + place, levels[place]
+            positive = threshold(camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
+            negative = threshold(camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
+            log = filtered[y, at] if wide else kind(sensor.logs[level])
+            base[y, at], events = after(
+                level, camera, sensor, positive, negative, log, base[y, at], counts[y, at], dt_s, draws[place]
+            )
+            total += events
+        return total
+
+    return Row(see, count_row, settle)
+
+
+@njit(cache=True)
+def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
+    """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
+    normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
+    if camera[LEAK] > 0.0:
+        normals = normal_block(np.uint64(seed), np.uint64(index), LEAK_JITTER, block)
+    if camera[SHOT] > 0.0:
+        draws = uniform_block(np.uint64(seed), np.uint64(index), SHOT_NOISE, block)
+    return normals, draws
+
+
+SINGLE = _row(np.float32, single_threshold, pixel.count_single)
+DOUBLE = _row(np.float64, double_threshold, pixel.count_double)
+
+
+@njit(cache=True)
+def keep_late(counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any) -> None:
+    """Drop the events of four pixels in a row that come within `dead_s` of the one before (kernels.drop_refractory).
+
+    `most`: the largest count of the whole picture, which sets the stamps.
+    """
+    for at in range(x, x + BLOCK_SIDE):
+        kept, sign = 0, 1 if counts[y, at] > 0 else -1
+        for number in range(abs(counts[y, at])):
+            stamp_s = stamp(before_s, time_s, most, number)
+            if stamp_s - last_s[y, at] > dead_s:
+                kept += 1
+                last_s[y, at] = stamp_s
+        counts[y, at] = sign * kept
+
+
+@njit(cache=True)
+def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
+    """One of vision/dvs.time_stamps."""
+    start = np.float32(before_s + (time_s - before_s) / count)
+    if count == 1:
+        return start
+    end = np.float32(time_s)
+    spacing = np.float64((end - start) / np.float32(count - 1))
+    if number < count // 2:
+        return np.float32(np.float64(start) + times(spacing, np.float64(number)))
+    return np.float32(np.float64(end) - times(spacing, np.float64(count - 1 - number)))
+
+
+@njit(cache=True)
+def level_of(events: int) -> int:
+    """What an observation shows for so many ON minus OFF events of a block."""
+    return min(max(NEUTRAL_LEVEL + events, 0), 255)
