@@ -27,12 +27,12 @@ LEAST = 1e-15  # mjMINVAL: a norm closer to 0, or to 1, is taken for it
 HUGE = 1e10  # mjMAXVAL: MuJoCo warns of numbers beyond
 
 
-@njit(error_model="numpy")
+@njit
 def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(error_model="numpy")
+@njit
 def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
     """a by[0] + b by[1] + c by[2]."""
     return (
@@ -42,7 +42,7 @@ def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
     )
 
 
-@njit(error_model="numpy")
+@njit
 def normalised(w: float, x: float, y: float, z: float) -> Quad:
     """The quaternion over its norm, unless that is 1 already."""
     norm = math.sqrt((w * w + x * x) + (y * y + z * z))
@@ -54,7 +54,7 @@ def normalised(w: float, x: float, y: float, z: float) -> Quad:
     return w, x, y, z
 
 
-@njit(error_model="numpy")
+@njit
 def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
     """The body's axes in the world: the columns of its rotation matrix."""
     w, x, y, z = q
@@ -66,9 +66,14 @@ def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
     )
 
 
-@njit(error_model="numpy")
+@njit
 def momentum(
-    axes: tuple[Triple, Triple, Triple], inertia: Array, arm: Triple, mass: float, spin: Triple, velocity: Triple
+    axes: tuple[Triple, Triple, Triple],
+    inertia: Array,
+    arm: Triple,
+    mass: float,
+    spin: Triple,
+    velocity: Triple,
 ) -> tuple[Triple, Triple]:
     """The world's spatial inertia, about a point `arm` off the centre of mass, times a motion."""
     ax, ay, az = axes
@@ -96,7 +101,7 @@ def momentum(
     )
 
 
-@njit(error_model="numpy")
+@njit
 def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
     """A torque and a force about a body's axis; mju_dot's order."""
     return ((axis[0] * torque[0] + axis[2] * torque[2]) + (axis[1] * torque[1] + lever[0] * force[0])) + (
@@ -104,7 +109,7 @@ def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
     )
 
 
-@njit(error_model="numpy")
+@njit
 def bias(
     parameters: Record, qpos: Array, qvel: Array, axes: tuple[Triple, Triple, Triple]
 ) -> tuple[Triple, Triple]:
@@ -141,7 +146,7 @@ def bias(
     return force, about
 
 
-@njit(error_model="numpy")
+@njit
 def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
     """The quaternion after a tick at a body rate: the exponential map."""
     rate = math.sqrt(x * x + y * y + z * z)
@@ -162,7 +167,7 @@ def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
     )
 
 
-@njit(error_model="numpy")
+@njit
 def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, acceleration: Array) -> bool:
     """Step pose `qpos` (7,) and velocity `qvel` (6,) under `force` (6,), all in place; gravity comes from `parameters`.
 
@@ -174,7 +179,9 @@ def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, accele
     inertia, tick_s = parameters.inertia_kg_m2, parameters.tick_s
     total = 0.0
     for axis in range(3):
-        linear = ((0.0 - pull[axis]) + force[axis]) + 0.0  # the zeros are MuJoCo's, and decide the sign of a 0
+        linear = (
+            (0.0 - pull[axis]) + force[axis]
+        ) + 0.0  # the zeros are MuJoCo's, and decide the sign of a 0
         angular = ((0.0 - twist[axis]) + force[3 + axis]) + 0.0
         acceleration[axis] = linear * (1.0 / parameters.mass_kg)
         acceleration[3 + axis] = angular * (1.0 / inertia[axis])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -80,6 +80,7 @@ class Vehicle:
         self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._parameters: NDArray[np.void] | None = None
+        self._time_s = np.zeros(1)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model, the one before being gone; `name_of` names what a geom belongs to."""
@@ -100,26 +101,19 @@ class Vehicle:
         self._push = data.qfrc_constraint[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
+        self._model, self._data = model, data
         self.touches = Touches(data, self.body_id, model, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
         """What the hot loop works on, in the order of hotloop.views."""
-        return self._pointing(model, data, (self.qpos, self.qvel, self._force, self._contact, self._push))
-
-    def addresses_alone_in(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
-        """The same for a model that holds nothing but this vehicle."""
-        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
-        return self._pointing(model, data, arrays)
-
-    def _pointing(
-        self, model: mujoco.MjModel, data: mujoco.MjData, arrays: Sequence[NDArray[np.float64]]
-    ) -> NDArray[np.int64]:
+        arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]  # type: ignore[union-attr]
         fixed = [hotloop.mj_step_address(), model._address, data._address]
-        return np.array([*fixed, *own, len(self._samples.buffer)], np.int64)
+        free = [self._warm_start.ctypes.data, self._time_s.ctypes.data]
+        return np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
 
     # --- state ------------------------------------------------------------------------------------
 
@@ -222,11 +216,10 @@ class Vehicle:
         for name, gains in self._default_gains.items():
             self.parameters[name] = gains[0]
 
-    def set_airframe(self, models: Sequence[mujoco.MjModel], mass_ratio: float, thrust_ratio: float) -> None:
-        """Make it heavier or stronger than its own, in each of the models that it flies in."""
+    def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
+        """Make it heavier or stronger than its own."""
         assert self._parameters is not None
-        for model in models:
-            set_airframe(model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
+        set_airframe(self._model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
 
     # --- places -----------------------------------------------------------------------------------
 
@@ -312,6 +305,13 @@ class Vehicle:
     def fly(self, ticks: int) -> int:
         """hotloop's `fly`, for a vehicle that is alone in its world."""
         return int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks))
+
+    def fly_free(self, ticks: int) -> int:
+        """The same where it touches nothing, and can touch nothing, for so long."""
+        self._time_s[0] = self._data.time
+        flown = int(hotloop.ENTRY_POINTS.fly_free.ctypes(self._handles_pointer, ticks))
+        self._data.time = self._time_s[0]
+        return flown if flown == ticks else flown + self.fly(ticks - flown)
 
     def stand_still(self, ticks: int) -> int:
         """Let ticks pass."""

@@ -18,7 +18,6 @@ from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.led import Led
-from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
@@ -79,7 +78,6 @@ class World(Led):
             vehicle.bind(self.model, self.data, self.name_of)
         self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
         rows = [vehicle.handles for vehicle in self.vehicles]
-        self._open_air = OpenAir(self.scene, self.model, self.data) if self.clearance.alone else None
         self._handles = np.concatenate([[len(rows)], *rows]).astype(np.int64)
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -119,7 +117,7 @@ class World(Led):
         self.lane = layout
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
-        self.lead.set_airframe(self._models(), layout.mass_ratio, layout.thrust_ratio)
+        self.lead.set_airframe(layout.mass_ratio, layout.thrust_ratio)
 
     def _move_to(self, scenery: str) -> None:
         scene_path(self.scene, scenery)  # raises UserError, while nothing has changed
@@ -129,10 +127,6 @@ class World(Led):
         self._load()
         self.set_physics(physics)
         self.lead.take_over(carried)
-
-    def _models(self) -> list[mujoco.MjModel]:
-        """All in which the leading vehicle flies."""
-        return [self.model, *([self._open_air.model] if self._open_air else [])]
 
     def surroundings_changed(self) -> None:
         """Objects of the model were moved, have come or gone, or look different."""
@@ -291,8 +285,8 @@ class World(Led):
         while flown < ticks:
             tick = int(field["tick"][0])
             due = self.clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
-            if self._open_air and self.clearance.left_out and not field["contacts"][0]:
-                flown += self._open_air.fly(lead, due)
+            if self.clearance.left_out and not field["contacts"][0]:
+                flown += lead.fly_free(due)
                 continue
             flown += lead.fly(due)
             if field["contacts_changed"][0]:
