@@ -1,0 +1,1 @@
+"""Lanes by the thousand: what the camera sees of them, as arithmetic on arrays, for CPU threads and for GPUs."""
