@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.project import project
-from uavaccel.kernels.rays import colour_of, depth_at, luma_at
+from uavaccel.kernels.rays import depth_at, luma_at
+from uavaccel.kernels.spans import gray_picture, make_desk
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -46,3 +47,12 @@ def draw_depth(looks: Looks, scenes: Scenes, lanes: NDArray[np.int32], positions
         out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32)
     _slow_depth(looks, scenes, lanes, positions, quaternions, out)
     return out
+
+
+@njit(cache=False, nogil=True, error_model="numpy")
+def _fast_gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, stage: int, out: Any) -> None:
+    desk = make_desk()
+    for drone in range(len(lanes)):
+        project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
+        if stage:
+            gray_picture(looks, desk, out[drone], stage)
