@@ -1,0 +1,195 @@
+"""What a pixel shows of the faces that a picture has: scalar functions, for loops on the CPU and for CUDA kernels.
+
+A face is a plane piece of a surface, projected by `kernels.faces`. On it everything is a quotient of functions that
+are linear in column and row: w, the inverse of the depth, and the distances from its edges times w. A pixel shows
+the face with the largest w of those whose edges all have it inside. All arithmetic is float32.
+
+Texels are read as OpenGL reads them with NEAREST_MIPMAP_NEAREST: the mipmap level that the 2 x 2 pixels of a quad
+have in common, by the distance between the texels of its pixels; OpenGL counts rows from below, so a quad's own
+corner is its lower left pixel. Light is per vertex, colours are rounded to 8 bits, luma is OpenCV's.
+
+Each function takes and returns scalars or tuples, allocates nothing and raises nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.kernels import fields as at
+
+Faces = NDArray[np.float32]  # (FACES, FIELDS): of one picture; row 0 is the rays'
+Textures = NDArray[np.int32]  # (n, 4)
+Texels = NDArray[np.uint32]  # (T,)
+Float = Any  # np.float32, a scalar of which numba keeps the type
+Colour = tuple[int, int, int]
+
+ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+SHORTEST_W = np.float32(1e-9)  # beyond an edge a quad's pixels may look above the horizon: kept finite
+MOST_TEXELS = np.float32(8e6)  # as many as float32 counts one by one
+FIRST_LEVEL_STEP = np.float32(np.sqrt(2.0))  # texels between pixels at which level 1 is nearer than level 0
+SLICES_COS, SLICES_SIN = np.float32(np.cos(np.pi / 8)), np.float32(np.sin(np.pi / 8))
+
+
+@njit(error_model="numpy", inline="always")
+def linear(faces: Faces, face: int, field: int, column: Float, row: Float) -> Float:
+    """The function of three coefficients from `field` on: per column, per row, constant."""
+    return faces[face, field] * column + (faces[face, field + 1] * row + faces[face, field + 2])
+
+
+@njit(error_model="numpy")
+def covers(faces: Faces, face: int, column: Float, row: Float, w: Float) -> bool:
+    """Whether a pixel at which the face has `w` lies within its edges."""
+    inside = True
+    for edge in range(4):
+        inside = inside and linear(faces, face, at.EDGES + 3 * edge, column, row) >= ZERO
+    extra = int(faces[face, at.EXTRA])
+    if inside and extra > 0:
+        for edge in range(8):
+            inside = inside and linear(faces, extra, 3 * edge, column, row) >= ZERO
+    return inside
+
+
+@njit(error_model="numpy")
+def touches(faces: Faces, face: int, row0: Float, row1: Float, column0: Float, column1: Float) -> bool:
+    """Whether a face may be seen in a rectangle of pixels, both ends included; errs towards yes."""
+    if faces[face, at.NEAREST_W] <= ZERO:
+        return False
+    seen = True
+    for field in range(at.W, at.W + 15, 3):
+        a, b, c = faces[face, field], faces[face, field + 1], faces[face, field + 2]
+        most = max(a * column0, a * column1) + max(b * row0, b * row1) + c
+        seen = seen and most >= -np.float32(1e-6)
+    return seen
+
+
+@njit(error_model="numpy")
+def nearest_face(faces: Faces, row: int, column: int) -> int:
+    """The face that a pixel shows, 0 for the sky."""
+    x, y = np.float32(column), np.float32(row)
+    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+    for face in range(1, int(faces[0, at.COUNT])):
+        if faces[face, at.NEAREST_W] > best:
+            w = linear(faces, face, at.W, x, y)
+            if w > best and w <= near and covers(faces, face, x, y, w):
+                best, shown = w, face
+    return shown
+
+
+@njit(error_model="numpy", inline="always")
+def texels_at(faces: Faces, face: int, column: Float, row: Float) -> tuple[Float, Float]:
+    """Texels of level 0 from the texture's corner to a pixel, to the right and up."""
+    w = max(linear(faces, face, at.W, column, row), SHORTEST_W)
+    u = linear(faces, face, at.EDGES, column, row) / w * faces[face, at.TU] + faces[face, at.TU + 1]
+    v = linear(faces, face, at.EDGES + 9, column, row) / w * faces[face, at.TV] + faces[face, at.TV + 1]
+    return u, v
+
+
+@njit(error_model="numpy", inline="always")
+def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: int) -> int:
+    """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the largest."""
+    step = max(max(abs(du_x), abs(dv_x)), max(abs(du_y), abs(dv_y)))
+    level = 0
+    limit = FIRST_LEVEL_STEP
+    for _ in range(8):
+        level += step >= limit
+        limit += limit
+    return min(level, last)
+
+
+@njit(error_model="numpy", inline="always")
+def texel_index(u: Float, v: Float, level: int, base: int, log2_width: int, log2_height: int) -> int:
+    """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
+    column = np.int32(min(max(u, ZERO), MOST_TEXELS)) >> level
+    row = np.int32(min(max(v, ZERO), MOST_TEXELS)) >> level
+    width, height = np.int32(1) << log2_width, np.int32(1) << log2_height
+    column &= (width - np.int32(1)) >> level
+    row &= (height - np.int32(1)) >> level
+    first_row = (height << 1) - ((height << 1) >> level)
+    return base + ((first_row + row) << log2_width) + column
+
+
+@njit(error_model="numpy", inline="always")
+def lit(texel: int, red: Float, green: Float, blue: Float) -> Colour:
+    """A texel in light of a colour (0 to 1), as 8-bit channels."""
+    return (
+        np.int32(np.float32(texel & 255) * red + HALF),
+        np.int32(np.float32((texel >> 8) & 255) * green + HALF),
+        np.int32(np.float32((texel >> 16) & 255) * blue + HALF),
+    )
+
+
+@njit(error_model="numpy", inline="always")
+def luma(red: int, green: int, blue: int) -> int:
+    """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
+    return (red * 9798 + green * 19235 + blue * 3735 + 16384) >> 15
+
+
+@njit(error_model="numpy", inline="always")
+def sky_index(x: Float, y: Float, z: Float, base: int, log2_width: int) -> int:
+    """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
+    s, t, r = x, z, -y
+    a_s, a_t, a_r = abs(s), abs(t), abs(r)
+    by_s = a_s >= a_t and a_s >= a_r
+    by_t = not by_s and a_t >= a_r
+    across = (-r if s > ZERO else r) if by_s else (s if by_t or r > ZERO else -s)
+    down = (r if t > ZERO else -r) if by_t else -t
+    face = (0 if s > ZERO else 1) if by_s else ((2 if t > ZERO else 3) if by_t else (4 if r > ZERO else 5))
+    width = np.int32(1) << log2_width
+    scale = HALF * np.float32(width) / max(max(a_s, max(a_t, a_r)), SHORTEST_W)
+    middle = HALF * np.float32(width)
+    column = min(np.int32(max(across * scale + middle, ZERO)), width - np.int32(1))
+    row = min(np.int32(max(down * scale + middle, ZERO)), width - np.int32(1))
+    return base + (((np.int32(face) << log2_width) + row) << log2_width) + column
+
+
+@njit(error_model="numpy")
+def quad_level(faces: Faces, face: int, textures: Textures, row: int, column: int) -> int:
+    """The mipmap level of a face in the quad of a pixel."""
+    x, y = np.float32(column & ~1), np.float32(row | 1)
+    u, v = texels_at(faces, face, x, y)
+    u_x, v_x = texels_at(faces, face, x + ONE, y)
+    u_y, v_y = texels_at(faces, face, x, y - ONE)
+    last = textures[int(faces[face, at.TEXTURE]), at.LAST_LEVEL]
+    return level_of(u_x - u, v_x - v, u_y - u, v_y - v, last)
+
+
+@njit(error_model="numpy")
+def colour_of(faces: Faces, face: int, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows a face, or the sky, 0."""
+    x, y = np.float32(column), np.float32(row)
+    if face == 0:
+        ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
+        ray_z = linear(faces, 0, at.RAYS + 6, x, y)
+        index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_WIDTH])
+        return lit(np.int32(texels[index]), ONE, ONE, ONE)
+    texture = int(faces[face, at.TEXTURE])
+    level = quad_level(faces, face, textures, row, column)
+    u, v = texels_at(faces, face, x, y)
+    base, wide, high = textures[texture, at.BASE], textures[texture, at.LOG2_WIDTH], textures[texture, at.LOG2_HEIGHT]
+    texel = np.int32(texels[texel_index(u, v, level, base, wide, high)])
+    along = linear(faces, face, at.ACROSS, x, y) / max(linear(faces, face, at.W, x, y), SHORTEST_W)
+    return lit(
+        texel,
+        faces[face, at.COLOUR] + faces[face, at.SLOPE] * along,
+        faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
+        faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
+    )
+
+
+@njit(error_model="numpy")
+def luma_at(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> int:
+    """Luma of a pixel."""
+    red, green, blue = colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
+    return luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def depth_at(faces: Faces, row: int, column: int) -> Float:
+    """Depth of a pixel in metres, along the optical axis."""
+    face = nearest_face(faces, row, column)
+    w = linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
+    return ONE / w
