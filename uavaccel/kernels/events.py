@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.vision import dvs_pixel as pixel
@@ -137,90 +138,6 @@ def shot(camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negat
     return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
 
 
-class Row(NamedTuple):
-    """How four pixels in a row are worked on; the memorised intensities are of one type."""
-
-    see: Any
-    """(levels, camera, sensor, base, filtered, seed, index, y, x, dt_s): ON minus OFF events, all at once."""
-    count: Any
-    """The same up to the events: writes signed counts into `counts` (144, 256) int32 instead of answering."""
-    settle: Any
-    """(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s): the rest, for the counts kept."""
-
-
-def _row(kind: Any, threshold: Any, count: Any) -> Row:
-    wide = kind is np.float64
-
-    @njit
-    def due(level, camera, sensor, base, filtered, y, x, dt_s, normal):  # type: ignore[no-untyped-def]
-        """Thresholds, logarithm, memorised intensity and signed count of a pixel."""
-        positive = threshold(camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
-        negative = threshold(camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
-        log = kind(sensor.logs[level])
-        if wide:
-            weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
-            log = filtered[y, x] = pixel.low_passed(filtered[y, x], log, weight)
-        before = leaked(base[y, x], positive, camera, sensor, y, x, dt_s, normal)
-        return positive, negative, log, before, count(log, before, positive, negative)
-
-    @njit
-    def after(level, camera, sensor, positive, negative, log, before, signed, dt_s, draw):  # type: ignore[no-untyped-def]
-        """The memorised intensity, and ON minus OFF events with the noise's."""
-        base, total = pixel.advanced(before, signed, positive, negative), signed
-        if camera[SHOT] > 0.0:
-            noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
-            if noise != 0:
-                base = log
-            if noise != ON_AND_OFF:
-                total += noise
-        return base, total
-
-    @njit
-    def see(levels, camera, sensor, base, filtered, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
-        normals, draws = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
-        total = 0
-        for place in range(BLOCK_SIDE):
-            at, level = x + place, levels[place]
-            positive, negative, log, before, signed = due(
-                level, camera, sensor, base, filtered, y, at, dt_s, normals[place]
-            )
-            base[y, at], events = after(
-                level, camera, sensor, positive, negative, log, before, signed, dt_s, draws[place]
-            )
-            total += events
-        return total
-
-    @njit
-    def count_row(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
-        normals, _ = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
-        most = 0
-        for place in range(BLOCK_SIDE):
-            at = x + place
-            _, _, _, before, signed = due(
-                levels[place], camera, sensor, base, filtered, y, at, dt_s, normals[place]
-            )
-            base[y, at], counts[y, at] = before, signed
-            most = max(most, abs(signed))
-        return most
-
-    @njit
-    def settle(levels, camera, sensor, base, filtered, counts, seed, index, y, x, dt_s):  # type: ignore[no-untyped-def]
-        _, draws = drawn(camera, seed, index, (y * base.shape[1] + x) // BLOCK_SIDE)
-        total = 0
-        for place in range(BLOCK_SIDE):
-            at, level = x + place, levels[place]
-            positive = threshold(camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
-            negative = threshold(camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
-            log = filtered[y, at] if wide else kind(sensor.logs[level])
-            base[y, at], events = after(
-                level, camera, sensor, positive, negative, log, base[y, at], counts[y, at], dt_s, draws[place]
-            )
-            total += events
-        return total
-
-    return Row(see, count_row, settle)
-
-
 @njit(cache=True)
 def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
     """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
@@ -232,8 +149,167 @@ def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
     return normals, draws
 
 
-SINGLE = _row(np.float32, single_threshold, pixel.count_single)
-DOUBLE = _row(np.float64, double_threshold, pixel.count_double)
+def threshold(like: Any, nominal: float, sigma: float, normal: np.float32) -> Any:
+    """A pixel's threshold in the precision of `like`."""
+    of_type = single_threshold if isinstance(like, np.float32) else double_threshold
+    return of_type(nominal, sigma, normal)
+
+
+def due(log: Any, base: Any, positive: Any, negative: Any) -> np.int32:
+    """A pixel's signed count in the precision of its logarithms."""
+    of_type = pixel.count_single if isinstance(log, np.float32) else pixel.count_double
+    return of_type(log, base, positive, negative)
+
+
+def log_of(like: Any, level: int, before: Any, camera: Any, sensor: Any, dt_s: float) -> Any:
+    """A pixel's logarithm: float32, or float64 after a low-pass, of which `before` is the last one."""
+    of_type = single_log if isinstance(like, np.float32) else double_log
+    return of_type(level, before, camera, sensor, dt_s)
+
+
+@njit(cache=True)
+def single_log(level: int, before: np.float32, camera: Any, sensor: Any, dt_s: float) -> np.float32:
+    """Without a low-pass."""
+    return sensor.logs[level]
+
+
+@njit(cache=True, error_model="numpy")
+def double_log(level: int, before: float, camera: Any, sensor: Any, dt_s: float) -> float:
+    """After a low-pass."""
+    weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
+    return pixel.low_passed(before, np.float64(sensor.logs[level]), weight)
+
+
+def _threshold(like, nominal, sigma, normal):  # type: ignore[no-untyped-def]
+    of_type = single_threshold if like == types.float32 else double_threshold
+    return lambda like, nominal, sigma, normal: of_type(nominal, sigma, normal)
+
+
+def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    of_type = pixel.count_single if log == types.float32 else pixel.count_double
+    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
+def _log_of(like, level, before, camera, sensor, dt_s):  # type: ignore[no-untyped-def]
+    of_type = single_log if like == types.float32 else double_log
+    return lambda like, level, before, camera, sensor, dt_s: of_type(level, before, camera, sensor, dt_s)
+
+
+BY_TYPE = ((threshold, _threshold), (due, _due), (log_of, _log_of))
+"""Functions whose machine code follows the precision, and what chooses it: for numba's `overload` of each target."""
+
+for _function, _chosen in BY_TYPE:
+    overload(_function)(_chosen)
+
+
+@njit(cache=True, error_model="numpy")
+def see(
+    levels: Four, camera: Any, sensor: Any, base: Any, filtered: Any, noise: tuple[int, int], y: int, x: int, dt_s: float
+) -> int:
+    """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
+
+    `base` (144, 256), and after a low-pass `filtered`, else empty, go on; `noise` are the game's seed and the frame.
+    """
+    normals, draws = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
+    total = 0
+    for place in range(BLOCK_SIDE):
+        at, level = x + place, levels[place]
+        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
+        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
+        log = new_log(level, base, filtered, y, at, camera, sensor, dt_s)
+        before = leaked(base[y, at], positive, camera, sensor, y, at, dt_s, normals[place])
+        signed = due(log, before, positive, negative)
+        base[y, at] = pixel.advanced(before, signed, positive, negative)
+        total += signed
+        if camera[SHOT] > 0.0:
+            total += add_shot(level, camera, sensor, base, log, y, at, dt_s, positive, negative, draws[place])
+    return total
+
+
+@njit(cache=True)
+def new_log(level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float) -> Any:
+    """A pixel's logarithm, kept for the next low-pass."""
+    if filtered.size == 0:
+        return log_of(base[y, x], level, base[y, x], camera, sensor, dt_s)
+    log = log_of(base[y, x], level, filtered[y, x], camera, sensor, dt_s)
+    filtered[y, x] = log
+    return log
+
+
+@njit(cache=True)
+def add_shot(
+    level: int,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    log: Any,
+    y: int,
+    x: int,
+    dt_s: float,
+    positive: Any,
+    negative: Any,
+    draw: np.float32,
+) -> int:
+    """Shot noise of a pixel, which then memorises the present intensity: ON minus OFF events."""
+    noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
+    if noise != 0:
+        base[y, x] = log
+    return 0 if noise == ON_AND_OFF else noise
+
+
+@njit(cache=True, error_model="numpy")
+def count(
+    levels: Four,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    counts: Any,
+    noise: tuple[int, int],
+    y: int,
+    x: int,
+    dt_s: float,
+) -> int:
+    """The first half of `see` with a refractory period: `counts` (144, 256) int32 take what is due; the largest."""
+    normals, _ = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
+    most = 0
+    for place in range(BLOCK_SIDE):
+        at = x + place
+        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
+        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
+        log = new_log(levels[place], base, filtered, y, at, camera, sensor, dt_s)
+        base[y, at] = leaked(base[y, at], positive, camera, sensor, y, at, dt_s, normals[place])
+        counts[y, at] = due(log, base[y, at], positive, negative)
+        most = max(most, abs(counts[y, at]))
+    return most
+
+
+@njit(cache=True, error_model="numpy")
+def settle(
+    levels: Four,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    counts: Any,
+    noise: tuple[int, int],
+    y: int,
+    x: int,
+    dt_s: float,
+) -> int:
+    """The second half, for the counts that were kept."""
+    _, draws = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
+    total = 0
+    for place in range(BLOCK_SIDE):
+        at, level = x + place, levels[place]
+        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
+        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
+        log = filtered[y, at] if filtered.size else log_of(base[y, at], level, base[y, at], camera, sensor, dt_s)
+        base[y, at] = pixel.advanced(base[y, at], counts[y, at], positive, negative)
+        total += counts[y, at]
+        if camera[SHOT] > 0.0:
+            total += add_shot(level, camera, sensor, base, log, y, at, dt_s, positive, negative, draws[place])
+    return total
 
 
 @njit(cache=True)

@@ -18,8 +18,7 @@ from uavaccel.sim.quadrotor import NEVER, Record, turn_rotors
 
 HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; the reach is that of a ball around the hull
 NEXT_LOOK, TOUCHED = range(2)  # tick of the next look at the surroundings; the solid that ended the flight
-POSE, MOTION, FORCE = slice(0, 7), slice(7, 13), slice(13, 19)
-BODY_FIELDS = 19  # MuJoCo's qpos (7,), qvel (6,) and qfrc_applied (6,), in its axes
+BODY_FIELDS = 25  # MuJoCo's qpos (7,), qvel (6,), qfrc_applied (6,) and qacc (6,), in its axes
 
 Floats = NDArray[np.float64]
 

@@ -131,14 +131,15 @@ class ImageApi:
             self._scenery.forget()
 
     def collision(self) -> dict[str, Any]:
-        """Our own: tick in simulated ns, object and north position of the latched collision; empty without one."""
+        """Our own: when, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        if world.collision_tick is None:
+        touch = world.touches.first
+        if touch is None:
             return {}
         return {
-            "time_ns": self.simulation.time_of(world.collision_tick),
-            "object": world.collision_object,
-            "position_m": list(self.simulation.kinematics().position_m),
+            "time_ns": self.simulation.time_of(touch.tick),
+            "object": touch.object,
+            "position_m": list(world.lead.local(touch.position_m)),
         }
 
 
