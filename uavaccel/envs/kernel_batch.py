@@ -29,7 +29,7 @@ from uavaccel.envs.told import NO_ACTION, age_levels
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, ROWS
+from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.saved import State
@@ -81,15 +81,16 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         count, task, space = self.num_envs, self.task, self.single_observation_space
         self._rows = rows.game_rows(count, self._maker.surroundings.most)
         self._now = rows.flights(count)
-        sensor, blank = task.sensor(), task.sensor().blank
+        blank = task.sensor().blank
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
         kind = cpu.STATE if task.blank_images else KINDS[task.observation]
         pixels = _pixels(count if kind == cpu.DVS else 0, task.dvs_parameters)
-        self._view = cpu.View(kind, self._maker.looks, events.sensor_of(draws), pixels)
-        del sensor
+        self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
+        drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
+        self._pictures = drawn  # of one type whatever is observed: machine code is made for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
         self._observations = np.zeros((count, *space.shape), space.dtype)
         self._last = np.zeros_like(self._observations)
@@ -240,7 +241,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _fly(self, lanes: NDArray[np.int64]) -> None:
         cpu.fly_lanes(
-            lanes, self._directions, self._view, self._rows, self._now, self._plan, self._frames, self._samples
+            lanes, self._directions, self._view, self._rows, self._now, self._plan, self._pictures, self._samples
         )
 
     def _land(self, lanes: NDArray[np.int64]) -> Judged:

@@ -70,3 +70,14 @@ AMBIENT, DIFFUSE, TOWARDS = 0, 3, 6
 
 # The camera: float64 (16,), in Looks.camera: place in the body, its axes there (right, up, back as columns of a matrix).
 PLACE, AXES, HALF_WIDTH, HALF_HEIGHT, NEAR_M, FAR_M = 0, 3, 12, 13, 14, 15
+
+
+NO_LOOKS = Looks(
+    np.zeros(0, np.uint32),
+    np.zeros((0, 4), np.int32),
+    np.zeros((0, 8), np.float32),
+    np.zeros(16),
+    np.zeros((0, 8), np.float32),
+    np.zeros((3, 4), np.int32),
+)
+"""Of lanes that nobody looks at: arrays of the same types."""
