@@ -5,7 +5,6 @@ Each flies as it would in the exact simulator, and sees what the kernels draw in
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -32,7 +31,6 @@ from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 from uavaccel.vision.observation import BLOCK_SIDE
@@ -159,12 +157,21 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]
         idle = which[self._over[which]]
-        rewards, terminated, truncated = np.zeros(self.num_envs), *(np.zeros(self.num_envs, bool) for _ in "et")
+        rewards, terminated, truncated = (
+            np.zeros(self.num_envs),
+            *(np.zeros(self.num_envs, bool) for _ in "et"),
+        )
         infos: dict[int, dict[str, Any]] = {}
         if len(going):
             judged = self._land(going)
-            rewards[going], terminated[going], truncated[going] = judged.reward, judged.terminated, judged.truncated
-            infos = {int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)}
+            rewards[going], terminated[going], truncated[going] = (
+                judged.reward,
+                judged.terminated,
+                judged.truncated,
+            )
+            infos = {
+                int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)
+            }
         if len(idle) and self._next_step:
             infos |= dict(zip(idle.tolist(), self._renew(idle), strict=True))
         elif len(idle):
@@ -202,9 +209,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
     def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
         cpu.look_at_starts(self._rows, lanes)
         for part in [
-            self._pool.submit(
-                cpu.begin_lanes, each, each, self._view, self._rows, self._now, self._plan
-            )
+            self._pool.submit(cpu.begin_lanes, each, each, self._view, self._rows, self._now, self._plan)
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
@@ -241,7 +246,14 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _fly(self, lanes: NDArray[np.int64]) -> None:
         cpu.fly_lanes(
-            lanes, self._directions, self._view, self._rows, self._now, self._plan, self._pictures, self._samples
+            lanes,
+            self._directions,
+            self._view,
+            self._rows,
+            self._now,
+            self._plan,
+            self._pictures,
+            self._samples,
         )
 
     def _land(self, lanes: NDArray[np.int64]) -> Judged:
@@ -304,7 +316,9 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
     def _state_fields(self, lanes: NDArray[np.int64]) -> NDArray[np.float64]:
         """The present states (n, SAMPLE_FIELDS)."""
         state = self._now.state[lanes]
-        return np.concatenate([state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1)
+        return np.concatenate(
+            [state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1
+        )
 
     def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
         """The frames (n, ...) of samples (n, SAMPLE_FIELDS)."""

@@ -44,7 +44,9 @@ class GameMaker:
         self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
         self._start = lru_cache(maxsize=64)(self._settled)
 
-    def draw(self, random: np.random.Generator, games: int, options: Mapping[str, Any] | None = None) -> Drawn:
+    def draw(
+        self, random: np.random.Generator, games: int, options: Mapping[str, Any] | None = None
+    ) -> Drawn:
         """The game after so many of an environment whose generator this is. Raises UserError for wrong options."""
         course = self.task.draw(random, known_options(options or {}, self.task.reset_options))
         latencies = np.random.SeedSequence(int(random.integers(2**63)))

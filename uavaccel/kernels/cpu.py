@@ -10,7 +10,17 @@ from numba.extending import overload
 
 from uavaccel.kernels import events
 from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, look, touched
+from uavaccel.kernels.lanes import (
+    EVENT_SEED,
+    PICTURE_SEED,
+    Flights,
+    Games,
+    begin,
+    command,
+    fly,
+    look,
+    touched,
+)
 from uavaccel.kernels.project import project
 from uavaccel.kernels.rays import colour_of, depth_at, nearest_face
 from uavaccel.kernels.spans import gray_picture, make_desk
@@ -93,7 +103,9 @@ def gather(signed: Any, gathered: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def shoot(picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any) -> None:
+def shoot(
+    picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
+) -> None:
     """Add a frame's shot noise; `maps` are the thresholds, `noise` seed, frame and its time in s."""
     seed, index, dt_s = noise
     draws = np.empty((ROWS, COLUMNS), np.float32)
@@ -134,7 +146,9 @@ def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def see_single(lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int) -> None:
+def see_single(
+    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
+) -> None:
     """A lane's event camera sees a frame (144, 256)."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
     positive, negative = np.empty((ROWS, COLUMNS), np.float32), np.empty((ROWS, COLUMNS), np.float32)
@@ -155,7 +169,9 @@ def see_single(lane: int, picture: Any, time_s: float, pixels: events.Pixels, se
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def see_double(lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int) -> None:
+def see_double(
+    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
+) -> None:
     """The same of a sensor with a low-pass, in double precision."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
     positive, negative = np.empty((ROWS, COLUMNS), np.float64), np.empty((ROWS, COLUMNS), np.float64)
@@ -183,7 +199,9 @@ def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def draw_gray(lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any) -> None:
+def draw_gray(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
+) -> None:
     """What a lane's front camera sees, grey (144, 256), with the camera's noise."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
@@ -194,7 +212,9 @@ def draw_gray(lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def draw_colour(lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any) -> None:
+def draw_colour(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
+) -> None:
     """Red, green and blue (3, 36, 64): means of blocks of 4 x 4 pixels."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
@@ -330,7 +350,14 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fly_lanes(
-    lanes: Any, directions: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any, samples: Any
+    lanes: Any,
+    directions: Any,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    frames: Any,
+    samples: Any,
 ) -> None:
     """Fly a command each: frames (L, S, ...) of the samples before a touch, states (L, S, SAMPLE_FIELDS) of all."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)

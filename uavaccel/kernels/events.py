@@ -1,4 +1,4 @@
-"""What many event cameras see: the pixels of vision/dvs_pixel over lanes, four in a row at a time.
+"""What many event cameras see: the pixels of vision/dvs_kernels over lanes, four in a row at a time.
 
 A lane's camera differs from the next one's in its parameters alone; what is drawn once per pixel is the sensor's, and
 one for all lanes. Events are summed over blocks of 4 x 4 pixels as they come (vision/observation), until they are taken.
@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from uavaccel.vision import dvs_pixel as pixel
+from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, normal_block, uniform_block
@@ -86,7 +86,10 @@ def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float
 @njit(cache=True)
 def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int) -> Four:
     """Four grey levels in a row as a noisy camera reads them (vision/image_noise)."""
-    drawn, deviation = normal_block(np.uint64(seed), np.uint64(moment_ns), READ_NOISE, block), np.float32(sigma)
+    drawn, deviation = (
+        normal_block(np.uint64(seed), np.uint64(moment_ns), READ_NOISE, block),
+        np.float32(sigma),
+    )
     return (
         noisy(levels[0], deviation, drawn[0]),
         noisy(levels[1], deviation, drawn[1]),
@@ -131,7 +134,9 @@ def leaked(
 
 
 @njit(cache=True)
-def shot(camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32) -> int:
+def shot(
+    camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32
+) -> int:
     """Noise events of a pixel in a frame, as `pixel.shot`."""
     chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
     chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
@@ -157,7 +162,7 @@ def threshold(like: Any, nominal: float, sigma: float, normal: np.float32) -> An
 
 def due(log: Any, base: Any, positive: Any, negative: Any) -> np.int32:
     """A pixel's signed count in the precision of its logarithms."""
-    of_type = pixel.count_single if isinstance(log, np.float32) else pixel.count_double
+    of_type = pixel.count_single_pixel if isinstance(log, np.float32) else pixel.count_double_pixel
     return of_type(log, base, positive, negative)
 
 
@@ -186,7 +191,7 @@ def _threshold(like, nominal, sigma, normal):  # type: ignore[no-untyped-def]
 
 
 def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    of_type = pixel.count_single if log == types.float32 else pixel.count_double
+    of_type = pixel.count_single_pixel if log == types.float32 else pixel.count_double_pixel
     return lambda log, base, positive, negative: of_type(log, base, positive, negative)
 
 
@@ -204,7 +209,15 @@ for _function, _chosen in BY_TYPE:
 
 @njit(cache=True, error_model="numpy")
 def see(
-    levels: Four, camera: Any, sensor: Any, base: Any, filtered: Any, noise: tuple[int, int], y: int, x: int, dt_s: float
+    levels: Four,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    noise: tuple[int, int],
+    y: int,
+    x: int,
+    dt_s: float,
 ) -> int:
     """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
 
@@ -227,7 +240,9 @@ def see(
 
 
 @njit(cache=True)
-def new_log(level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float) -> Any:
+def new_log(
+    level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float
+) -> Any:
     """A pixel's logarithm, kept for the next low-pass."""
     if filtered.size == 0:
         return log_of(base[y, x], level, base[y, x], camera, sensor, dt_s)
@@ -304,7 +319,11 @@ def settle(
         at, level = x + place, levels[place]
         positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
         negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
-        log = filtered[y, at] if filtered.size else log_of(base[y, at], level, base[y, at], camera, sensor, dt_s)
+        log = (
+            filtered[y, at]
+            if filtered.size
+            else log_of(base[y, at], level, base[y, at], camera, sensor, dt_s)
+        )
         base[y, at] = pixel.advanced(base[y, at], counts[y, at], positive, negative)
         total += counts[y, at]
         if camera[SHOT] > 0.0:
@@ -313,7 +332,9 @@ def settle(
 
 
 @njit(cache=True)
-def keep_late(counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any) -> None:
+def keep_late(
+    counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any
+) -> None:
     """Drop the events of four pixels in a row that come within `dead_s` of the one before (kernels.drop_refractory).
 
     `most`: the largest count of the whole picture, which sets the stamps.

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.events import CAMERA_FIELDS
+from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.touching import NOTHING, SOLID_FIELDS
 from uavaccel.sim.autopilot import POSITION, RATE, VELOCITY
