@@ -207,9 +207,9 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
-        cpu.look_at_starts(self._rows, lanes)
+        cpu.CPU.look_at_starts(self._rows, lanes)
         for part in [
-            self._pool.submit(cpu.begin_lanes, each, each, self._view, self._rows, self._now, self._plan)
+            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan)
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
@@ -232,7 +232,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         if self.task.observation == "dvs":
             return blank
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.show_lanes(lanes, self._view, self._rows, self._now, self._plan, frames)
+        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
         return frames[lanes, 0]
 
     def _take(self, lane: int, action: Any) -> None:
@@ -245,7 +245,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             self._directions[lane] = directions[int(action)]
 
     def _fly(self, lanes: NDArray[np.int64]) -> None:
-        cpu.fly_lanes(
+        cpu.CPU.fly(
             lanes,
             self._directions,
             self._view,

@@ -24,6 +24,7 @@ from uavaccel.kernels.lanes import (
 from uavaccel.kernels.project import project
 from uavaccel.kernels.rays import colour_of, depth_at, nearest_face
 from uavaccel.kernels.spans import gray_picture, make_desk
+from uavaccel.sim.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
@@ -35,14 +36,14 @@ NS = 1e-9
 SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
 
 
-@njit(nogil=True, cache=True)
-def look_at_starts(games: Games, rows: Any) -> None:
+@njit(nogil=True)
+def _look_at_starts(games: Games, rows: Any) -> None:
     """Finish the starts of games: the accelerations in their wind."""
     for game in rows:
         look(games.parameters[game], games.start[game], games.body[game])
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True)
 def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """Thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
@@ -50,7 +51,7 @@ def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
             out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True)
 def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """The same after a low-pass."""
     for y in range(ROWS):
@@ -58,7 +59,7 @@ def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
             out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
     """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
@@ -67,7 +68,7 @@ def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> Non
         picture[value] = events.noisy(picture[value], deviation, drawn[value])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: int, dt_s: float) -> Any:
     """The memorised intensities (144, 256) after heat and leak over a frame."""
     if camera[events.HOT] > 0.0:
@@ -80,7 +81,7 @@ def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: i
     return base
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time_s: float) -> Any:
     """Signed counts without those within the refractory period."""
     most = max(1, signed.max(), -signed.min())
@@ -94,7 +95,7 @@ def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time
     return kept
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def gather(signed: Any, gathered: Any) -> None:
     """Add signed counts (144, 256) to their blocks' (36, 64)."""
     for y in range(ROWS):
@@ -102,7 +103,7 @@ def gather(signed: Any, gathered: Any) -> None:
             gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def shoot(
     picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
 ) -> None:
@@ -120,14 +121,14 @@ def shoot(
                 gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += np.int32(on[y, x]) - np.int32(off[y, x])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
     """A game's first frame makes no events."""
     pixels.base[lane] = dvs.look_up(picture, sensor.logs)
     start_clock(lane, pixels, camera)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
     """The same of a sensor with a low-pass."""
     for y in range(ROWS):
@@ -137,7 +138,7 @@ def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, ca
     start_clock(lane, pixels, camera)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True)
 def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
     """No frames seen, no events gathered."""
     pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
@@ -145,7 +146,7 @@ def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
         pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def see_single(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
@@ -168,7 +169,7 @@ def see_single(
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def see_double(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
@@ -192,13 +193,13 @@ def see_double(
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
     """Simulated time since the game's start."""
     return now.state[lane].tick * tick_ns
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def draw_gray(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
 ) -> None:
@@ -211,7 +212,7 @@ def draw_gray(
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def draw_colour(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
 ) -> None:
@@ -237,7 +238,7 @@ def draw_colour(
                 frame[channel, y, x] = int(np.rint(total / BLOCK_SIDE**2))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, frame: Any) -> None:
     """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
     state, game = now.state[lane], now.game[lane]
@@ -295,7 +296,7 @@ class View(NamedTuple):
     pixels: Any
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def look_at_events(
     lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
 ) -> None:
@@ -306,8 +307,8 @@ def look_at_events(
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
+@njit(nogil=True, error_model="numpy")
+def _begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
     """Let lanes begin the games of these rows."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
     for place in range(len(lanes)):
@@ -318,7 +319,7 @@ def begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, p
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def fly_sample(
     lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
 ) -> bool:
@@ -336,7 +337,7 @@ def fly_sample(
     return plan.event_ticks > 0 and left == 0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True)
 def take_state(lane: int, now: Flights, sample: Any) -> None:
     """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
     state = now.state[lane]
@@ -348,8 +349,8 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
         sample[3 + part] = state.quaternion[part]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def fly_lanes(
+@njit(nogil=True, error_model="numpy")
+def _fly_lanes(
     lanes: Any,
     directions: Any,
     view: View,
@@ -378,7 +379,7 @@ def fly_lanes(
                 take_events(lane, view.pixels, frames[lane, sample])
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True)
 def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
     """The events since they were last taken, as a frame (1, 36, 64)."""
     for y in range(frame.shape[1]):
@@ -387,8 +388,8 @@ def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
             pixels.gathered[lane, y, x] = 0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
+@njit(nogil=True, error_model="numpy")
+def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
     """Frames (L, 1, ...) of the present moment, in colour or of depth."""
     desk = make_desk()
     for lane in lanes:
@@ -396,3 +397,45 @@ def show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command
             draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, 0])
         elif view.kind == DEPTH:
             draw_depth(lane, view.looks, games, now, desk, frames[lane, 0])
+
+
+class EntryPoints(NamedTuple):
+    """Machine code, called without the GIL."""
+
+    look_at_starts: Any
+    begin: Any
+    fly: Any
+    show: Any
+
+
+def _compile(stamp: int) -> EntryPoints:
+    """The entry points, from numba's cache if they are there.
+
+    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
+    """
+    entry_point = njit(nogil=True, cache=True)
+
+    @entry_point
+    def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
+        if stamp:
+            _look_at_starts(games, rows)
+
+    @entry_point
+    def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
+        if stamp:
+            _begin_lanes(lanes, rows, view, games, now, plan)
+
+    @entry_point
+    def fly_lanes(lanes, directions, view, games, now, plan, frames, samples):  # type: ignore[no-untyped-def]
+        if stamp:
+            _fly_lanes(lanes, directions, view, games, now, plan, frames, samples)
+
+    @entry_point
+    def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]
+        if stamp:
+            _show_lanes(lanes, view, games, now, plan, frames)
+
+    return EntryPoints(look_at_starts, begin_lanes, fly_lanes, show_lanes)
+
+
+CPU = _compile(sources(__name__))

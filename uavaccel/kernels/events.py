@@ -83,7 +83,7 @@ def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float
     )
 
 
-@njit(cache=True)
+@njit
 def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int) -> Four:
     """Four grey levels in a row as a noisy camera reads them (vision/image_noise)."""
     drawn, deviation = (
@@ -98,14 +98,14 @@ def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int
     )
 
 
-@njit(cache=True)
+@njit
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
     """A grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)
     return int(min(max(np.rint(value), np.float32(0.0)), np.float32(255.0)))
 
 
-@njit(cache=True)
+@njit
 def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.float32:
     """A pixel's threshold, float32."""
     if sigma == 0.0:
@@ -113,13 +113,13 @@ def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.flo
     return max(np.float32(nominal) + times(np.float32(sigma), normal), MIN_THRESHOLD)
 
 
-@njit(cache=True)
+@njit
 def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
     """A pixel's threshold after a low-pass: a plain number stays as precise as it is."""
     return nominal if sigma == 0.0 else np.float64(single_threshold(nominal, sigma, normal))
 
 
-@njit(cache=True)
+@njit
 def leaked(
     base: Any, positive: Any, camera: Any, sensor: Any, y: int, x: int, dt_s: float, normal: np.float32
 ) -> Any:
@@ -133,7 +133,7 @@ def leaked(
     return base
 
 
-@njit(cache=True)
+@njit
 def shot(
     camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32
 ) -> int:
@@ -143,7 +143,7 @@ def shot(
     return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
 
 
-@njit(cache=True)
+@njit
 def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
     """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
     normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
@@ -172,13 +172,13 @@ def log_of(like: Any, level: int, before: Any, camera: Any, sensor: Any, dt_s: f
     return of_type(level, before, camera, sensor, dt_s)
 
 
-@njit(cache=True)
+@njit
 def single_log(level: int, before: np.float32, camera: Any, sensor: Any, dt_s: float) -> np.float32:
     """Without a low-pass."""
     return sensor.logs[level]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def double_log(level: int, before: float, camera: Any, sensor: Any, dt_s: float) -> float:
     """After a low-pass."""
     weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
@@ -207,7 +207,7 @@ for _function, _chosen in BY_TYPE:
     overload(_function)(_chosen)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def see(
     levels: Four,
     camera: Any,
@@ -239,7 +239,7 @@ def see(
     return total
 
 
-@njit(cache=True)
+@njit
 def new_log(
     level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float
 ) -> Any:
@@ -251,7 +251,7 @@ def new_log(
     return log
 
 
-@njit(cache=True)
+@njit
 def add_shot(
     level: int,
     camera: Any,
@@ -272,7 +272,7 @@ def add_shot(
     return 0 if noise == ON_AND_OFF else noise
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def count(
     levels: Four,
     camera: Any,
@@ -299,7 +299,7 @@ def count(
     return most
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def settle(
     levels: Four,
     camera: Any,
@@ -331,7 +331,7 @@ def settle(
     return total
 
 
-@njit(cache=True)
+@njit
 def keep_late(
     counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any
 ) -> None:
@@ -349,7 +349,7 @@ def keep_late(
         counts[y, at] = sign * kept
 
 
-@njit(cache=True)
+@njit
 def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
     """One of vision/dvs.time_stamps."""
     start = np.float32(before_s + (time_s - before_s) / count)
@@ -362,7 +362,7 @@ def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32
     return np.float32(np.float64(end) - times(spacing, np.float64(count - 1 - number)))
 
 
-@njit(cache=True)
+@njit
 def level_of(events: int) -> int:
     """What an observation shows for so many ON minus OFF events of a block."""
     return min(max(NEUTRAL_LEVEL + events, 0), 255)

@@ -23,7 +23,7 @@ BODY_FIELDS = 25  # MuJoCo's qpos (7,), qvel (6,), qfrc_applied (6,) and qacc (6
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit
 def look_around(
     parameters: Record,
     state: Record,
@@ -46,7 +46,7 @@ def look_around(
         state.contact_position[axis] = state.position[axis]
 
 
-@njit(cache=True)
+@njit
 def fly_ticks(
     parameters: Record,
     state: Record,

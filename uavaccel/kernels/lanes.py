@@ -89,14 +89,14 @@ def flights(lanes: int, empty: Any = np.zeros) -> Flights:
     )
 
 
-@njit(cache=True)
+@njit
 def look(parameters: Any, state: Any, body: Any) -> None:
     """Read the pose, and compute the next kick, after the wind was set (hotloop's `look`)."""
     read_pose(state, body[POSE:MOTION])
     kick(parameters, state, body[MOTION:FORCE], body[FORCE:ACCELERATION])
 
 
-@njit(cache=True)
+@njit
 def begin(lane: int, game: int, games: Games, now: Flights) -> None:
     """Let a lane begin a game."""
     now.state[lane] = games.start[game]
@@ -106,7 +106,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
     now.game[lane] = game
 
 
-@njit(cache=True)
+@njit
 def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
     """Take a direction (L, 3) for a goal: moveByVelocity or, where a height is held, moveByVelocityZ (sim/flight/goal)."""
     state, told = now.state[lane], games.commands[now.game[lane]]
@@ -119,7 +119,7 @@ def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
     state.hover_tick = NEVER
 
 
-@njit(cache=True)
+@njit
 def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     """Let a lane fly so many ticks."""
     game, row = now.game[lane], now.body[lane]
@@ -128,7 +128,7 @@ def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     fly_ticks(games.parameters[game], now.state[lane], body, solids, count, hull, now.watch[lane], ticks)
 
 
-@njit(cache=True)
+@njit
 def touched(lane: int, now: Flights) -> bool:
     """Whether a lane's flight is over."""
     return now.state[lane].collision_tick != NEVER
