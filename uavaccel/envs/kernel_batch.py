@@ -82,7 +82,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         blank = task.sensor().blank
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
         kind = cpu.STATE if task.blank_images else KINDS[task.observation]
-        pixels = _pixels(count if kind == cpu.DVS else 0, task.dvs_parameters)
+        pixels = events.pixels_of(count if kind == cpu.DVS else 0, task.dvs_parameters)
         self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
@@ -366,20 +366,6 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         for lane, info in enumerate(infos):
             merged = self._add_info(merged, info, lane)
         return merged
-
-
-def _pixels(lanes: int, parameters: Any) -> events.Pixels:
-    wide = parameters.cutoff_hz > 0
-    shape, kind = (lanes, ROWS, COLUMNS), np.float64 if wide else np.float32
-    none = (0, ROWS, COLUMNS)
-    return events.Pixels(
-        np.zeros(shape, kind),
-        np.zeros(shape if wide else none, kind),
-        np.zeros(shape if parameters.refractory_s > 0 else none, np.float32),
-        np.zeros((lanes, ROWS // BLOCK_SIDE, COLUMNS // BLOCK_SIDE), np.int32),
-        np.zeros(lanes, np.int64),
-        np.zeros(lanes),
-    )
 
 
 def _pick(value: Any, lanes: Any) -> Any:

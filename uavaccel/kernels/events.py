@@ -13,6 +13,8 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from uavaccel.kernels.fields import COLUMNS as WIDTH
+from uavaccel.kernels.fields import ROWS as HEIGHT
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
@@ -35,7 +37,7 @@ class Pixels(NamedTuple):
     """What the event cameras of L lanes know, (L, 144, 256): float32, or float64 after a low-pass.
 
     `filtered` is empty without a low-pass, `last_s` without a refractory period. `gathered` (L, 36, 64) int32 are ON
-    minus OFF events since they were last taken; `clock` (L, 2) int64, `time_s` (L,) float64 of the last frame.
+    minus OFF events since they were last taken; `clock` (L,) int64 counts frames, `time_s` (L,) is of the last one.
     """
 
     base: Any
@@ -62,6 +64,21 @@ def sensor_of(draws: Draws) -> Sensor:
     """The sensor of these draws."""
     dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
     return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, LIN_LOG, RELATIVE_INTENSITY, dimming)
+
+
+def pixels_of(lanes: int, parameters: DvsParameters) -> Pixels:
+    """What so many lanes' cameras of one kind know, before they have seen anything."""
+    wide = parameters.cutoff_hz > 0
+    shape, none = (lanes, HEIGHT, WIDTH), (0, HEIGHT, WIDTH)
+    kind = np.float64 if wide else np.float32
+    return Pixels(
+        np.zeros(shape, kind),
+        np.zeros(shape if wide else none, kind),
+        np.zeros(shape if parameters.refractory_s > 0 else none, np.float32),
+        np.zeros((lanes, HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE), np.int32),
+        np.zeros(lanes, np.int64),
+        np.zeros(lanes),
+    )
 
 
 def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float64]:
@@ -102,7 +119,7 @@ def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
     """A grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)
-    return int(min(max(np.rint(value), np.float32(0.0)), np.float32(255.0)))
+    return min(max(int(round(value)), 0), 255)
 
 
 @njit
