@@ -294,10 +294,10 @@ def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
     return found
 
 
-def _sources() -> int:
-    """A number that changes with the code that the hot loop takes from other files; never 0."""
-    files = _reached(__name__, {})
+def sources(module: str) -> int:
+    """A number that changes with the code that a module takes from other files of ours; never 0."""
+    files = _reached(module, {})
     return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
 
 
-ENTRY_POINTS = _compile(_sources())
+ENTRY_POINTS = _compile(sources(__name__))
