@@ -91,26 +91,23 @@ def begin(camera: Floats, view: View, faces: Faces) -> int:
 
 @njit(error_model="numpy")
 def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vector) -> None:
-    """Rows of pixels in which a rectangle may be seen, and its largest w; t and s: from its middle to its edges."""
-    eye, per_column, per_row, corner = view
-    forward = plus(
-        plus(corner, per_column, 0.5 * (at.COLUMNS - 1)), per_row, 0.5 * (at.ROWS - 1)
-    )  # the picture's middle
-    top, bottom, nearest = 1e9, -1e9, 1e9
+    """Columns in which a rectangle may be seen, and its largest w; t and s: from its middle to its edges."""
+    per_column, per_row, corner = view[1], view[2], view[3]
+    middle_column = 0.5 * (at.COLUMNS - 1)
+    forward = plus(plus(corner, per_column, middle_column), per_row, 0.5 * (at.ROWS - 1))
+    left, right, nearest = 1e9, -1e9, 1e9
     for one in (-1.0, 1.0):
         for other in (-1.0, 1.0):
             corner_of_it = plus(plus(middle, t, one), s, other)
             depth = dot(corner_of_it, forward)
             nearest = min(nearest, depth)
             if depth > 0.0:
-                y = dot(corner_of_it, per_row) / (dot(per_row, per_row) * depth)
-                top, bottom = min(top, y), max(bottom, y)
+                column = dot(corner_of_it, per_column) / (dot(per_column, per_column) * depth)
+                left, right = min(left, column), max(right, column)
     whole = nearest < 0.01  # some of it beside or behind the eye
-    middle_row = 0.5 * (at.ROWS - 1)
-    faces[row, at.TOP_ROW] = np.float32(0.0 if whole else max(math.floor(top + middle_row - 0.01), 0.0))
-    faces[row, at.BOTTOM_ROW] = np.float32(
-        at.ROWS - 1.0 if whole else min(math.ceil(bottom + middle_row + 0.01), at.ROWS - 1.0)
-    )
+    first, last = math.floor(left + middle_column - 0.01), math.ceil(right + middle_column + 0.01)
+    faces[row, at.FIRST_COLUMN] = np.float32(0.0 if whole else max(first, 0.0))
+    faces[row, at.LAST_COLUMN] = np.float32(at.COLUMNS - 1.0 if whole else min(last, at.COLUMNS - 1.0))
     faces[row, at.NEAREST_W] = faces[0, at.NEAR_W] if whole else np.float32(1.0001 / nearest)
 
 
@@ -130,7 +127,7 @@ def put_face(
     middle = plus(plus(plus(none, normal, h), t, 0.5 * (ts[0] + ts[1])), s, 0.5 * (ss[0] + ss[1]))
     t_half, s_half = plus(none, t, 0.5 * (ts[1] - ts[0])), plus(none, s, 0.5 * (ss[1] - ss[0]))
     bound(faces, row, view, middle, t_half, s_half)
-    if faces[row, at.TOP_ROW] > faces[row, at.BOTTOM_ROW]:
+    if faces[row, at.FIRST_COLUMN] > faces[row, at.LAST_COLUMN]:
         return False
     end_row, end_column = np.float32(at.ROWS - 1), np.float32(at.COLUMNS - 1)
     return touches(faces, row, np.float32(0.0), end_row, np.float32(0.0), end_column)
@@ -192,7 +189,7 @@ def put_texture(
         repeat = repeat if repeat > 0.0 else 1.0
         if looks.materials[material, at.UNIFORM] > 0.0 and sizes[part] > 0.0:
             repeat *= sizes[part]
-        texels = repeat * (1 << looks.textures[texture, at.LOG2_WIDTH + part])
+        texels = repeat * (1 << looks.textures[texture, at.LOG2_SIZE])
         edge, per_metre = across if part == 0 else down
         field = at.TU if part == 0 else at.TV
         faces[row, field] = np.float32(texels * per_metre)

@@ -14,7 +14,7 @@ class Looks(NamedTuple):
     texels: NDArray[np.uint32]
     """(T,): red | green << 8 | blue << 16, every level of every texture."""
     textures: NDArray[np.int32]
-    """(n, 4): BASE, LOG2_WIDTH, LOG2_HEIGHT, LAST_LEVEL; texture 0 is the sky's cube map."""
+    """(n, 2): BASE, LOG2_SIZE; texture 0 is the sky's cube map."""
     materials: NDArray[np.float32]
     """(m, 8): RGB, TEXTURE_ID, REPEAT, UNIFORM, EMISSION."""
     camera: NDArray[np.float64]
@@ -52,10 +52,10 @@ TEXTURE = 19
 COLOUR, SLOPE = 20, 23  # of the light that it throws back at its low end (0 to 1), and per metre across
 EXTRA = 26  # row with eight more edges, 0 for none; such a row is no face: its NEAREST_W is 0
 NEAREST_W = 27  # upper bound of w
-TOP_ROW, BOTTOM_ROW = 28, 29  # rows of pixels beyond which it is not seen
+FIRST_COLUMN, LAST_COLUMN = 28, 29  # columns of pixels beyond which it is not seen
 
-# A texture: int32 (4,), in Looks.textures; texture 0 is the sky's. Levels stand one below the other.
-BASE, LOG2_WIDTH, LOG2_HEIGHT, LAST_LEVEL = 0, 1, 2, 3
+# A texture: int32 (2,), in Looks.textures; texture 0 is the sky's. Levels stand one below the other.
+BASE, LOG2_SIZE = 0, 1  # square; the last level is LOG2_SIZE, too
 
 # A material: float32 (8,), in Looks.materials.
 RGB, TEXTURE_ID, REPEAT, UNIFORM, EMISSION = 0, 3, 4, 6, 7

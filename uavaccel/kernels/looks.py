@@ -143,7 +143,7 @@ def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int
         if texture != skies[0]:
             of_texture[texture] = len(rows)
             data = np.concatenate([_padded(level, width) for level in mipmaps(data)])
-        rows.append((base, width.bit_length() - 1, height.bit_length() - 1, max(width, height).bit_length() - 1))
+        rows.append((base, width.bit_length() - 1))
         packed = data.astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
         texels.append(packed.ravel())
         base += packed.size
@@ -158,8 +158,8 @@ def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     shape = (width, height // 6 if sky else height)
     if model.tex_nchannel[texture] != 3 or model.tex_colorspace[texture] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB:
         raise UserError(f"texture {name!r}: simulator: kernels draws linear red, green and blue")
-    if any(side & (side - 1) for side in shape) or (sky and shape[0] != shape[1]):
-        raise UserError(f"texture {name!r}: simulator: kernels draws sides of powers of two, and skies of six faces")
+    if width & (width - 1) or shape[0] != shape[1]:
+        raise UserError(f"texture {name!r}: simulator: kernels draws squares with sides of a power of two")
     return np.asarray(model.tex_data[address : address + 3 * width * height]).reshape(height, width, 3)
 
 

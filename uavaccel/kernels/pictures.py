@@ -1,4 +1,9 @@
-"""Draws pictures of many lanes on the CPU, row by row."""
+"""Draws pictures of many lanes on the CPU: what `sim.camera.Camera` draws with OpenGL, for a drone in each of them.
+
+Without the GIL and with arrays of its own, so that threads may draw at the same time. Poses are those of
+`sim.quadrotor.FLIGHT_DTYPE`: position NED in metres, (D, 3), and quaternion wxyz, FRD to NED, (D, 4), both float64.
+`lanes`, (D,) int32: the row of `Scenes` that each drone is in. The top row of a picture comes first.
+"""
 
 from __future__ import annotations
 
@@ -11,48 +16,91 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.project import project
-from uavaccel.kernels.rays import depth_at, luma_at
-from uavaccel.kernels.spans import gray_picture, make_desk
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.sim.hotloop import sources
+
+Poses = NDArray[np.float64]
+Lanes = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slow_gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
-    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-    for drone in range(len(lanes)):
-        project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, faces)
-        for row in range(at.ROWS):
-            for column in range(at.COLUMNS):
-                out[drone, row, column] = luma_at(faces, looks.texels, looks.textures, row, column)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slow_depth(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
-    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-    for drone in range(len(lanes)):
-        project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, faces)
-        for row in range(at.ROWS):
-            for column in range(at.COLUMNS):
-                out[drone, row, column] = depth_at(faces, row, column)
-
-
-def draw_gray(looks: Looks, scenes: Scenes, lanes: NDArray[np.int32], positions: Any, quaternions: Any, out: Any = None) -> NDArray[np.uint8]:
-    if out is None:
-        out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.uint8)
-    _slow_gray(looks, scenes, lanes, positions, quaternions, out)
+def draw_gray(
+    looks: Looks,
+    scenes: Scenes,
+    lanes: Lanes,
+    positions: Poses,
+    quaternions: Poses,
+    out: NDArray[np.uint8] | None = None,
+) -> NDArray[np.uint8]:
+    """Luma, (D, ROWS, COLUMNS) uint8, as OpenCV makes it of the colours; into `out` where there is one."""
+    out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.uint8) if out is None else out
+    _gray(looks, scenes, lanes, positions, quaternions, out)
     return out
 
 
-def draw_depth(looks: Looks, scenes: Scenes, lanes: NDArray[np.int32], positions: Any, quaternions: Any, out: Any = None) -> NDArray[np.uint8]:
-    if out is None:
-        out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32)
-    _slow_depth(looks, scenes, lanes, positions, quaternions, out)
+def draw_colour(
+    looks: Looks,
+    scenes: Scenes,
+    lanes: Lanes,
+    positions: Poses,
+    quaternions: Poses,
+    out: NDArray[np.uint8] | None = None,
+) -> NDArray[np.uint8]:
+    """Red, green, blue, (D, ROWS, COLUMNS, 3) uint8; into `out` where there is one."""
+    out = np.empty((len(lanes), at.ROWS, at.COLUMNS, 3), np.uint8) if out is None else out
+    _colour(looks, scenes, lanes, positions, quaternions, out)
     return out
 
 
-@njit(cache=False, nogil=True, error_model="numpy")
-def _fast_gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, stage: int, out: Any) -> None:
-    desk = make_desk()
-    for drone in range(len(lanes)):
-        project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
-        if stage:
-            gray_picture(looks, desk, out[drone], stage)
+def draw_depth(
+    looks: Looks,
+    scenes: Scenes,
+    lanes: Lanes,
+    positions: Poses,
+    quaternions: Poses,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Metres along the optical axis, the far plane's for the sky, (D, ROWS, COLUMNS) float32; into `out` if given."""
+    out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32) if out is None else out
+    _depth(looks, scenes, lanes, positions, quaternions, out)
+    return out
+
+
+def _compile(stamp: int) -> tuple[Any, Any, Any]:
+    """The loops over drones, from numba's cache if they are there; that they close over `stamp` lets numba see
+    changes in other files."""
+    entry_point = njit(cache=True, nogil=True, error_model="numpy")
+
+    @entry_point
+    def gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+        desk = make_desk()
+        channels = desk.channels
+        for drone in range(len(lanes) if stamp else 0):
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
+            draw_channels(looks, desk, False)
+            for row in range(at.ROWS):
+                for column in range(at.COLUMNS):
+                    out[drone, row, column] = channels[0, column, row]
+
+    @entry_point
+    def colour(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+        desk = make_desk()
+        channels = desk.channels
+        for drone in range(len(lanes) if stamp else 0):
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
+            draw_channels(looks, desk, True)
+            for row in range(at.ROWS):
+                for column in range(at.COLUMNS):
+                    for channel in range(3):
+                        out[drone, row, column, channel] = channels[channel, column, row]
+
+    @entry_point
+    def depth(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+        desk = make_desk()
+        for drone in range(len(lanes) if stamp else 0):
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, desk.faces)
+            draw_depths(desk, out[drone])
+
+    return gray, colour, depth
+
+
+_gray, _colour, _depth = _compile(sources(__name__))

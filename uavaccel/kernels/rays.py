@@ -30,8 +30,10 @@ Colour = tuple[int, int, int]
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 SHORTEST_W = np.float32(1e-9)  # beyond an edge a quad's pixels may look above the horizon: kept finite
 MOST_TEXELS = np.float32(8e6)  # as many as float32 counts one by one
-FIRST_LEVEL_STEP = np.float32(np.sqrt(2.0))  # texels between pixels at which level 1 is nearer than level 0
-SLICES_COS, SLICES_SIN = np.float32(np.cos(np.pi / 8)), np.float32(np.sin(np.pi / 8))
+# Squares of the texels between pixels from which on a level is nearer than the one before.
+LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (np.float32(2.0 ** (2 * n + 1)) for n in range(7))
+I0, I1, I2, I3, I4, I5, I8, I16, BYTE = (np.int32(number) for number in (0, 1, 2, 3, 4, 5, 8, 16, 255))  # an int would make all 64 bits wide
+OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (np.int32(number) for number in (9798, 19235, 3735, 16384, 15))
 
 
 @njit(error_model="numpy", inline="always")
@@ -90,46 +92,44 @@ def texels_at(faces: Faces, face: int, column: Float, row: Float) -> tuple[Float
 
 @njit(error_model="numpy", inline="always")
 def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: int) -> int:
-    """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the largest."""
-    step = max(max(abs(du_x), abs(dv_x)), max(abs(du_y), abs(dv_y)))
-    level = 0
-    limit = FIRST_LEVEL_STEP
-    for _ in range(8):
-        level += step >= limit
-        limit += limit
-    return min(level, last)
+    """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the longest."""
+    step = max(du_x * du_x + dv_x * dv_x, du_y * du_y + dv_y * dv_y)
+    level = np.int32(step >= LEVEL_1)
+    for limit in (LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7):
+        level = np.int32(level + np.int32(step >= limit))
+    return np.int32(min(level, last))
 
 
 @njit(error_model="numpy", inline="always")
-def texel_index(u: Float, v: Float, level: int, base: int, log2_width: int, log2_height: int) -> int:
+def texel_index(u: Float, v: Float, level: int, base: int, log2_size: int) -> int:
     """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
-    column = np.int32(min(max(u, ZERO), MOST_TEXELS)) >> level
-    row = np.int32(min(max(v, ZERO), MOST_TEXELS)) >> level
-    width, height = np.int32(1) << log2_width, np.int32(1) << log2_height
-    column &= (width - np.int32(1)) >> level
-    row &= (height - np.int32(1)) >> level
-    first_row = (height << 1) - ((height << 1) >> level)
-    return base + ((first_row + row) << log2_width) + column
+    last = np.int32((I1 << log2_size) - I1)
+    column = np.int32((np.int32(min(max(u, ZERO), MOST_TEXELS)) & last) >> level)
+    row = np.int32((np.int32(min(max(v, ZERO), MOST_TEXELS)) & last) >> level)
+    two = np.int32(I2 << log2_size)
+    row = np.int32(two - np.int32(two >> level)) + row
+    return np.int32(np.int32(base + np.int32(row << log2_size)) + column)
 
 
 @njit(error_model="numpy", inline="always")
 def lit(texel: int, red: Float, green: Float, blue: Float) -> Colour:
     """A texel in light of a colour (0 to 1), as 8-bit channels."""
     return (
-        np.int32(np.float32(texel & 255) * red + HALF),
-        np.int32(np.float32((texel >> 8) & 255) * green + HALF),
-        np.int32(np.float32((texel >> 16) & 255) * blue + HALF),
+        np.int32(np.float32(np.int32(texel & BYTE)) * red + HALF),
+        np.int32(np.float32(np.int32(np.int32(texel >> I8) & BYTE)) * green + HALF),
+        np.int32(np.float32(np.int32(np.int32(texel >> I16) & BYTE)) * blue + HALF),
     )
 
 
 @njit(error_model="numpy", inline="always")
 def luma(red: int, green: int, blue: int) -> int:
     """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
-    return (red * 9798 + green * 19235 + blue * 3735 + 16384) >> 15
+    weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
+    return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
 
 
 @njit(error_model="numpy", inline="always")
-def sky_index(x: Float, y: Float, z: Float, base: int, log2_width: int) -> int:
+def sky_index(x: Float, y: Float, z: Float, base: int, log2_size: int) -> int:
     """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
     s, t, r = x, z, -y
     a_s, a_t, a_r = abs(s), abs(t), abs(r)
@@ -137,13 +137,14 @@ def sky_index(x: Float, y: Float, z: Float, base: int, log2_width: int) -> int:
     by_t = not by_s and a_t >= a_r
     across = (-r if s > ZERO else r) if by_s else (s if by_t or r > ZERO else -s)
     down = (r if t > ZERO else -r) if by_t else -t
-    face = (0 if s > ZERO else 1) if by_s else ((2 if t > ZERO else 3) if by_t else (4 if r > ZERO else 5))
-    width = np.int32(1) << log2_width
-    scale = HALF * np.float32(width) / max(max(a_s, max(a_t, a_r)), SHORTEST_W)
-    middle = HALF * np.float32(width)
-    column = min(np.int32(max(across * scale + middle, ZERO)), width - np.int32(1))
-    row = min(np.int32(max(down * scale + middle, ZERO)), width - np.int32(1))
-    return base + (((np.int32(face) << log2_width) + row) << log2_width) + column
+    face = (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
+    last = np.int32((I1 << log2_size) - I1)
+    middle = HALF * np.float32(np.int32(I1 << log2_size))
+    scale = middle / max(max(a_s, max(a_t, a_r)), SHORTEST_W)
+    column = min(np.int32(max(across * scale + middle, ZERO)), last)
+    row = min(np.int32(max(down * scale + middle, ZERO)), last)
+    row = np.int32(np.int32(face << log2_size) + row)
+    return np.int32(np.int32(base + np.int32(row << log2_size)) + column)
 
 
 @njit(error_model="numpy")
@@ -153,31 +154,44 @@ def quad_level(faces: Faces, face: int, textures: Textures, row: int, column: in
     u, v = texels_at(faces, face, x, y)
     u_x, v_x = texels_at(faces, face, x + ONE, y)
     u_y, v_y = texels_at(faces, face, x, y - ONE)
-    last = textures[int(faces[face, at.TEXTURE]), at.LAST_LEVEL]
+    last = textures[int(faces[face, at.TEXTURE]), at.LOG2_SIZE]
     return level_of(u_x - u, v_x - v, u_y - u, v_y - v, last)
+
+
+@njit(error_model="numpy")
+def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows the sky."""
+    x, y = np.float32(column), np.float32(row)
+    ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
+    ray_z = linear(faces, 0, at.RAYS + 6, x, y)
+    index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_SIZE])
+    return lit(np.int32(texels[np.uint32(index)]), ONE, ONE, ONE)
+
+
+@njit(error_model="numpy")
+def face_colour(
+    faces: Faces, face: int, level: int, texels: Texels, textures: Textures, row: int, column: int
+) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows a face, from a mipmap level."""
+    x, y = np.float32(column), np.float32(row)
+    texture = int(faces[face, at.TEXTURE])
+    u, v = texels_at(faces, face, x, y)
+    index = texel_index(u, v, level, textures[texture, at.BASE], textures[texture, at.LOG2_SIZE])
+    along = linear(faces, face, at.ACROSS, x, y) / max(linear(faces, face, at.W, x, y), SHORTEST_W)
+    return lit(
+        np.int32(texels[np.uint32(index)]),
+        faces[face, at.COLOUR] + faces[face, at.SLOPE] * along,
+        faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
+        faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
+    )
 
 
 @njit(error_model="numpy")
 def colour_of(faces: Faces, face: int, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
     """Red, green and blue (0 to 255) of a pixel that shows a face, or the sky, 0."""
-    x, y = np.float32(column), np.float32(row)
     if face == 0:
-        ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
-        ray_z = linear(faces, 0, at.RAYS + 6, x, y)
-        index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_WIDTH])
-        return lit(np.int32(texels[index]), ONE, ONE, ONE)
-    texture = int(faces[face, at.TEXTURE])
-    level = quad_level(faces, face, textures, row, column)
-    u, v = texels_at(faces, face, x, y)
-    base, wide, high = textures[texture, at.BASE], textures[texture, at.LOG2_WIDTH], textures[texture, at.LOG2_HEIGHT]
-    texel = np.int32(texels[texel_index(u, v, level, base, wide, high)])
-    along = linear(faces, face, at.ACROSS, x, y) / max(linear(faces, face, at.W, x, y), SHORTEST_W)
-    return lit(
-        texel,
-        faces[face, at.COLOUR] + faces[face, at.SLOPE] * along,
-        faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
-        faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
-    )
+        return sky_colour(faces, texels, textures, row, column)
+    return face_colour(faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column)
 
 
 @njit(error_model="numpy")
@@ -193,3 +207,72 @@ def depth_at(faces: Faces, row: int, column: int) -> Float:
     face = nearest_face(faces, row, column)
     w = linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
     return ONE / w
+
+
+@njit(error_model="numpy", inline="always")
+def least(faces: Faces, row: int, field: int, edges: int, x: Float, y: Float) -> Float:
+    """The smallest of several edges' functions at a pixel: >= 0 inside them all."""
+    smallest = linear(faces, row, field, x, y)
+    for edge in range(1, edges):
+        smallest = min(smallest, linear(faces, row, field + 3 * edge, x, y))
+    return smallest
+
+
+@njit(error_model="numpy")
+def quad_faces(faces: Faces, listed: Any, count: int, row: int, column: int) -> tuple[int, int, int, int]:
+    """What `nearest_face` says of four pixels, if their faces are among the first `count` of a list.
+
+    Row and column are even; the pixels are (row, column), (row, column + 1), and those of the row below.
+    """
+    x, y, near = np.float32(column), np.float32(row), faces[0, at.NEAR_W]
+    x1, y1 = x + ONE, y + ONE
+    w00 = w01 = w10 = w11 = faces[0, at.FAR_W]
+    face00 = face01 = face10 = face11 = I0
+    for number in range(count):
+        face = np.int32(listed[number])
+        if faces[face, at.NEAREST_W] > min(min(w00, w01), min(w10, w11)):
+            new00, new01 = linear(faces, face, at.W, x, y), linear(faces, face, at.W, x1, y)
+            new10, new11 = linear(faces, face, at.W, x, y1), linear(faces, face, at.W, x1, y1)
+            in00, in01 = least(faces, face, at.EDGES, 4, x, y), least(faces, face, at.EDGES, 4, x1, y)
+            in10, in11 = least(faces, face, at.EDGES, 4, x, y1), least(faces, face, at.EDGES, 4, x1, y1)
+            extra = int(faces[face, at.EXTRA])
+            if extra > 0:
+                in00, in01 = min(in00, least(faces, extra, 0, 8, x, y)), min(in01, least(faces, extra, 0, 8, x1, y))
+                in10, in11 = min(in10, least(faces, extra, 0, 8, x, y1)), min(in11, least(faces, extra, 0, 8, x1, y1))
+            if in00 >= ZERO and new00 > w00 and new00 <= near:
+                w00, face00 = new00, face
+            if in01 >= ZERO and new01 > w01 and new01 <= near:
+                w01, face01 = new01, face
+            if in10 >= ZERO and new10 > w10 and new10 <= near:
+                w10, face10 = new10, face
+            if in11 >= ZERO and new11 > w11 and new11 <= near:
+                w11, face11 = new11, face
+    return face00, face01, face10, face11
+
+
+@njit(error_model="numpy")
+def shared_luma(
+    faces: Faces, face: int, known: int, level: int, texels: Texels, textures: Textures, row: int, column: int
+) -> int:
+    """Luma of a pixel that shows a face, where the quad's level is known for one of its faces."""
+    if face == 0:
+        red, green, blue = sky_colour(faces, texels, textures, row, column)
+        return luma(red, green, blue)
+    own = level if face == known else quad_level(faces, face, textures, row, column)
+    red, green, blue = face_colour(faces, face, own, texels, textures, row, column)
+    return luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def quad_lumas(
+    faces: Faces, listed: Any, count: int, texels: Texels, textures: Textures, row: int, column: int
+) -> tuple[int, int, int, int]:
+    """Luma of four pixels, in the order of `quad_faces`."""
+    f00, f01, f10, f11 = quad_faces(faces, listed, count, row, column)
+    level = quad_level(faces, f00, textures, row, column) if f00 > 0 else I0
+    return (
+        shared_luma(faces, f00, f00, level, texels, textures, row, column),
+        shared_luma(faces, f01, f00, level, texels, textures, row, column + 1),
+        shared_luma(faces, f10, f00, level, texels, textures, row + 1, column),
+        shared_luma(faces, f11, f00, level, texels, textures, row + 1, column + 1),
+    )

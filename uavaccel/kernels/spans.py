@@ -1,8 +1,8 @@
-"""One picture on the CPU, row by row: which face each pixel shows, then where its texel lies, then the texel in light.
+"""One picture on the CPU, column by column: each face over the rows at which it may be seen, the nearest kept.
 
-The arithmetic is that of `kernels.rays`. Loops run along rows, without branches and without looking up, so that the
-compiler takes eight pixels at once; a stretch of one face is drawn in whole eights: what is too much at its end is
-drawn over by the next.
+Obstacles are tall, so a column holds longer stretches of one face than a row. The arithmetic is that of
+`kernels.rays`. Loops have no branches and look nothing up, and run over whole eights of pixels, so that the compiler
+takes eight at once; texels are looked up in a loop of their own.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks
 from uavaccel.kernels.rays import (
+    I0,
+    I1,
     ONE,
     SHORTEST_W,
     ZERO,
@@ -31,192 +33,227 @@ from uavaccel.kernels.rays import (
     texel_index,
 )
 
-ROOM = at.COLUMNS + 16  # of a row, and what a stretch at its end draws too much
 HUGE = np.float32(1e30)
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int32]
 
-
-# What one thread works with, beside the faces: lines of ROOM numbers, float32 and int32.
-COLUMN, CORNER, BEST, RED, GREEN, BLUE = range(6)  # 0, 1, ...; 0, 2, ...; the largest w yet; the light's colour
-SHOWN, LEVEL, PLACE, TEXEL = range(4)  # face, 0 for the sky, -1 behind the row; mipmap level; the texel's place, and it
+# Lines of ROWS numbers: 0, 1, 2, ...; 1, 1, 3, 3, ...; the largest w yet; the light's colour. And integers.
+ROW, CORNER, BEST, RED, GREEN, BLUE = range(6)
+PLACE, TEXEL = range(2)
+Line = tuple[Float, Float, Float, Float]
 
 
 class Desk(NamedTuple):
     """What one thread works with; of its own, so that threads can share the rest."""
 
     faces: Faces
-    roots: Floats  # (FACES, 4): columns per unit of each edge's function
-    floats: Floats  # (6, ROOM)
-    integers: Integers  # (4, ROOM)
+    begins: Integers  # (COLUMNS,): the first row of a face in each column
+    ends: Integers  # (COLUMNS,): and the one behind its last
+    spans: Integers  # (COLUMNS, FACES): of each column's faces, face << 16 | begin << 8 | end
+    counts: Integers  # (COLUMNS,): how many those are
+    floats: Floats  # (6, ROWS)
+    integers: Integers  # (2, ROWS)
+    channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): of the picture
 
 
 @njit(error_model="numpy")
 def make_desk() -> Desk:
-    floats, integers = np.zeros((6, ROOM), np.float32), np.zeros((4, ROOM), np.int32)
-    for column in range(ROOM):
-        floats[COLUMN, column], floats[CORNER, column] = column, 2 * column
-    integers[SHOWN, at.COLUMNS :] = -1
-    return Desk(np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.FACES, 4), np.float32), floats, integers)
-
-
-@njit(error_model="numpy")
-def find_roots(faces: Faces, roots: Floats) -> None:
-    """Columns per unit of each edge's function: by how much to move to the column at which it is 0."""
-    for face in range(1, int(faces[0, at.COUNT])):
-        for edge in range(4):
-            slope = faces[face, at.EDGES + 3 * edge]
-            roots[face, edge] = ONE / slope if abs(slope) > ONE / HUGE else HUGE
+    floats = np.zeros((6, at.ROWS), np.float32)
+    for row in range(at.ROWS):
+        floats[ROW, row], floats[CORNER, row] = row, row | 1
+    begins, ends, counts = np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32)
+    faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
+    integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
+    return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
 
 
 @njit(error_model="numpy", inline="always")
-def narrowed(root: Float, rest: Float, low: Float, high: Float) -> tuple[Float, Float]:
-    """The columns of low..high at which column / root + rest >= 0."""
-    column = -rest * root
-    return max(low, column if root > ZERO else -HUGE), min(high, HUGE if root > ZERO else column)
+def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
+    """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
+
+    One of them is far out: the function rises or falls from row to row.
+    """
+    root = ONE / per_row if abs(per_row) > ONE / HUGE else HUGE
+    row, slope = -rest * root, -per_column * root
+    rises = root > ZERO
+    return row if rises else -HUGE, slope if rises else ZERO, HUGE if rises else row, ZERO if rises else slope
 
 
-@njit(error_model="numpy")
-def span(faces: Faces, roots: Floats, face: int, row: Float) -> tuple[int, int]:
-    """First column at which a face may be seen in a row, and the one behind the last."""
-    low, high = ZERO, np.float32(at.COLUMNS - 1)
-    for edge in range(4):
-        field = at.EDGES + 3 * edge
-        rest = faces[face, field + 1] * row + faces[face, field + 2]
-        low, high = narrowed(roots[face, edge], rest, low, high)
-    extra = int(faces[face, at.EXTRA])
-    if extra > 0:
-        for edge in range(at.SLICES):
-            rest = faces[extra, 3 * edge + 1] * row + faces[extra, 3 * edge + 2]
-            low, high = narrowed(ONE / faces[extra, 3 * edge], rest, low, high)
-    if faces[face, at.NEAREST_W] >= faces[0, at.NEAR_W]:
-        rest = faces[0, at.NEAR_W] - (faces[face, at.W + 1] * row + faces[face, at.W + 2])
-        low, high = narrowed(-ONE / faces[face, at.W], rest, low, high)
-    low = min(low, np.float32(at.COLUMNS))
+@njit(error_model="numpy", inline="always")
+def edge_line(faces: Faces, face: int, field: int) -> Line:
+    return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
+
+
+@njit(error_model="numpy", inline="always")
+def whole_rows(low: Float, high: Float) -> tuple[int, int]:
+    """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
+    low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
     begin = np.int32(low)
-    begin += np.int32(low > np.float32(begin))
-    return begin, np.int32(max(high, -ONE) + ONE)
+    return begin + (I1 if low > np.float32(begin) else I0), np.int32(high + ONE)
 
 
 @njit(error_model="numpy")
-def show_faces(faces: Faces, roots: Floats, floats: Floats, integers: Integers, row: int) -> None:
-    """The nearest face of each pixel of a row, 0 for the sky."""
-    y = np.float32(row)
-    for column in range(at.COLUMNS):
-        floats[BEST, column] = faces[0, at.FAR_W]
-        integers[SHOWN, column] = 0
+def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, counts: Integers) -> None:
+    """The faces of each column, with their rows."""
+    counts[:] = 0
     for face in range(1, int(faces[0, at.COUNT])):
-        if faces[face, at.NEAREST_W] > ZERO and faces[face, at.TOP_ROW] <= y <= faces[face, at.BOTTOM_ROW]:
-            begin, end = span(faces, roots, face, y)
-            a, rest, number = faces[face, at.W], faces[face, at.W + 1] * y + faces[face, at.W + 2], np.int32(face)
-            for pixel in range(np.uintp(begin), np.uintp(max(begin, end))):
-                w = a * floats[COLUMN, pixel] + rest
-                nearer = w > floats[BEST, pixel]
-                floats[BEST, pixel] = w if nearer else floats[BEST, pixel]
-                integers[SHOWN, pixel] = number if nearer else integers[SHOWN, pixel]
-
-
-@njit(error_model="numpy", inline="always")
-def eights(begin: int, end: int) -> int:
-    """The end of a stretch, if its length is rounded up to a multiple of eight."""
-    return np.uintp(begin + ((end - begin + 7) & ~7))
+        if faces[face, at.NEAREST_W] > ZERO:
+            first, last = int(faces[face, at.FIRST_COLUMN]), int(faces[face, at.LAST_COLUMN])
+            find_rows(faces, face, first, last, begins, ends)
+            for column in range(first, last + 1):
+                if begins[column] < ends[column]:
+                    spans[column, counts[column]] = (face << 16) | (begins[column] << 8) | ends[column]
+                    counts[column] += 1
 
 
 @njit(error_model="numpy")
-def find_levels(
-    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, row: int, begin: int, end: int
-) -> None:
-    """The mipmap level of each quad of a stretch, at both of its columns."""
-    last = textures[int(faces[face, at.TEXTURE]), at.LAST_LEVEL]
-    y = np.float32(row | 1)
-    a, r = faces[face, at.W], linear(faces, face, at.W, ZERO, y)
-    tu, tv, up = faces[face, at.TU], faces[face, at.TV], faces[face, at.W + 1]
-    ua, va, ur, vr = faces[face, at.ACROSS] * tu, faces[face, at.DOWN] * tv, linear(faces, face, at.ACROSS, ZERO, y) * tu, linear(faces, face, at.DOWN, ZERO, y) * tv
-    u_up, v_up = faces[face, at.ACROSS + 1] * tu, faces[face, at.DOWN + 1] * tv
-    first = begin >> 1
-    for quad in range(np.uintp(first), eights(first, (end + 1) >> 1)):
-        x = floats[CORNER, quad]
-        w, u, v = a * x + r, ua * x + ur, va * x + vr
-        at_0 = ONE / max(w, SHORTEST_W)
-        at_x = ONE / max(w + a, SHORTEST_W)
-        at_y = ONE / max(w - up, SHORTEST_W)
-        u_0, v_0 = u * at_0, v * at_0
-        level = level_of(
-            (u + ua) * at_x - u_0, (v + va) * at_x - v_0, (u - u_up) * at_y - u_0, (v - v_up) * at_y - v_0, last
-        )
-        integers[LEVEL, quad] = level
+def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, ends: Integers) -> None:
+    """The rows of a face in each of some columns, where its edges have it."""
+    l0, l0_slope, h0, h0_slope = edge_line(faces, face, at.EDGES)
+    l1, l1_slope, h1, h1_slope = edge_line(faces, face, at.EDGES + 3)
+    l2, l2_slope, h2, h2_slope = edge_line(faces, face, at.EDGES + 6)
+    l3, l3_slope, h3, h3_slope = edge_line(faces, face, at.EDGES + 9)
+    for column in range(np.uintp(first & ~7), np.uintp((last + 8) & ~7)):
+        x = np.float32(np.int32(column))
+        low = max(max(l0 + l0_slope * x, l1 + l1_slope * x), max(l2 + l2_slope * x, l3 + l3_slope * x))
+        high = min(min(h0 + h0_slope * x, h1 + h1_slope * x), min(h2 + h2_slope * x, h3 + h3_slope * x))
+        begins[column], ends[column] = whole_rows(low, high)
+    extra = int(faces[face, at.EXTRA])
+    for edge in range(at.SLICES if extra > 0 else 0):
+        narrow(edge_line(faces, extra, 3 * edge), first, last, begins, ends)
+    if faces[face, at.NEAREST_W] >= faces[0, at.NEAR_W]:
+        rest = faces[0, at.NEAR_W] - faces[face, at.W + 2]
+        narrow(line_of(-faces[face, at.W], -faces[face, at.W + 1], rest), first, last, begins, ends)
 
 
 @njit(error_model="numpy")
-def place_face(
-    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, row: int, begin: int, end: int
+def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) -> None:
+    """Keep of a face's rows those on one side of a line, as `line_of` describes it."""
+    l, l_slope, h, h_slope = line
+    for column in range(np.uintp(first), np.uintp(last + 1)):
+        x = np.float32(np.int32(column))
+        begin, end = whole_rows(l + l_slope * x, h + h_slope * x)
+        begins[column], ends[column] = max(begins[column], begin), min(ends[column], end)
+
+
+@njit(error_model="numpy")
+def show_face(
+    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, column: int, begin: int, end: int
 ) -> None:
-    """Where the texels of a stretch of one face lie, and the light on it."""
+    """Place of the texel, and light, at each row at which a face is nearer than what is there."""
     texture = int(faces[face, at.TEXTURE])
-    base, wide, high = textures[texture, at.BASE], textures[texture, at.LOG2_WIDTH], textures[texture, at.LOG2_HEIGHT]
-    y = np.float32(row)
-    a, r = faces[face, at.W], linear(faces, face, at.W, ZERO, y)
-    ea, er = faces[face, at.ACROSS], linear(faces, face, at.ACROSS, ZERO, y)
-    va, vr = faces[face, at.DOWN], linear(faces, face, at.DOWN, ZERO, y)
+    base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
+    x, corner_x = np.float32(column), np.float32(column & ~1)
     tu, cu, tv, cv = faces[face, at.TU], faces[face, at.TU + 1], faces[face, at.TV], faces[face, at.TV + 1]
+    a, b, c = faces[face, at.W], faces[face, at.W + 1], faces[face, at.W + 2]
+    ea, eb, ec = faces[face, at.ACROSS], faces[face, at.ACROSS + 1], faces[face, at.ACROSS + 2]
+    da, db, dc = faces[face, at.DOWN], faces[face, at.DOWN + 1], faces[face, at.DOWN + 2]
     r0, g0, b0 = faces[face, at.COLOUR], faces[face, at.COLOUR + 1], faces[face, at.COLOUR + 2]
     r1, g1, b1 = faces[face, at.SLOPE], faces[face, at.SLOPE + 1], faces[face, at.SLOPE + 2]
-    for pixel in range(np.uintp(begin), eights(begin, end)):
-        x, level = floats[COLUMN, pixel], integers[LEVEL, pixel >> np.uintp(1)]
-        depth = ONE / max(a * x + r, SHORTEST_W)
-        along = (ea * x + er) * depth
-        integers[PLACE, pixel] = texel_index(along * tu + cu, (va * x + vr) * depth * tv + cv, level, base, wide, high)
-        floats[RED, pixel], floats[GREEN, pixel], floats[BLUE, pixel] = r0 + r1 * along, g0 + g1 * along, b0 + b1 * along
+    first, last = np.float32(begin), np.float32(end)
+    ax, aex, adx, acx, aecx, adcx = a * x, ea * x, da * x, a * corner_x, ea * corner_x, da * corner_x
+    for pixel in range(np.uintp(begin & ~7), np.uintp((end + 7) & ~7)):
+        best, other, red = floats[BEST, pixel], integers[PLACE, pixel], floats[RED, pixel]
+        green, blue = floats[GREEN, pixel], floats[BLUE, pixel]
+        y = floats[CORNER, pixel]
+        w, e, d = acx + (b * y + c), aecx + (eb * y + ec), adcx + (db * y + dc)
+        at_0, at_x, at_y = ONE / max(w, SHORTEST_W), ONE / max(w + a, SHORTEST_W), ONE / max(w - b, SHORTEST_W)
+        u_0, v_0 = e * at_0, d * at_0
+        level = level_of(
+            ((e + ea) * at_x - u_0) * tu,
+            ((d + da) * at_x - v_0) * tv,
+            ((e - eb) * at_y - u_0) * tu,
+            ((d - db) * at_y - v_0) * tv,
+            size,
+        )
+        y = floats[ROW, pixel]
+        w = ax + (b * y + c)
+        depth = ONE / max(w, SHORTEST_W)
+        along = (aex + (eb * y + ec)) * depth
+        place = texel_index(along * tu + cu, (adx + (db * y + dc)) * depth * tv + cv, level, base, size)
+        nearer = (w > best) & (y >= first) & (y < last)
+        floats[BEST, pixel] = w if nearer else best
+        integers[PLACE, pixel] = place if nearer else other
+        floats[RED, pixel] = r0 + r1 * along if nearer else red
+        floats[GREEN, pixel] = g0 + g1 * along if nearer else green
+        floats[BLUE, pixel] = b0 + b1 * along if nearer else blue
 
 
 @njit(error_model="numpy")
-def place_sky(textures: Textures, faces: Faces, floats: Floats, integers: Integers, row: int, begin: int, end: int) -> None:
-    """Where the texels of a stretch of sky lie; they shine by themselves."""
-    y = np.float32(row)
-    xa, xr = faces[0, at.RAYS], linear(faces, 0, at.RAYS, ZERO, y)
-    ya, yr = faces[0, at.RAYS + 3], linear(faces, 0, at.RAYS + 3, ZERO, y)
-    za, zr = faces[0, at.RAYS + 6], linear(faces, 0, at.RAYS + 6, ZERO, y)
-    base, wide = textures[0, at.BASE], textures[0, at.LOG2_WIDTH]
-    for pixel in range(np.uintp(begin), eights(begin, end)):
-        x = floats[COLUMN, pixel]
-        integers[PLACE, pixel] = sky_index(xa * x + xr, ya * x + yr, za * x + zr, base, wide)
-        floats[RED, pixel] = floats[GREEN, pixel] = floats[BLUE, pixel] = ONE
+def show_sky(textures: Textures, faces: Faces, floats: Floats, integers: Integers, column: int) -> None:
+    """The sky, from the first to the last row at which there is nothing nearer."""
+    far, begin, end = faces[0, at.FAR_W], 0, at.ROWS
+    while begin < at.ROWS and floats[BEST, begin] > far:
+        begin += 1
+    while end > begin and floats[BEST, end - 1] > far:
+        end -= 1
+    x = np.float32(column)
+    xa, xb, xc = faces[0, at.RAYS] * x, faces[0, at.RAYS + 1], faces[0, at.RAYS + 2]
+    ya, yb, yc = faces[0, at.RAYS + 3] * x, faces[0, at.RAYS + 4], faces[0, at.RAYS + 5]
+    za, zb, zc = faces[0, at.RAYS + 6] * x, faces[0, at.RAYS + 7], faces[0, at.RAYS + 8]
+    base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
+    for pixel in range(np.uintp(begin & ~7), np.uintp((end + 7) & ~7)):
+        other, red, green, blue = integers[PLACE, pixel], floats[RED, pixel], floats[GREEN, pixel], floats[BLUE, pixel]
+        y, sky = floats[ROW, pixel], floats[BEST, pixel] <= far
+        place = sky_index(xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size)
+        integers[PLACE, pixel] = place if sky else other
+        floats[RED, pixel] = ONE if sky else red
+        floats[GREEN, pixel] = ONE if sky else green
+        floats[BLUE, pixel] = ONE if sky else blue
 
 
 @njit(error_model="numpy")
-def place_row(textures: Textures, faces: Faces, floats: Floats, integers: Integers, row: int) -> None:
-    """Texel and light of each pixel of a row."""
-    begin = 0
-    while begin < at.COLUMNS:
-        face, end = integers[SHOWN, begin], begin + 1
-        while integers[SHOWN, end] == face:
-            end += 1
-        if face:
-            find_levels(textures, faces, floats, integers, face, row, begin, end)
-            place_face(textures, faces, floats, integers, face, row, begin, end)
-        else:
-            place_sky(textures, faces, floats, integers, row, begin, end)
-        begin = end
-
-
-@njit(error_model="numpy")
-def gray_row(texels: Texels, floats: Floats, integers: Integers, row: int, out: Any) -> None:
-    """Luma of a row whose texels are placed."""
-    for column in range(at.COLUMNS):
-        integers[TEXEL, column] = texels[integers[PLACE, column]]
-    for column in range(at.COLUMNS):
-        r, g, b = lit(integers[TEXEL, column], floats[RED, column], floats[GREEN, column], floats[BLUE, column])
-        out[row, column] = luma(r, g, b)
-
-
-@njit(error_model="numpy")
-def gray_picture(looks: Looks, desk: Desk, out: Any, stage: int) -> None:
-    texels, textures = looks.texels, looks.textures
-    faces, roots, floats, integers = desk.faces, desk.roots, desk.floats, desk.integers
-    find_roots(faces, roots)
+def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+    """Luma of a column whose texels are placed."""
     for row in range(at.ROWS):
-        show_faces(faces, roots, floats, integers, row)
-        if stage > 1:
-            place_row(textures, faces, floats, integers, row)
-        if stage > 2:
-            gray_row(texels, floats, integers, row, out)
+        integers[TEXEL, row] = texels[np.uint32(integers[PLACE, row])]
+    for row in range(at.ROWS):
+        red, green, blue = lit(integers[TEXEL, row], floats[RED, row], floats[GREEN, row], floats[BLUE, row])
+        channels[0, column, row] = luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+    """Red, green and blue of a column whose texels are placed."""
+    for row in range(at.ROWS):
+        red, green, blue = lit(
+            np.int32(texels[np.uint32(integers[PLACE, row])]), floats[RED, row], floats[GREEN, row], floats[BLUE, row]
+        )
+        channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
+
+
+@njit(error_model="numpy")
+def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
+    """Luma, or red, green and blue, of a picture whose faces are projected, in `desk.channels`."""
+    texels, textures, faces, spans, counts = looks.texels, looks.textures, desk.faces, desk.spans, desk.counts
+    floats, integers, channels = desk.floats, desk.integers, desk.channels
+    find_spans(faces, desk.begins, desk.ends, spans, counts)
+    for column in range(at.COLUMNS):
+        for row in range(at.ROWS):
+            floats[BEST, row] = faces[0, at.FAR_W]
+        for number in range(counts[column]):
+            span = spans[column, number]
+            show_face(textures, faces, floats, integers, span >> 16, column, (span >> 8) & 255, span & 255)
+        show_sky(textures, faces, floats, integers, column)
+        if colour:
+            colour_column(texels, floats, integers, column, channels)
+        else:
+            gray_column(texels, floats, integers, column, channels)
+
+
+@njit(error_model="numpy")
+def draw_depths(desk: Desk, out: Any) -> None:
+    """Depth of a picture whose faces are projected, (ROWS, COLUMNS), metres."""
+    faces, floats, counts = desk.faces, desk.floats, desk.counts
+    find_spans(faces, desk.begins, desk.ends, desk.spans, counts)
+    for column in range(at.COLUMNS):
+        for row in range(at.ROWS):
+            floats[BEST, row] = faces[0, at.FAR_W]
+        for number in range(counts[column]):
+            span = desk.spans[column, number]
+            face = span >> 16
+            for row in range((span >> 8) & 255, span & 255):
+                w = linear(faces, face, at.W, np.float32(column), np.float32(row))
+                floats[BEST, row] = max(w, floats[BEST, row])
+        for row in range(at.ROWS):
+            out[row, column] = ONE / floats[BEST, row]
