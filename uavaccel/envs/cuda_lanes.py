@@ -23,7 +23,7 @@ from uavaccel.envs.told import age_levels
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels.cpu import COLOUR, DEPTH, DVS, STATE
-from uavaccel.kernels.fields import COLUMNS, FACES, FIELDS, NO_LOOKS, ROWS
+from uavaccel.kernels.fields import COLUMNS, FIELDS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.profile import PROFILES
@@ -94,7 +94,7 @@ class CudaLanes:
             kernels.shared(self._hull), looks_there.texels, looks_there.textures, looks_there, sensor_there
         )
         self._kept = looks, sensor  # the memory behind what numba sees
-        self._faces = th.zeros((count if self.kind != STATE else 1, FACES, FIELDS), device=device)
+        self._faces = th.zeros((count if self.kind != STATE else 1, kernels.SLOTS, FIELDS), device=device)
         self._flight = self.now.state.view(th.float64)  # (L, numbers) of FLIGHT_DTYPE, all of eight bytes
         self._ticks_of = self.now.state.view(th.int64)
         self._zeros = th.zeros(count, dtype=th.int64, device=device)
@@ -267,7 +267,7 @@ class CudaLanes:
         launch.note[(*per_lane, stream)](going, self.tick_ns, now, self._pixels_there)
 
     def _project(self, which: th.Tensor) -> None:
-        grid = _grid(self.count, kernels.FLYING_THREADS)
+        grid = _grid(self.count * kernels.WARP, kernels.SEEING_THREADS)
         sky = self.kind != DEPTH
         self.kernels.project[(*grid, kernels.stream())](
             kernels.shared(which),

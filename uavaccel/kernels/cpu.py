@@ -22,8 +22,7 @@ from uavaccel.kernels.lanes import (
     touched,
 )
 from uavaccel.kernels.project import project
-from uavaccel.kernels.rays import colour_of, depth_at, nearest_face
-from uavaccel.kernels.spans import gray_picture, make_desk
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
 from uavaccel.sim.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
@@ -206,7 +205,11 @@ def draw_gray(
     """What a lane's front camera sees, grey (144, 256), with the camera's noise."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
-    gray_picture(looks, desk, picture, 4)
+    draw_channels(looks, desk, False)
+    channels = desk.channels
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            picture[y, x] = channels[0, x, y]
     if games.cameras[game, events.READ] > 0.0:
         seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
@@ -219,12 +222,12 @@ def draw_colour(
     """Red, green and blue (3, 36, 64): means of blocks of 4 x 4 pixels."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
-    picture = np.empty((ROWS, COLUMNS, 3), np.uint8)
+    draw_channels(looks, desk, True)
+    picture, channels = np.empty((ROWS, COLUMNS, 3), np.uint8), desk.channels
     for y in range(ROWS):
         for x in range(COLUMNS):
-            face = nearest_face(desk.faces, y, x)
-            red, green, blue = colour_of(desk.faces, face, looks.texels, looks.textures, y, x)
-            picture[y, x, 0], picture[y, x, 1], picture[y, x, 2] = red, green, blue
+            for channel in range(3):
+                picture[y, x, channel] = channels[channel, x, y]
     if games.cameras[game, events.READ] > 0.0:
         seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
@@ -243,13 +246,14 @@ def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, f
     """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, False, desk.faces)
+    depths = np.empty((ROWS, COLUMNS), np.float32)
+    draw_depths(desk, depths)
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
             total = np.float32(0.0)
             for row in range(BLOCK_SIDE):
                 for column in range(BLOCK_SIDE):
-                    depth = depth_at(desk.faces, BLOCK_SIDE * y + row, BLOCK_SIDE * x + column)
-                    total += min(depth, SEEN_FAR_M)
+                    total += min(depths[BLOCK_SIDE * y + row, BLOCK_SIDE * x + column], SEEN_FAR_M)
             frame[0, y, x] = int(np.rint(total / np.float32(BLOCK_SIDE**2) * np.float32(255.0 / 50.0)))
 
 

@@ -23,8 +23,10 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
 from uavaccel.kernels.flight import fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
-from uavaccel.kernels.project import project
-from uavaccel.kernels.rays import colour_of, covers, linear, luma, touches
+from uavaccel.kernels.faces import begin as begin_faces
+from uavaccel.kernels.faces import view_of
+from uavaccel.kernels.project import project_solid
+from uavaccel.kernels.rays import colour_of, covers, linear, quad_lumas, touches
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.noise import READ_NOISE, normal_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
@@ -33,6 +35,9 @@ from uavaccel.vision.rounding import times
 BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 FLYING_THREADS, SEEING_THREADS = 32, 128  # of a block of CUDA's
+WARP, WHOLE_WARP = 32, 0xFFFFFFFF
+SLOTS_PER_SOLID = 6  # faces of a solid, at most (kernels/project)
+SLOTS = 1 + SLOTS_PER_SOLID * at.SOLIDS
 MOST_CANDIDATES = 48  # faces that a block of pixels chooses among; what is left out is farther than those
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
 PARAMETERS, FLIGHT = RECORDS[PARAMETERS_DTYPE], RECORDS[FLIGHT_DTYPE]
@@ -101,6 +106,7 @@ def fly_lanes(going, ticks, games, now, hull):  # type: ignore[no-untyped-def]
         hull,
         now.watch[lane],
         ticks[lane],
+        False,
     )
     now.state[lane] = state[0]
     for field in range(7):
@@ -111,22 +117,47 @@ def fly_lanes(going, ticks, games, now, hull):  # type: ignore[no-untyped-def]
 
 
 def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-untyped-def]
-    """Project what each lane that is `going` sees: faces (L, FACES, FIELDS)."""
-    lane = cuda.grid(1)
-    if lane < len(going) and going[lane] != 0:
-        state = now.state[lane]
-        project(looks, games.scenes, now.game[lane], state.position, state.quaternion, sky, faces[lane])
+    """Project what each lane that is `going` sees: faces (L, SLOTS, FIELDS), a thread and slots of its own a solid."""
+    thread = cuda.grid(1)
+    lane, solid = thread // WARP, thread % WARP
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, game = now.state[lane], now.game[lane]
+    view = view_of(looks.camera, state.position, state.quaternion)
+    if solid == 0:
+        begin_faces(looks.camera, view, faces[lane])
+        faces[lane, 0, at.COUNT] = np.float32(1 + SLOTS_PER_SOLID * games.scenes.counts[game])
+    while solid < games.scenes.counts[game]:
+        first = 1 + SLOTS_PER_SOLID * solid
+        for slot in range(SLOTS_PER_SOLID):
+            faces[lane, first + slot, at.NEAREST_W] = np.float32(0.0)
+        project_solid(looks, games.scenes, game, solid, view, sky, faces[lane], first)
+        solid += WARP
 
 
 @cuda.jit(device=True)
 def choose(faces, y, x, chosen):  # type: ignore[no-untyped-def]
-    """The faces that a block of 4 x 4 pixels may show; how many."""
-    count, end = 0, BLOCK_SIDE - 1
+    """The faces that a block of 4 x 4 pixels may show; how many.
+
+    The threads of a warp have blocks beside each other: each looks at other faces for all of them, then at those found
+    for itself.
+    """
+    count, end, place = 0, BLOCK_SIDE - 1, cuda.laneid
     row0, row1, column0, column1 = np.float32(y), np.float32(y + end), np.float32(x), np.float32(x + end)
-    for face in range(1, int(faces[0, at.COUNT])):
-        if count < MOST_CANDIDATES and touches(faces, face, row0, row1, column0, column1):
-            chosen[count] = face
-            count += 1
+    left = np.float32(x - BLOCK_SIDE * place)
+    right, total = left + np.float32(BLOCK_SIDE * WARP - 1), int(faces[0, at.COUNT])
+    for first in range(1, total, WARP):
+        face = first + place
+        found = face < total and touches(faces, face, row0, row1, left, right)
+        those = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
+        while those != 0:
+            lowest = cuda.ffs(those) - 1
+            those &= those - 1
+            face = first + lowest
+            beside = faces[face, at.FIRST_COLUMN] <= column1 and faces[face, at.LAST_COLUMN] >= column0
+            if beside and count < MOST_CANDIDATES and touches(faces, face, row0, row1, column0, column1):
+                chosen[count] = face
+                count += 1
     return count
 
 
@@ -144,27 +175,17 @@ def nearest(faces, chosen, count, row, column):  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def grey(faces, chosen, count, texels, textures, row, column):  # type: ignore[no-untyped-def]
-    """Luma of a pixel."""
-    face = nearest(faces, chosen, count, row, column)
-    red, green, blue = colour_of(faces, face, texels, textures, row, column)
-    return int(luma(red, green, blue))
-
-
-@cuda.jit(device=True)
-def grey_row(faces, chosen, count, plan, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
-    """Luma of four pixels in a row, as a noisy camera reads them."""
+def two_rows(faces, chosen, count, plan, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
+    """Luma of two rows of four pixels, as a noisy camera reads them."""
     texels, textures = plan.texels, plan.textures
-    levels = (
-        grey(faces, chosen, count, texels, textures, y, x),
-        grey(faces, chosen, count, texels, textures, y, x + 1),
-        grey(faces, chosen, count, texels, textures, y, x + 2),
-        grey(faces, chosen, count, texels, textures, y, x + 3),
-    )
+    a, b, c, d = quad_lumas(faces, chosen, count, texels, textures, y, x)
+    e, f, g, h = quad_lumas(faces, chosen, count, texels, textures, y, x + 2)
+    upper, lower = (int(a), int(b), int(e), int(f)), (int(c), int(d), int(g), int(h))
     if camera[events.READ] > 0.0:
-        block = (y * at.COLUMNS + x) // BLOCK_SIDE
-        return events.read_noise(levels, camera[events.READ], seeds[PICTURE_SEED], moment_ns, block)
-    return levels
+        block, sigma, seed = (y * at.COLUMNS + x) // BLOCK_SIDE, camera[events.READ], seeds[PICTURE_SEED]
+        upper = events.read_noise(upper, sigma, seed, moment_ns, block)
+        lower = events.read_noise(lower, sigma, seed, moment_ns, block + BLOCK_COLUMNS)
+    return upper, lower
 
 
 def start_events(going, faces, plan, games, now, pixels):  # type: ignore[no-untyped-def]
@@ -176,16 +197,17 @@ def start_events(going, faces, plan, games, now, pixels):  # type: ignore[no-unt
     y, x = BLOCK_SIDE * (block // BLOCK_COLUMNS), BLOCK_SIDE * (block % BLOCK_COLUMNS)
     chosen, game = cuda.local.array(MOST_CANDIDATES, types.int32), now.game[lane]
     count = choose(faces[lane], y, x, chosen)
-    for row in range(y, y + BLOCK_SIDE):
-        levels = grey_row(faces[lane], chosen, count, plan, games.cameras[game], games.seeds[game], 0, row, x)
-        for place in range(BLOCK_SIDE):
-            log = plan.sensor.logs[levels[place]]
-            pixels.base[lane, row, x + place] = log
-            if pixels.filtered.size:
-                pixels.filtered[lane, row, x + place] = log
-            if pixels.last_s.size:
-                dead_s = games.cameras[game, events.REFRACTORY]
-                pixels.last_s[lane, row, x + place] = -np.float32(dead_s)
+    for row in range(y, y + BLOCK_SIDE, 2):
+        both = two_rows(faces[lane], chosen, count, plan, games.cameras[game], games.seeds[game], 0, row, x)
+        for line in range(2):
+            for place in range(BLOCK_SIDE):
+                log = plan.sensor.logs[both[line][place]]
+                pixels.base[lane, row + line, x + place] = log
+                if pixels.filtered.size:
+                    pixels.filtered[lane, row + line, x + place] = log
+                if pixels.last_s.size:
+                    dead_s = games.cameras[game, events.REFRACTORY]
+                    pixels.last_s[lane, row + line, x + place] = -np.float32(dead_s)
     pixels.gathered[lane, block // BLOCK_COLUMNS, block % BLOCK_COLUMNS] = 0
     if block == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
@@ -208,9 +230,10 @@ def see_events(going, tick_ns, take, faces, plan, games, now, pixels, frames):  
     noise, dt_s = (seeds[EVENT_SEED], pixels.clock[lane] + 1), moment_ns * NS - pixels.time_s[lane]
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     total = pixels.gathered[lane, down, across]
-    for row in range(y, y + BLOCK_SIDE):
-        levels = grey_row(faces[lane], chosen, count, plan, camera, seeds, moment_ns, row, x)
-        total += events.see(levels, camera, plan.sensor, pixels.base[lane], filtered, noise, row, x, dt_s)
+    for row in range(y, y + BLOCK_SIDE, 2):
+        upper, lower = two_rows(faces[lane], chosen, count, plan, camera, seeds, moment_ns, row, x)
+        total += events.see(upper, camera, plan.sensor, pixels.base[lane], filtered, noise, row, x, dt_s)
+        total += events.see(lower, camera, plan.sensor, pixels.base[lane], filtered, noise, row + 1, x, dt_s)
     if take != 0:
         frames[lane, down, across] = events.level_of(total)
         total = 0

@@ -190,9 +190,15 @@ def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, accele
     if not total < HUGE:
         return False
 
+    move(qpos, qvel, acceleration, q, tick_s)
+    return True
+
+
+@njit(error_model="numpy")
+def move(qpos: Array, qvel: Array, acceleration: Array, q: Quad, tick_s: float) -> None:
+    """Let velocity (6,) and pose (7,) follow an acceleration (6,) for a tick; `q` is the attitude, normalised."""
     for axis in range(6):
         qvel[axis] += acceleration[axis] * tick_s
     for axis in range(3):
         qpos[axis] += tick_s * qvel[axis]
     qpos[3], qpos[4], qpos[5], qpos[6] = turn(q, tick_s, qvel[3], qvel[4], qvel[5])
-    return True
