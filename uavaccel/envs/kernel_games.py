@@ -42,6 +42,7 @@ class GameMaker:
         self._world = World(task.scene, PROFILES[task.profile])
         self.surroundings: Surroundings = read_surroundings(self._world.model)
         self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
+        self.usual = self._world.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
     def draw(

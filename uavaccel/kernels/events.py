@@ -226,15 +226,7 @@ for _function, _chosen in BY_TYPE:
 
 @njit(error_model="numpy")
 def see(
-    levels: Four,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    filtered: Any,
-    noise: tuple[int, int],
-    y: int,
-    x: int,
-    dt_s: float,
+    levels: Four, camera: Any, sensor: Any, base: Any, filtered: Any, noise: tuple[int, int], y: int, x: int, dt_s: float
 ) -> int:
     """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
 
@@ -243,17 +235,33 @@ def see(
     normals, draws = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
     total = 0
     for place in range(BLOCK_SIDE):
-        at, level = x + place, levels[place]
-        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
-        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
-        log = new_log(level, base, filtered, y, at, camera, sensor, dt_s)
-        before = leaked(base[y, at], positive, camera, sensor, y, at, dt_s, normals[place])
-        signed = due(log, before, positive, negative)
-        base[y, at] = pixel.advanced(before, signed, positive, negative)
-        total += signed
-        if camera[SHOT] > 0.0:
-            total += add_shot(level, camera, sensor, base, log, y, at, dt_s, positive, negative, draws[place])
+        draw = normals[place], draws[place]
+        total += see_pixel(levels[place], camera, sensor, base, filtered, draw, y, x + place, dt_s)
     return total
+
+
+@njit(error_model="numpy")
+def see_pixel(
+    level: int,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    draw: tuple[np.float32, np.float32],
+    y: int,
+    x: int,
+    dt_s: float,
+) -> int:
+    """One pixel of `see`; `draw` are its numbers of this frame, for the leak and for shot noise."""
+    positive = threshold(base[y, x], camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
+    negative = threshold(base[y, x], camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
+    log = new_log(level, base, filtered, y, x, camera, sensor, dt_s)
+    before = leaked(base[y, x], positive, camera, sensor, y, x, dt_s, draw[0])
+    signed = due(log, before, positive, negative)
+    base[y, x] = pixel.advanced(before, signed, positive, negative)
+    if camera[SHOT] > 0.0:
+        return signed + add_shot(level, camera, sensor, base, log, y, x, dt_s, positive, negative, draw[1])
+    return signed
 
 
 @njit
