@@ -31,12 +31,18 @@ ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 SHORTEST_W = np.float32(1e-9)  # beyond an edge a quad's pixels may look above the horizon: kept finite
 MOST_TEXELS = np.float32(8e6)  # as many as float32 counts one by one
 # Squares of the texels between pixels from which on a level is nearer than the one before.
-LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (np.float32(2.0 ** (2 * n + 1)) for n in range(7))
-I0, I1, I2, I3, I4, I5, I8, I16, BYTE = (np.int32(number) for number in (0, 1, 2, 3, 4, 5, 8, 16, 255))  # an int would make all 64 bits wide
-OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (np.int32(number) for number in (9798, 19235, 3735, 16384, 15))
+LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (
+    np.float32(2.0 ** (2 * n + 1)) for n in range(7)
+)
+I0, I1, I2, I3, I4, I5, I8, I16, BYTE = (
+    np.int32(number) for number in (0, 1, 2, 3, 4, 5, 8, 16, 255)
+)  # an int would make all 64 bits wide
+OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (
+    np.int32(number) for number in (9798, 19235, 3735, 16384, 15)
+)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def linear(faces: Faces, face: int, field: int, column: Float, row: Float) -> Float:
     """The function of three coefficients from `field` on: per column, per row, constant."""
     return faces[face, field] * column + (faces[face, field + 1] * row + faces[face, field + 2])
@@ -81,7 +87,7 @@ def nearest_face(faces: Faces, row: int, column: int) -> int:
     return shown
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def texels_at(faces: Faces, face: int, column: Float, row: Float) -> tuple[Float, Float]:
     """Texels of level 0 from the texture's corner to a pixel, to the right and up."""
     w = max(linear(faces, face, at.W, column, row), SHORTEST_W)
@@ -90,7 +96,7 @@ def texels_at(faces: Faces, face: int, column: Float, row: Float) -> tuple[Float
     return u, v
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: int) -> int:
     """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the longest."""
     step = max(du_x * du_x + dv_x * dv_x, du_y * du_y + dv_y * dv_y)
@@ -100,7 +106,7 @@ def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: int) -> i
     return np.int32(min(level, last))
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def texel_index(u: Float, v: Float, level: int, base: int, log2_size: int) -> int:
     """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
     last = np.int32((I1 << log2_size) - I1)
@@ -111,7 +117,7 @@ def texel_index(u: Float, v: Float, level: int, base: int, log2_size: int) -> in
     return np.int32(np.int32(base + np.int32(row << log2_size)) + column)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def lit(texel: int, red: Float, green: Float, blue: Float) -> Colour:
     """A texel in light of a colour (0 to 1), as 8-bit channels."""
     return (
@@ -121,14 +127,14 @@ def lit(texel: int, red: Float, green: Float, blue: Float) -> Colour:
     )
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def luma(red: int, green: int, blue: int) -> int:
     """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
     weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
     return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def sky_index(x: Float, y: Float, z: Float, base: int, log2_size: int) -> int:
     """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
     s, t, r = x, z, -y
@@ -137,7 +143,9 @@ def sky_index(x: Float, y: Float, z: Float, base: int, log2_size: int) -> int:
     by_t = not by_s and a_t >= a_r
     across = (-r if s > ZERO else r) if by_s else (s if by_t or r > ZERO else -s)
     down = (r if t > ZERO else -r) if by_t else -t
-    face = (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
+    face = (
+        (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
+    )
     last = np.int32((I1 << log2_size) - I1)
     middle = HALF * np.float32(np.int32(I1 << log2_size))
     scale = middle / max(max(a_s, max(a_t, a_r)), SHORTEST_W)
@@ -191,7 +199,9 @@ def colour_of(faces: Faces, face: int, texels: Texels, textures: Textures, row: 
     """Red, green and blue (0 to 255) of a pixel that shows a face, or the sky, 0."""
     if face == 0:
         return sky_colour(faces, texels, textures, row, column)
-    return face_colour(faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column)
+    return face_colour(
+        faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column
+    )
 
 
 @njit(error_model="numpy")
@@ -209,7 +219,7 @@ def depth_at(faces: Faces, row: int, column: int) -> Float:
     return ONE / w
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def least(faces: Faces, row: int, field: int, edges: int, x: Float, y: Float) -> Float:
     """The smallest of several edges' functions at a pixel: >= 0 inside them all."""
     smallest = linear(faces, row, field, x, y)
@@ -237,8 +247,14 @@ def quad_faces(faces: Faces, listed: Any, count: int, row: int, column: int) -> 
             in10, in11 = least(faces, face, at.EDGES, 4, x, y1), least(faces, face, at.EDGES, 4, x1, y1)
             extra = int(faces[face, at.EXTRA])
             if extra > 0:
-                in00, in01 = min(in00, least(faces, extra, 0, 8, x, y)), min(in01, least(faces, extra, 0, 8, x1, y))
-                in10, in11 = min(in10, least(faces, extra, 0, 8, x, y1)), min(in11, least(faces, extra, 0, 8, x1, y1))
+                in00, in01 = (
+                    min(in00, least(faces, extra, 0, 8, x, y)),
+                    min(in01, least(faces, extra, 0, 8, x1, y)),
+                )
+                in10, in11 = (
+                    min(in10, least(faces, extra, 0, 8, x, y1)),
+                    min(in11, least(faces, extra, 0, 8, x1, y1)),
+                )
             if in00 >= ZERO and new00 > w00 and new00 <= near:
                 w00, face00 = new00, face
             if in01 >= ZERO and new01 > w01 and new01 <= near:

@@ -61,13 +61,17 @@ def make_desk() -> Desk:
     floats = np.zeros((6, at.ROWS), np.float32)
     for row in range(at.ROWS):
         floats[ROW, row], floats[CORNER, row] = row, row | 1
-    begins, ends, counts = np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32)
+    begins, ends, counts = (
+        np.zeros(at.COLUMNS, np.int32),
+        np.zeros(at.COLUMNS, np.int32),
+        np.zeros(at.COLUMNS, np.int32),
+    )
     faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
     integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
     return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
 
@@ -79,12 +83,12 @@ def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     return row if rises else -HUGE, slope if rises else ZERO, HUGE if rises else row, ZERO if rises else slope
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def edge_line(faces: Faces, face: int, field: int) -> Line:
     return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def whole_rows(low: Float, high: Float) -> tuple[int, int]:
     """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
     low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
@@ -138,7 +142,14 @@ def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) 
 
 @njit(error_model="numpy")
 def show_face(
-    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, column: int, begin: int, end: int
+    textures: Textures,
+    faces: Faces,
+    floats: Floats,
+    integers: Integers,
+    face: int,
+    column: int,
+    begin: int,
+    end: int,
 ) -> None:
     """Place of the texel, and light, at each row at which a face is nearer than what is there."""
     texture = int(faces[face, at.TEXTURE])
@@ -157,7 +168,11 @@ def show_face(
         green, blue = floats[GREEN, pixel], floats[BLUE, pixel]
         y = floats[CORNER, pixel]
         w, e, d = acx + (b * y + c), aecx + (eb * y + ec), adcx + (db * y + dc)
-        at_0, at_x, at_y = ONE / max(w, SHORTEST_W), ONE / max(w + a, SHORTEST_W), ONE / max(w - b, SHORTEST_W)
+        at_0, at_x, at_y = (
+            ONE / max(w, SHORTEST_W),
+            ONE / max(w + a, SHORTEST_W),
+            ONE / max(w - b, SHORTEST_W),
+        )
         u_0, v_0 = e * at_0, d * at_0
         level = level_of(
             ((e + ea) * at_x - u_0) * tu,
@@ -193,7 +208,12 @@ def show_sky(textures: Textures, faces: Faces, floats: Floats, integers: Integer
     za, zb, zc = faces[0, at.RAYS + 6] * x, faces[0, at.RAYS + 7], faces[0, at.RAYS + 8]
     base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
     for pixel in range(np.uintp(begin & ~7), np.uintp((end + 7) & ~7)):
-        other, red, green, blue = integers[PLACE, pixel], floats[RED, pixel], floats[GREEN, pixel], floats[BLUE, pixel]
+        other, red, green, blue = (
+            integers[PLACE, pixel],
+            floats[RED, pixel],
+            floats[GREEN, pixel],
+            floats[BLUE, pixel],
+        )
         y, sky = floats[ROW, pixel], floats[BEST, pixel] <= far
         place = sky_index(xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size)
         integers[PLACE, pixel] = place if sky else other
@@ -217,7 +237,10 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
     """Red, green and blue of a column whose texels are placed."""
     for row in range(at.ROWS):
         red, green, blue = lit(
-            np.int32(texels[np.uint32(integers[PLACE, row])]), floats[RED, row], floats[GREEN, row], floats[BLUE, row]
+            np.int32(texels[np.uint32(integers[PLACE, row])]),
+            floats[RED, row],
+            floats[GREEN, row],
+            floats[BLUE, row],
         )
         channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
 
