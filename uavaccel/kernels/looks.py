@@ -146,7 +146,10 @@ def _camera(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
 
 def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:
     """Texels, the rows of Looks.textures, and the row of each 2d texture."""
-    texels, rows, of_texture, base = [], [], {}, 0
+    texels: list[NDArray[np.uint32]] = []
+    rows: list[tuple[int, int]] = []
+    of_texture: dict[int, int] = {}
+    base = 0
     skies = [
         texture
         for texture in range(model.ntex)
