@@ -158,9 +158,11 @@ def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int
     flat = [
         texture for texture in range(model.ntex) if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D
     ]
+    if not skies:
+        raise UserError("simulator: kernels draws scenes with a sky: give the model a skybox texture")
     for texture in [skies[0], *flat]:
         data = _texture_data(model, texture)
-        height, width = data.shape[:2]
+        width = data.shape[1]
         if texture != skies[0]:
             of_texture[texture] = len(rows)
             data = np.concatenate([_padded(level, width) for level in mipmaps(data)])

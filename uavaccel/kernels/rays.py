@@ -81,7 +81,7 @@ def nearest_face(faces: Faces, row: int, column: int) -> Integer:
     for face in range(1, int(faces[0, at.COUNT])):
         if faces[face, at.NEAREST_W] > best:
             w = linear(faces, face, at.W, x, y)
-            if w > best and w <= near and covers(faces, face, x, y, w):
+            if w > best and w <= near and covers(faces, face, x, y):
                 best, shown = w, face
     return shown
 
