@@ -48,8 +48,8 @@ def linear(faces: Faces, face: Integer, field: int, column: Float, row: Float) -
 
 
 @njit(error_model="numpy")
-def covers(faces: Faces, face: Integer, column: Float, row: Float, w: Float) -> bool:
-    """Whether a pixel at which the face has `w` lies within its edges."""
+def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
+    """Whether a pixel lies within a face's edges."""
     inside = True
     for edge in range(4):
         inside = inside and linear(faces, face, at.EDGES + 3 * edge, column, row) >= ZERO
