@@ -157,10 +157,17 @@ def put_light(
     width: float,
 ) -> None:
     """The light that a face throws back: vertex normals at its low and high end, which are `width` metres apart."""
-    sun = (scenes.lights[lane, at.TOWARDS], scenes.lights[lane, at.TOWARDS + 1], scenes.lights[lane, at.TOWARDS + 2])
+    sun = (
+        scenes.lights[lane, at.TOWARDS],
+        scenes.lights[lane, at.TOWARDS + 1],
+        scenes.lights[lane, at.TOWARDS + 2],
+    )
     for channel in range(3):
         colour = looks.materials[material, at.RGB + channel]
-        ambient, diffuse = scenes.lights[lane, at.AMBIENT + channel], scenes.lights[lane, at.DIFFUSE + channel]
+        ambient, diffuse = (
+            scenes.lights[lane, at.AMBIENT + channel],
+            scenes.lights[lane, at.DIFFUSE + channel],
+        )
         ambient += looks.materials[material, at.EMISSION]
         first = min(max(colour * (ambient + diffuse * max(dot(low, sun), 0.0)), 0.0), 1.0)
         last = min(max(colour * (ambient + diffuse * max(dot(high, sun), 0.0)), 0.0), 1.0)

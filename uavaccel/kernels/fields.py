@@ -68,7 +68,7 @@ SOLIDS = 67  # obstacles, two walls, the ground
 # A lane's light: float32 (9,), in Scenes.lights; the direction is that towards the sun.
 AMBIENT, DIFFUSE, TOWARDS = 0, 3, 6
 
-# The camera: float64 (16,), in Looks.camera: place in the body, its axes there (right, up, back as columns of a matrix).
+# The camera: float64 (16,), in Looks.camera: place in the body; axes there, columns of a matrix: right, up, back.
 PLACE, AXES, HALF_WIDTH, HALF_HEIGHT, NEAR_M, FAR_M = 0, 3, 12, 13, 14, 15
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk, turn_colour, turn_gray
 from uavaccel.sim.hotloop import sources
 
 Poses = NDArray[np.float64]
@@ -66,37 +66,32 @@ def draw_depth(
 
 
 def _compile(stamp: int) -> tuple[Any, Any, Any]:
-    """The loops over drones, from numba's cache if they are there; that they close over `stamp` lets numba see
-    changes in other files."""
+    """The loops over drones, from numba's cache if they are there.
+
+    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
+    """
     entry_point = njit(cache=True, nogil=True, error_model="numpy")
 
     @entry_point
     def gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
         desk = make_desk()
-        channels = desk.channels
-        for drone in range(len(lanes) if stamp else 0):
+        for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
             draw_channels(looks, desk, False)
-            for row in range(at.ROWS):
-                for column in range(at.COLUMNS):
-                    out[drone, row, column] = channels[0, column, row]
+            turn_gray(desk.channels, out[drone])
 
     @entry_point
     def colour(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
         desk = make_desk()
-        channels = desk.channels
-        for drone in range(len(lanes) if stamp else 0):
+        for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
             draw_channels(looks, desk, True)
-            for row in range(at.ROWS):
-                for column in range(at.COLUMNS):
-                    for channel in range(3):
-                        out[drone, row, column, channel] = channels[channel, column, row]
+            turn_colour(desk.channels, out[drone])
 
     @entry_point
     def depth(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
         desk = make_desk()
-        for drone in range(len(lanes) if stamp else 0):
+        for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, desk.faces)
             draw_depths(desk, out[drone])
 

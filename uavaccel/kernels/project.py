@@ -94,7 +94,12 @@ def project_solid(
             if kind == at.PLANE and sky and written > 0:
                 faces[row, at.EXTRA] = np.float32(row + written)
                 put_prism(
-                    faces, row + written, view, (0.0, 0.0, 1.0 / h), (0.0, 0.0, 0.0), SKY_SHARE * looks.camera[at.FAR_M]
+                    faces,
+                    row + written,
+                    view,
+                    (0.0, 0.0, 1.0 / h),
+                    (0.0, 0.0, 0.0),
+                    SKY_SHARE * looks.camera[at.FAR_M],
                 )
                 written += 1
     return written
@@ -162,9 +167,7 @@ def put_cylinder(
             down = (0.0, 0.5 / tall)
             put_texture(faces, row + written, looks, material, (half[0], half[1]), across, down)
             written += 1
-    return written + put_lid(
-        faces, row + written, view, middle, half, looks, scenes, lane, material
-    )
+    return written + put_lid(faces, row + written, view, middle, half, looks, scenes, lane, material)
 
 
 @njit(error_model="numpy")

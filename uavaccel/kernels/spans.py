@@ -23,10 +23,10 @@ from uavaccel.kernels.rays import (
     ZERO,
     Faces,
     Float,
+    Integer,
     Texels,
     Textures,
     level_of,
-    linear,
     lit,
     luma,
     sky_index,
@@ -61,13 +61,14 @@ def make_desk() -> Desk:
     floats = np.zeros((6, at.ROWS), np.float32)
     for row in range(at.ROWS):
         floats[ROW, row], floats[CORNER, row] = row, row | 1
-    begins, ends, counts = np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32)
+    begins, ends = np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32)
+    counts = np.zeros(at.COLUMNS, np.int32)
     faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
     integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
     return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
 
@@ -79,13 +80,13 @@ def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     return row if rises else -HUGE, slope if rises else ZERO, HUGE if rises else row, ZERO if rises else slope
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def edge_line(faces: Faces, face: int, field: int) -> Line:
     return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
 
 
-@njit(error_model="numpy", inline="always")
-def whole_rows(low: Float, high: Float) -> tuple[int, int]:
+@njit(error_model="numpy")
+def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
     """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
     low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
     begin = np.int32(low)
@@ -129,16 +130,23 @@ def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, 
 @njit(error_model="numpy")
 def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) -> None:
     """Keep of a face's rows those on one side of a line, as `line_of` describes it."""
-    l, l_slope, h, h_slope = line
+    low, low_slope, high, high_slope = line
     for column in range(np.uintp(first), np.uintp(last + 1)):
         x = np.float32(np.int32(column))
-        begin, end = whole_rows(l + l_slope * x, h + h_slope * x)
+        begin, end = whole_rows(low + low_slope * x, high + high_slope * x)
         begins[column], ends[column] = max(begins[column], begin), min(ends[column], end)
 
 
 @njit(error_model="numpy")
 def show_face(
-    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, column: int, begin: int, end: int
+    textures: Textures,
+    faces: Faces,
+    floats: Floats,
+    integers: Integers,
+    face: int,
+    column: int,
+    begin: int,
+    end: int,
 ) -> None:
     """Place of the texel, and light, at each row at which a face is nearer than what is there."""
     texture = int(faces[face, at.TEXTURE])
@@ -157,7 +165,11 @@ def show_face(
         green, blue = floats[GREEN, pixel], floats[BLUE, pixel]
         y = floats[CORNER, pixel]
         w, e, d = acx + (b * y + c), aecx + (eb * y + ec), adcx + (db * y + dc)
-        at_0, at_x, at_y = ONE / max(w, SHORTEST_W), ONE / max(w + a, SHORTEST_W), ONE / max(w - b, SHORTEST_W)
+        at_0, at_x, at_y = (
+            ONE / max(w, SHORTEST_W),
+            ONE / max(w + a, SHORTEST_W),
+            ONE / max(w - b, SHORTEST_W),
+        )
         u_0, v_0 = e * at_0, d * at_0
         level = level_of(
             ((e + ea) * at_x - u_0) * tu,
@@ -180,26 +192,32 @@ def show_face(
 
 
 @njit(error_model="numpy")
-def show_sky(textures: Textures, faces: Faces, floats: Floats, integers: Integers, column: int) -> None:
-    """The sky, from the first to the last row at which there is nothing nearer."""
-    far, begin, end = faces[0, at.FAR_W], 0, at.ROWS
-    while begin < at.ROWS and floats[BEST, begin] > far:
-        begin += 1
-    while end > begin and floats[BEST, end - 1] > far:
-        end -= 1
+def show_sky(
+    textures: Textures,
+    faces: Faces,
+    floats: Floats,
+    integers: Integers,
+    column: int,
+    spans: Integers,
+    count: int,
+) -> None:
+    """The sky, where no face reaches in from the column's top or bottom; faces are drawn over it."""
+    begin, end = 0, at.ROWS
+    for number in range(count):
+        first, behind = (spans[column, number] >> 8) & 255, spans[column, number] & 255
+        begin = max(begin, behind) if first == 0 else begin
+        end = min(end, first) if behind == at.ROWS else end
     x = np.float32(column)
     xa, xb, xc = faces[0, at.RAYS] * x, faces[0, at.RAYS + 1], faces[0, at.RAYS + 2]
     ya, yb, yc = faces[0, at.RAYS + 3] * x, faces[0, at.RAYS + 4], faces[0, at.RAYS + 5]
     za, zb, zc = faces[0, at.RAYS + 6] * x, faces[0, at.RAYS + 7], faces[0, at.RAYS + 8]
     base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
-    for pixel in range(np.uintp(begin & ~7), np.uintp((end + 7) & ~7)):
-        other, red, green, blue = integers[PLACE, pixel], floats[RED, pixel], floats[GREEN, pixel], floats[BLUE, pixel]
-        y, sky = floats[ROW, pixel], floats[BEST, pixel] <= far
-        place = sky_index(xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size)
-        integers[PLACE, pixel] = place if sky else other
-        floats[RED, pixel] = ONE if sky else red
-        floats[GREEN, pixel] = ONE if sky else green
-        floats[BLUE, pixel] = ONE if sky else blue
+    for pixel in range(np.uintp(begin & ~7), np.uintp((max(end, begin) + 7) & ~7)):
+        y = floats[ROW, pixel]
+        integers[PLACE, pixel] = sky_index(
+            xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size
+        )
+        floats[RED, pixel] = floats[GREEN, pixel] = floats[BLUE, pixel] = ONE
 
 
 @njit(error_model="numpy")
@@ -217,7 +235,10 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
     """Red, green and blue of a column whose texels are placed."""
     for row in range(at.ROWS):
         red, green, blue = lit(
-            np.int32(texels[np.uint32(integers[PLACE, row])]), floats[RED, row], floats[GREEN, row], floats[BLUE, row]
+            np.int32(texels[np.uint32(integers[PLACE, row])]),
+            floats[RED, row],
+            floats[GREEN, row],
+            floats[BLUE, row],
         )
         channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
 
@@ -231,14 +252,32 @@ def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
     for column in range(at.COLUMNS):
         for row in range(at.ROWS):
             floats[BEST, row] = faces[0, at.FAR_W]
+        show_sky(textures, faces, floats, integers, column, spans, counts[column])
         for number in range(counts[column]):
             span = spans[column, number]
             show_face(textures, faces, floats, integers, span >> 16, column, (span >> 8) & 255, span & 255)
-        show_sky(textures, faces, floats, integers, column)
         if colour:
             colour_column(texels, floats, integers, column, channels)
         else:
             gray_column(texels, floats, integers, column, channels)
+
+
+@njit(error_model="numpy")
+def turn_gray(channels: Any, out: Any) -> None:
+    """Columns of luma as a picture (ROWS, COLUMNS)."""
+    for row in range(at.ROWS):
+        for column in range(at.COLUMNS):
+            out[row, column] = channels[0, column, row]
+
+
+@njit(error_model="numpy")
+def turn_colour(channels: Any, out: Any) -> None:
+    """Columns of red, green and blue as a picture (ROWS, COLUMNS, 3)."""
+    for row in range(at.ROWS):
+        for column in range(at.COLUMNS):
+            out[row, column, 0] = channels[0, column, row]
+            out[row, column, 1] = channels[1, column, row]
+            out[row, column, 2] = channels[2, column, row]
 
 
 @njit(error_model="numpy")
@@ -251,9 +290,13 @@ def draw_depths(desk: Desk, out: Any) -> None:
             floats[BEST, row] = faces[0, at.FAR_W]
         for number in range(counts[column]):
             span = desk.spans[column, number]
-            face = span >> 16
-            for row in range((span >> 8) & 255, span & 255):
-                w = linear(faces, face, at.W, np.float32(column), np.float32(row))
+            a, b, c = (
+                faces[span >> 16, at.W] * np.float32(column),
+                faces[span >> 16, at.W + 1],
+                faces[span >> 16, at.W + 2],
+            )
+            for row in range(np.uintp((span >> 8) & 255), np.uintp(span & 255)):
+                w = a + (b * floats[ROW, row] + c)
                 floats[BEST, row] = max(w, floats[BEST, row])
         for row in range(at.ROWS):
             out[row, column] = ONE / floats[BEST, row]
