@@ -98,6 +98,7 @@ class Vehicle:
         self.qvel = data.qvel[motion : motion + 6]
         self._force = data.qfrc_applied[motion : motion + 6]
         self._push = data.qfrc_constraint[motion : motion + 6]
+        self._gained = data.qacc[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self.touches = Touches(data, self.body_id, model, name_of)
@@ -160,6 +161,11 @@ class Vehicle:
         """Whether the vehicle rests on, or against, something."""
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+
+    @property
+    def rises(self) -> bool:
+        """Whether MuJoCo's latest forces lift it, or hold it."""
+        return bool(self._gained[2] >= 0.0)
 
     def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
         """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
@@ -256,6 +262,19 @@ class Vehicle:
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.touches.clear()
+
+    def touches_something(self) -> None:
+        """Note what MuJoCo has just found it to touch."""
+        state = self.state
+        state["contacts"], state["collision_tick"] = self._contact[0], self.tick
+        self.touches.look(self.tick, mujoco_to_ned(self.qpos[:3]))
+
+    def feel(self) -> None:
+        """`look`, with MuJoCo's latest push of what it touches in the accelerations."""
+        self.look()
+        assert self._parameters is not None
+        records = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
+        hotloop.feel_contacts.py_func(*records, self._contact, self._push)
 
     def put(
         self,
