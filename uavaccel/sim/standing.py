@@ -14,9 +14,9 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.bounds import DEEPEST_M
 from uavaccel.sim.clearance import PLANE
 from uavaccel.sim.touch import deepest_contact
+from uavaccel.sim.vehicle import HERE, Vehicle
 
 if TYPE_CHECKING:
-    from uavaccel.sim.vehicle import Vehicle
     from uavaccel.sim.world import World
 
 GIVE_M = 1e-3  # more than contacts give way under a vehicle, and less than anybody would call a fall
@@ -24,7 +24,10 @@ HALVINGS = 60
 
 
 def stand(world: World, vehicle: Vehicle) -> None:
-    """Set a level, idle vehicle on what it touches, if it touches anything; all others stay as they are."""
+    """Set a level, idle vehicle on what it touches, if it touches anything; all others stay as they are.
+
+    A frame of its own begins where it stands.
+    """
     (x, y, z), attitude = vehicle.place_m, vehicle.start.orientation_wxyz
 
     def borne(height: float) -> bool:
@@ -38,12 +41,13 @@ def stand(world: World, vehicle: Vehicle) -> None:
         middle = (low + high) / 2
         low, high = (middle, high) if borne(middle) else (low, middle)
     if stands:
-        borne(low)
-        vehicle.touches_something()
+        borne(low)  # whose push is the one to be felt
     world.set_physics(before)
     if stands:
         vehicle.set_pose((x, y, low), attitude)
-        vehicle.feel()
+        if vehicle.origin_m is not HERE:
+            vehicle.origin_m = (x, y, low)
+        vehicle.stand()
 
 
 def on_the_ground(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:

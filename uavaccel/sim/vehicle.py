@@ -31,6 +31,7 @@ AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
+UNCOUNTED = -1.0  # contacts: some, which the hot loop has not seen yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
@@ -263,18 +264,13 @@ class Vehicle:
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.touches.clear()
 
-    def touches_something(self) -> None:
-        """Note what MuJoCo has just found it to touch."""
-        state = self.state
-        state["contacts"], state["collision_tick"] = self._contact[0], self.tick
-        self.touches.look(self.tick, mujoco_to_ned(self.qpos[:3]))
-
-    def feel(self) -> None:
-        """`look`, with MuJoCo's latest push of what it touches in the accelerations."""
+    def stand(self) -> None:
+        """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
         self.look()
         assert self._parameters is not None
         records = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
         hotloop.feel_contacts.py_func(*records, self._contact, self._push)
+        self.state["contacts"] = UNCOUNTED
 
     def put(
         self,
