@@ -1,6 +1,7 @@
 """Fly AirSim's own example scripts, unmodified, and write down which of them pass.
 
     python experiments/airsim_scripts.py AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md
+    python experiments/airsim_scripts.py AIRSIM/PythonClient --from-ground
 
 Each script is flown twice: under `uavaccel fly` in virtual time, and by AirSim's own client over TCP against
 `uavaccel serve`, with a Python in whose environment `airsim` 1.8.1 is installed. A script passes if it ends well, or
@@ -20,7 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -361,6 +362,13 @@ def copied(folder: Path, plan: Plan, scratch: Path) -> Path:
     return work / Path(plan.script).parent
 
 
+def on_the_ground(plan: Plan) -> Plan:
+    """The plan with every vehicle where AirSim has it, unless its settings place it: on the ground."""
+    own = plan.settings.get("Vehicles") or vehicles(SimpleFlight={})
+    placed = {name: {"X": 0, "Y": 0, "Z": 0} | given for name, given in own.items()}
+    return replace(plan, settings={**plan.settings, "Vehicles": placed})
+
+
 def settings_option(plan: Plan, scratch: Path) -> list[str]:
     if not plan.settings:
         return []
@@ -403,12 +411,13 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="AirSim's PythonClient")
     parser.add_argument("--client-python", type=Path, help="a Python with airsim 1.8.1; without it no wire")
     parser.add_argument("--only", default="", help="scripts whose path contains this")
+    parser.add_argument("--from-ground", action="store_true", help="begin where AirSim does, not in a hover")
     parser.add_argument("--timing", default="virtual")
     parser.add_argument("--profile", default="native")
     parser.add_argument("--page", type=Path, help="where to write the table; else to standard output")
     options = parser.parse_args()
     rows = []
-    for plan in PLANS:
+    for plan in map(on_the_ground, PLANS) if options.from_ground else PLANS:
         if options.only not in plan.script:
             continue
         fly = wire = None

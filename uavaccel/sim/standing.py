@@ -55,10 +55,9 @@ def on_the_ground(world: World, vehicle: Vehicle, position_m: Vector, attitude: 
     x, y, z = position_m
     highest_m = min(z, 0.0)
     depth_m, geom = depth(world, vehicle, (x, y, highest_m), attitude)
-    in_the_ground = geom >= 0 and world.model.geom_type[geom] == PLANE
-    if in_the_ground and (z > 0.0 or depth_m > DEEPEST_M):
-        return x, y, highest_m - depth_m
-    return position_m
+    if depth_m > GIVE_M and world.model.geom_type[geom] == PLANE:
+        highest_m -= depth_m
+    return x, y, highest_m
 
 
 def depth(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:

@@ -43,12 +43,16 @@ class VehicleApi:
         return sorted(vehicle.name for vehicle in self._simulation.world.vehicles)
 
     def add(self, name: Any, kind: Any, pose: Any, pawn_path: Any = "") -> bool:
-        """simAddVehicle: one more SimpleFlight, level and idle; `pose` is NED from the player's start."""
+        """simAddVehicle: one more SimpleFlight, level and idle; `pose` is NED from the player's start.
+
+        Below the ground is on it, to which Unreal adjusts what it spawns.
+        """
         if str(kind).lower() != KIND:
             raise ValueError(f"vehicle type {kind!r} is not available; there is SimpleFlight")
         place, attitude = types.pose(pose)
         if math.isnan(sum(place) + sum(attitude)):
             raise ValueError("pose must be finite")
+        place = (place[0], place[1], min(place[2], 0.0))
         start = standing(place, euler_from_quaternion(attitude)[2])
         self._simulation.add_vehicles([Newcomer(str(name), *start)])
         return True

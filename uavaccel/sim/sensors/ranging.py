@@ -127,7 +127,7 @@ def azimuths(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
     points = min(_half_up(settings.points_per_second * period_s), MOST_POINTS)
     of_one = _half_up(points / settings.number_of_channels)
     turn_deg = settings.rotations_per_second * 360.0 * period_s
-    ray_deg = (start_deg + turn_deg / max(of_one, 1) * np.arange(of_one)) % 360.0
+    ray_deg = (start_deg + turn_deg * np.arange(of_one) / max(of_one, 1)) % 360.0
     first, last = settings.horizontal_fov_start % 360.0, settings.horizontal_fov_end % 360.0
     after, before = ray_deg >= first, ray_deg <= last
     return ray_deg[after & before if first < last else after | before]
