@@ -312,6 +312,40 @@ def test_kinematics_can_be_set() -> None:
     assert place(api)[:2] == pytest.approx((3.5, 3.9), abs=0.05)
 
 
+@pytest.mark.parametrize("z", [0.0, 0.02, 0.5, 3.0, 200.0])
+@pytest.mark.parametrize("turn", [{}, {"w_val": 0.7071, "y_val": 0.7071}], ids=["level", "on its nose"])
+def test_a_pose_in_the_ground_is_on_it(z: float, turn: dict[str, float]) -> None:
+    """AirSim takes any, and its collisions push the vehicle out; nothing throws it."""
+    state = pose(3.0, 4.0, z, **turn) | {"linear_velocity": point(0, 0, 0), "angular_velocity": STILL}
+    hull_m = 0.3418 if turn else 0.045
+    for method, params in (
+        ("simSetVehiclePose", [pose(3.0, 4.0, z, **turn), True]),
+        ("simSetKinematics", [state, True]),
+        ("simSetObjectPose", ["SimpleFlight", pose(3.0, 4.0, z, **turn), True]),
+    ):
+        api = hovering()
+        call(api, "armDisarm", False)
+        call(api, "enableApiControl", False)
+        call(api, method, *params)
+        assert place(api) == pytest.approx((3.0, 4.0, -hull_m), abs=2e-3)
+        for _ in range(20):
+            go_on(api, 0.02)
+            assert -hull_m - 0.02 < place(api)[2] < 0.0
+
+
+def test_a_newcomer_below_the_ground_stands_on_it() -> None:
+    api = hovering()
+    call(api, "simAddVehicle", "Second", "SimpleFlight", pose(5.0, 0.0, 2.0))
+    assert call(api, "getMultirotorState", "Second")["landed_state"] == 0
+
+
+def test_a_camera_that_does_not_fly_goes_below_the_ground() -> None:
+    settings = Settings.model_validate({"SimMode": "ComputerVision"})
+    api = Api(Simulation(World("blocks", NATIVE)), settings, render=False)
+    call(api, "simSetVehiclePose", pose(1.0, 2.0, 3.0), True)
+    assert call(api, "simGetVehiclePose")["position"] == point(1.0, 2.0, 3.0)
+
+
 @pytest.mark.parametrize(("method", "params", "text"), [
     ("simSetVehiclePose", [pose(1.1e4, 0, -10), True], "north and east have to be within 10000 m"),
     ("simSetVehiclePose", [pose(0, 0, -3e4), True], "NED z has to be"),
