@@ -93,6 +93,7 @@ class Plan:
     arguments: tuple[str, ...] = ()
     until_s: float = FLY_LIMIT_S
     endless: bool = False
+    lands: bool = False  # it does nothing on the ground
     wire_s: float = WIRE_LIMIT_S  # wall time, in which scripts sleep over the wire whatever the ClockSpeed
     settings: Mapping[str, Any] = field(default_factory=dict)
     unfit: str = ""
@@ -110,7 +111,7 @@ PLANS = (
         flies=True,
         settings={"Vehicles": vehicles(Drone={"Sensors": {"Lidar1": {"SensorType": 6, "Enabled": True}}})},
     ),
-    Plan("multirotor/drone_stress_test.py", until_s=120),
+    Plan("multirotor/drone_stress_test.py", until_s=120, endless=True),
     Plan("multirotor/external_physics_engine.py", flies=True),
     Plan("multirotor/gimbal.py", flies=True),
     Plan("multirotor/hello_drone.py", flies=True, images=True),
@@ -124,7 +125,7 @@ PLANS = (
         },
     ),
     Plan("multirotor/kinect_publisher.py", unfit="needs ROS 1"),
-    Plan("multirotor/land.py", flies=True),
+    Plan("multirotor/land.py", flies=True, lands=True),
     Plan("multirotor/line_of_sight.py"),
     Plan("multirotor/manual_mode_demo.py"),
     Plan(
@@ -363,10 +364,11 @@ def copied(folder: Path, plan: Plan, scratch: Path) -> Path:
 
 
 def on_the_ground(plan: Plan) -> Plan:
-    """The plan with every vehicle where AirSim has it, unless its settings place it: on the ground."""
+    """The plan with every vehicle where AirSim's stands by the time that somebody has pressed a key."""
     own = plan.settings.get("Vehicles") or vehicles(SimpleFlight={})
-    placed = {name: {"X": 0, "Y": 0, "Z": 0} | given for name, given in own.items()}
-    return replace(plan, settings={**plan.settings, "Vehicles": placed})
+    placed = {name: {"X": 0, "Y": 0} | given | {"Z": 0} for name, given in own.items()}
+    settings = {**plan.settings, "Vehicles": placed}
+    return replace(plan, settings=settings, flies=plan.flies and not plan.lands)
 
 
 def settings_option(plan: Plan, scratch: Path) -> list[str]:

@@ -204,7 +204,9 @@ def test_a_lidars_rays_are_those_of_airsims_formula(
     low, high = Fraction(first) % 360, Fraction(last) % 360
     for begun in (0, 36, 340):
         turns = [(begun + Fraction(360, of_one) * ray) % 360 for ray in range(of_one)]
-        seen = [turn for turn in turns if (low <= turn <= high if low < high else turn >= low or turn <= high)]
+        seen = [
+            turn for turn in turns if (low <= turn <= high if low < high else turn >= low or turn <= high)
+        ]
         assert len(seen) == of_one or (first, last) in PARTS
         rays, expected = directions(settings, begun), np.tile([float(turn) for turn in seen], channels)
         assert rays.shape == (len(expected), 3)

@@ -132,7 +132,9 @@ def test_position_hold_sets_in_after_the_last_goal(profile: Profile, hover_ms: i
 
 
 TO_HERE = (2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
-AT_ONCE: dict[str, Any] = {  # commands that end without a goal of their own: parameters from where the vehicle is
+AT_ONCE: dict[
+    str, Any
+] = {  # commands that end without a goal of their own: parameters from where the vehicle is
     "moveToZ": lambda here: (here[2], 2.0, FOR_EVER, STRAIGHT, AUTO, ADAPTIVE),
     "moveToPosition": lambda here: (here[0] + 0.4, here[1], here[2], *TO_HERE),
     "moveOnPath": lambda here: ([point(*here), point(*here)], *TO_HERE),
@@ -292,7 +294,9 @@ def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: floa
             places.append(place(api, name))
             go_on(api, profile.tick_s)
         assert call(api, "simGetCollisionInfo", name)["has_collided"]
-        np.testing.assert_allclose(api.pilot_of(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4)
+        np.testing.assert_allclose(
+            api.pilot_of(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4
+        )
     np.testing.assert_allclose(places, 0.0, atol=1e-6)
 
 

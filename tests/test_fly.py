@@ -129,6 +129,32 @@ def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+def test_a_script_takes_off_from_the_ground(timing: str, tmp_path: Path) -> None:
+    """All first calls fall into the first tick, as AirSim's takeoff.py makes them; and after a reset again."""
+    settings = tmp_path / "settings.json"
+    settings.write_text('{"SettingsVersion": 1.2, "Vehicles": {"Drone": {"X": 0, "Y": 0, "Z": 0}}}')
+    path = script(tmp_path, """
+        import airsim
+        client = airsim.MultirotorClient()
+        for flight in range(2):
+            client.enableApiControl(True)
+            client.armDisarm(True)
+            state = client.getMultirotorState()
+            print(state.landed_state == airsim.LandedState.Landed)
+            client.takeoffAsync().join()
+            print(client.simGetVehiclePose().position.z_val < -1.2, client.getMultirotorState().landed_state)
+            client.reset()
+    """)  # fmt: skip
+    done = fly("--timing", timing, "--settings", settings, path)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines[:4]] == ["True"] * 4
+    assert [line.split()[1] for line in lines[1:4:2]] == ["1", "1"]
+    assert "refused" not in done.stderr
+
+
+@pytest.mark.slow
 def test_several_clock_speeds_are_compared_with_the_first(tmp_path: Path) -> None:
     path = script(tmp_path, """
         import airsim

@@ -102,7 +102,9 @@ def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     assert recording.commands.shape == (0, 2)
 
 
-def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
     simulation.record()

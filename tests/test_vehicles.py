@@ -156,7 +156,6 @@ def test_one_may_be_added_while_others_fly() -> None:
             ("Car", "physxcar", pose(9.0, 9.0, 0.0)),
             "vehicle type 'physxcar' is not available; there is SimpleFlight",
         ),
-        (("Near", "simpleflight", pose(3.0, -6.3, -2.0)), "Near would start less than 0.75 m from New"),
         (("Deep", "simpleflight", pose(45.0, 0.0, -3.0)), "inside block_north"),
     ):
         with pytest.raises(rpc.RpcError, match=text):
@@ -333,10 +332,14 @@ def test_a_pose_in_the_ground_is_on_it(z: float, turn: dict[str, float]) -> None
             assert -hull_m - 0.02 < place(api)[2] < 0.0
 
 
-def test_a_newcomer_below_the_ground_stands_on_it() -> None:
+def test_newcomers_below_the_ground_and_where_others_are_stand_on_it_side_by_side() -> None:
+    """As Unreal adjusts what it spawns."""
     api = hovering()
-    call(api, "simAddVehicle", "Second", "SimpleFlight", pose(5.0, 0.0, 2.0))
-    assert call(api, "getMultirotorState", "Second")["landed_state"] == 0
+    for name in ("Second", "Third", "Fourth"):
+        call(api, "simAddVehicle", name, "SimpleFlight", pose(5.0, 0.2, 2.0))
+        assert call(api, "getMultirotorState", name)["landed_state"] == 0
+    stand = [vehicle.place_m for vehicle in api.simulation.world.vehicles[1:]]
+    np.testing.assert_allclose(stand, [(5.0, east, -0.045) for east in (0.2, 0.95, 1.7)], atol=2e-4)
 
 
 def test_a_camera_that_does_not_fly_goes_below_the_ground() -> None:

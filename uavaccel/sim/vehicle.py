@@ -268,8 +268,8 @@ class Vehicle:
         """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
         self.look()
         assert self._parameters is not None
-        records = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
-        hotloop.feel_contacts.py_func(*records, self._contact, self._push)
+        parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
+        hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
         self.state["contacts"] = UNCOUNTED
 
     def put(
