@@ -33,29 +33,29 @@ class Drift:
     def __init__(self, seed: int, sensor: str, size: int, keep: float, gain: float) -> None:
         self._white, self._size = White(seed, sensor, UPDATES_PER_S * size), size
         self._keep, self._gain = keep, gain
+        self._shares = gain * keep ** np.arange(UPDATES_PER_S - 1, -1, -1.0)[:, None]  # at a second's end
         self._begin()
 
     def _begin(self) -> None:
-        self._second = -1  # of the values that are kept
-        self._values = [[0.0] * self._size]
+        self._second, self._first = 0, np.zeros(self._size)
+        self._values: list[NDArray[np.float64]] = []  # of this second, once they are asked for
 
     def at(self, time_s: float) -> NDArray[np.float64]:
         """(size,) at a time, 0 or more."""
-        update = math.floor(time_s * UPDATES_PER_S + 1e-6)
-        second = update // UPDATES_PER_S
+        second, update = divmod(math.floor(time_s * UPDATES_PER_S + 1e-6), UPDATES_PER_S)
         if second < self._second:  # a reset, or a saved state was gone back to
             self._begin()
         while self._second < second:
-            self._go_on()
-        return np.array(self._values[update % UPDATES_PER_S])
+            gained = (self._shares * self._drawn()).sum(axis=0)
+            self._first = self._keep**UPDATES_PER_S * self._first + gained
+            self._second += 1
+            self._values = []
+        if not self._values:
+            self._values = [self._first]
+            for drawn in self._drawn():
+                self._values.append(self._keep * self._values[-1] + self._gain * drawn)
+        return self._values[update].copy()
 
-    def _go_on(self) -> None:
-        """The values of the next second, its end included."""
-        self._second += 1
-        drawn = self._white.at(self._second).reshape(UPDATES_PER_S, self._size).tolist()
-        values = [self._values[-1]]
-        for step in drawn:
-            values.append(
-                [self._keep * old + self._gain * new for old, new in zip(values[-1], step, strict=True)]
-            )
-        self._values = values
+    def _drawn(self) -> NDArray[np.float64]:
+        """(UPDATES_PER_S, size) for the present second."""
+        return self._white.at(self._second).reshape(UPDATES_PER_S, self._size)
