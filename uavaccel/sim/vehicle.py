@@ -31,6 +31,7 @@ AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
+UNCOUNTED = -1.0  # contacts: some, which the hot loop has not seen yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
@@ -99,6 +100,7 @@ class Vehicle:
         self.qvel = data.qvel[motion : motion + 6]
         self._force = data.qfrc_applied[motion : motion + 6]
         self._push = data.qfrc_constraint[motion : motion + 6]
+        self._gained = data.qacc[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self._model, self._data = model, data
@@ -154,6 +156,11 @@ class Vehicle:
         """Whether the vehicle rests on, or against, something."""
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+
+    @property
+    def rises(self) -> bool:
+        """Whether MuJoCo's latest forces lift it, or hold it."""
+        return bool(self._gained[2] >= 0.0)
 
     def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
         """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
@@ -249,6 +256,14 @@ class Vehicle:
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.touches.clear()
+
+    def stand(self) -> None:
+        """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
+        self.look()
+        assert self._parameters is not None
+        parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
+        hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
+        self.state["contacts"] = UNCOUNTED
 
     def put(
         self,

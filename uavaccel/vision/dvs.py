@@ -124,16 +124,30 @@ def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32
     """The `count` >= 1 stamps of a frame: evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
 
     Bit for bit v2e's float32 `torch.linspace` on an x86-64 with AVX2: filled from both ends, each element by
-    one fused multiply-add, which the double-precision sum here rounds alike.
+    one fused multiply-add.
     """
     start = np.float32(t_before_s + (t_s - t_before_s) / count)
     if count == 1:
         return np.array([start])
     end, index = np.float32(t_s), np.arange(count)
     spacing = np.float64((end - start) / np.float32(count - 1))
-    rising = np.float64(start) + spacing * index
-    falling = np.float64(end) - spacing * (count - 1 - index)
-    return np.where(index < count // 2, rising, falling).astype(np.float32)
+    rising = _once_rounded(np.float64(start), spacing * index)
+    falling = _once_rounded(np.float64(end), -spacing * (count - 1 - index))
+    return np.where(index < count // 2, rising, falling)
+
+
+def _once_rounded(base: np.float64, offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+    """`base + offsets`, which may need more than a double's 53 bits, rounded to float32 as if in one step.
+
+    The double sum is rounded to odd (Boldo and Melquiond 2008): where it is inexact its last bit is set, so that it
+    is never taken for a tie of float32.
+    """
+    near = base + offsets
+    part = near - base
+    lost = (base - (near - part)) + (offsets - part)  # exactly what the sum has lost (Knuth's TwoSum)
+    beyond = np.nextafter(near, np.where(lost > 0, np.inf, -np.inf))
+    even = (near.view(np.int64) & 1) == 0
+    return np.where((lost != 0) & even, beyond, near).astype(np.float32)
 
 
 def _advance(

@@ -22,11 +22,13 @@ from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import png
+from uavaccel.wire.notices import Notices
 from uavaccel.wire.pictures import Scene, known_type
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.steps import Steps
 
 MOST_IMAGES = 64  # of one call
+OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here
 AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
@@ -44,10 +46,11 @@ class ImageRequest(NamedTuple):
 class ImageApi:
     """The image calls of one simulation."""
 
-    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
+    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None], notices: Notices) -> None:
         self.simulation = scenery.simulation
         self._scenery = scenery
         self._check_vehicle = check_vehicle
+        self._notices = notices
 
     # --- images -----------------------------------------------------------------------------------------------
 
@@ -114,6 +117,8 @@ class ImageApi:
         try:
             known_type(request.image_type)
         except ValueError as error:
+            if request.image_type in OPTICAL_FLOW:
+                self._notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
             return np.empty((0, 0), np.float32), str(error)
         pictures = self._scenery.pictures
         draw = pictures.floats if request.pixels_as_float else pictures.bgr
