@@ -1,0 +1,86 @@
+"""Python's own pools of threads, event loops and scheduler, on a simulated clock.
+
+`concurrent.futures`, `multiprocessing.pool.ThreadPool` and `asyncio` make threads, locks and queues by the modules
+`threading`, `queue` and `time` that they have imported. Here they find others, which give whoever takes turns what
+takes turns too (uavaccel.fly.threads), and everybody else Python's.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+from uavaccel.fly.event_loop import loops_taking_turns
+from uavaccel.fly.patches import Patches
+from uavaccel.fly.threads import ThreadKinds, changed
+from uavaccel.fly.turns import Turns
+
+POOLS = ("concurrent.futures._base", "concurrent.futures.thread", "multiprocessing.pool")
+
+
+def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
+    """Let pools, event loops and schedulers that are made by threads that take turns take them too.
+
+    `clock` is the script's module `time`.
+    """
+    sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+    stand_ins = {module: dispatching(module, own, turns) for module, own in kinds.own.items()}
+    stand_ins[sys.modules["time"]] = dispatching(
+        sys.modules["time"], {name: getattr(clock, name) for name in ("monotonic", "sleep", "time")}, turns
+    )
+
+    def change(module: ModuleType) -> None:
+        for original, stand_in in stand_ins.items():
+            if vars(module).get(original.__name__) is original:
+                patches.set(module, original.__name__, stand_in)
+
+    def change_thread_pool(module: Any) -> None:
+        change(module)
+        patches.set(
+            module.ThreadPool, "Process", staticmethod(_worker_of(kinds, turns, module.ThreadPool.Process))
+        )
+
+    def change_scheduler(module: Any) -> None:
+        patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
+
+    for name in POOLS[:-1]:
+        patches.when_imported(name, change)
+    patches.when_imported(POOLS[-1], change_thread_pool)
+    patches.when_imported("sched", change_scheduler)
+    patches.when_imported("asyncio.base_events", change)  # its loops read the clock by their own `time`
+    patches.when_imported(
+        "asyncio.selector_events", lambda module: loops_taking_turns(module, patches, turns, now_s)
+    )
+
+
+def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> ModuleType:
+    """A copy of a module some of whose names mean `own` for threads that take turns."""
+
+    def chosen(name: str, kind: Any) -> Callable[..., Any]:
+        original = getattr(module, name)
+        return lambda *arguments, **options: (kind if turns.is_mine() else original)(*arguments, **options)
+
+    return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
+
+
+def _worker_of(kinds: ThreadKinds, turns: Turns, process: Callable[..., Any]) -> Callable[..., Any]:
+    """What ThreadPool makes its workers with."""
+    thread = next(own["Thread"] for own in kinds.own.values() if "Thread" in own)
+    worker = type("Worker", (thread,), {"exitcode": property(lambda self: 0 if self.over else None)})
+
+    def make(context: Any, *arguments: Any, **options: Any) -> Any:
+        return (
+            worker(*arguments, **options) if turns.is_mine() else process(context, *arguments, **options)
+        )
+
+    return make
+
+
+def end_pools() -> None:
+    """What Python does to executors that nobody has shut down, before it waits for threads: it lets them finish."""
+    pools: Any = sys.modules.get("concurrent.futures.thread")
+    if pools is not None:
+        pools._python_exit()
+        pools._shutdown = False
