@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable
 
+END_WITH_PARENT = "end with parent"  # the thread that looks at it
 _BOUND: set[int] = set()
 
 
@@ -37,7 +38,7 @@ def end_with_parent(parent: int, last: Callable[[], object] = lambda: None) -> N
     if os.getppid() != parent:
         _end(last)
     threading.Thread(
-        target=_wait_and_end, args=(descriptor, last), daemon=True, name="end with parent"
+        target=_wait_and_end, args=(descriptor, last), daemon=True, name=END_WITH_PARENT
     ).start()
     return None
 

@@ -16,6 +16,8 @@ from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.fly.modules import Exchanged, client_modules
+from uavaccel.fly.patches import Patches
+from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.parent import end_with_parent
 
 PORT = "UAVACCEL_FLY_PORT"  # of the flight's server, for the programs that a script starts; "" if there is none
@@ -53,9 +55,11 @@ def children_finding(scratch: Path | None, port: int | None) -> Iterator[None]:
     path = before["PYTHONPATH"]
     os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([path] if path else [])])
     os.environ[PORT] = "" if port is None else str(port)
+    sys.path.insert(1, str(folder))  # multiprocessing hands it on to processes that it spawns
     try:
         yield
     finally:
+        sys.path.remove(str(folder))
         for name, value in before.items():
             os.environ.pop(name)
             if value is not None:
@@ -65,6 +69,7 @@ def children_finding(scratch: Path | None, port: int | None) -> Iterator[None]:
 def enter(name: str) -> None:
     """In such a program: let all of AirSim's modules be ours; `name` is the one that is being imported."""
     sys.excepthook = _show
+    hide_frames_everywhere(Patches())
     sys.meta_path.insert(0, Exchanged(client_modules()))
     from uavaccel.airsim import connection
 

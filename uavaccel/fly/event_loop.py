@@ -40,10 +40,10 @@ class SimulatedSelector:
     def _let_others_run(self) -> None:
         now_ns = self._turns.now_ns()
         self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
-        self._stood_ns = now_ns
         if self._turns_since > FREE_TURNS:
             self._look()
-        self._turns.wait_until(self._turns.now_ns())
+        self._stood_ns = self._turns.now_ns()
+        self._turns.wait_until(self._stood_ns)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._selector, name)

@@ -1,6 +1,6 @@
 """Python's own pools of threads, event loops and scheduler, on a simulated clock.
 
-`concurrent.futures`, `multiprocessing.pool.ThreadPool` and `asyncio` make threads, locks and queues by the modules
+`concurrent.futures` and `asyncio` make threads, locks and queues by the modules
 `threading`, `queue` and `time` that they have imported. Here they find others, which give whoever takes turns what
 takes turns too (uavaccel.fly.threads), and everybody else Python's.
 """
@@ -8,6 +8,7 @@ takes turns too (uavaccel.fly.threads), and everybody else Python's.
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
@@ -17,7 +18,7 @@ from uavaccel.fly.patches import Patches
 from uavaccel.fly.threads import ThreadKinds, changed
 from uavaccel.fly.turns import Turns
 
-POOLS = ("concurrent.futures._base", "concurrent.futures.thread", "multiprocessing.pool")
+POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
 def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
@@ -37,17 +38,15 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
                 patches.set(module, original.__name__, stand_in)
 
     def change_thread_pool(module: Any) -> None:
-        change(module)
-        patches.set(
-            module.ThreadPool, "Process", staticmethod(_worker_of(kinds, turns, module.ThreadPool.Process))
-        )
+        patches.set(module, "ThreadPool", _thread_pool(module.ThreadPool, turns))
 
     def change_scheduler(module: Any) -> None:
         patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
 
-    for name in POOLS[:-1]:
+    for name in POOLS:
         patches.when_imported(name, change)
-    patches.when_imported(POOLS[-1], change_thread_pool)
+    patches.when_imported("concurrent.futures.process", lambda module: _wait_for_the_machine(module, patches))
+    patches.when_imported("multiprocessing.pool", change_thread_pool)
     patches.when_imported("sched", change_scheduler)
     patches.when_imported("asyncio.base_events", change)  # its loops read the clock by their own `time`
     patches.when_imported(
@@ -65,17 +64,29 @@ def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> Mod
     return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
 
 
-def _worker_of(kinds: ThreadKinds, turns: Turns, process: Callable[..., Any]) -> Callable[..., Any]:
-    """What ThreadPool makes its workers with."""
-    thread = next(own["Thread"] for own in kinds.own.values() if "Thread" in own)
-    worker = type("Worker", (thread,), {"exitcode": property(lambda self: 0 if self.over else None)})
+def _wait_for_the_machine(module: Any, patches: Patches) -> None:
+    """Processes compute in the machine's time: their futures are waited for in it."""
+    condition = threading.Condition
 
-    def make(context: Any, *arguments: Any, **options: Any) -> Any:
-        return (
-            worker(*arguments, **options) if turns.is_mine() else process(context, *arguments, **options)
-        )
+    class Future(module._base.Future):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self._condition = condition()
 
-    return make
+    patches.set(module, "_base", changed(module._base, {"Future": Future}))
+
+
+def _thread_pool(original: type, turns: Turns) -> type:
+    """multiprocessing's ThreadPool, which for threads that take turns is ours."""
+
+    def new(cls: type, *arguments: Any, **options: Any) -> Any:
+        if not turns.is_mine():
+            return object.__new__(cls)
+        from uavaccel.fly.thread_pool import ThreadPool
+
+        return ThreadPool(*arguments, **options)
+
+    return type(original.__name__, (original,), {"__new__": new})
 
 
 def end_pools() -> None:

@@ -18,6 +18,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from uavaccel.clock import MonotonicClock
+from uavaccel.units import NS_PER_S
+
 CLIENTS = ("airsim", "cosysairsim")
 OLD_CLIENT = "AirSimClient"  # the client's one module before AirSim 1.2
 PARTS = ("client", "types", "utils", "pfm")
@@ -59,10 +62,11 @@ def named_module(name: str, **attributes: Any) -> ModuleType:
 
 
 class Exchanged(Loader, MetaPathFinder):
-    """Finds modules of ours by names of others."""
+    """Finds modules of ours by names of others; counts the wall time that making them takes."""
 
     def __init__(self, modules: Modules) -> None:
-        self._modules = modules
+        self._modules, self._clock = modules, MonotonicClock()
+        self.spent_s = 0.0
 
     def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if name not in self._modules:
@@ -70,11 +74,13 @@ class Exchanged(Loader, MetaPathFinder):
         return ModuleSpec(name, self, is_package=name in (*CLIENTS, "gym"))
 
     def exec_module(self, module: ModuleType) -> None:
+        begun_ns = self._clock.now_ns()
         sys.modules[module.__name__] = self._modules[module.__name__]()
+        self.spent_s += (self._clock.now_ns() - begun_ns) / NS_PER_S
 
 
 @contextmanager
-def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[None]:
+def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[Exchanged]:
     """Let imports find these modules: `everywhere`, or where files that belong to no library import them."""
     before = {name: sys.modules.pop(name, None) for name in everywhere}
     finder = Exchanged(everywhere)
@@ -90,7 +96,7 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
 
     builtins.__import__ = import_for
     try:
-        yield
+        yield finder
     finally:
         builtins.__import__ = original
         sys.meta_path.remove(finder)

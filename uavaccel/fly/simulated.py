@@ -89,7 +89,7 @@ class SimulatedFlight:
                 "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", self._connect)
             )
             modules = client_modules() | shims.old_modules()
-            stack.enter_context(importing(modules, in_scripts))
+            client = stack.enter_context(importing(modules, in_scripts))
             stack.enter_context(key_modules(self.pass_time, clock.monotonic))
             stack.enter_context(children_finding(options.scratch, None))
             stack.enter_context(forked_children(self._forked))
@@ -99,7 +99,7 @@ class SimulatedFlight:
                 stack.enter_context(filming(self._flown.simulation, self._flown.world, options.folder))
             outcome = run_script(options.script, options.arguments, lambda: self._outlive(kinds))
             self._catch_up()  # what the script still waited for
-            return outcome._replace(wall_s=outcome.wall_s - self._made_s)
+            return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
 
     def end(self) -> None:
         """Write what was flown, and say what was refused. Calls from then on, of destructors, raise Enough."""

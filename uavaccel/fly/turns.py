@@ -13,8 +13,11 @@ from math import inf
 from uavaccel.clock import WallClock
 from uavaccel.errors import UserError
 from uavaccel.fly.script import Enough
+from uavaccel.parent import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
+FOREIGN_S = 1e-3  # of the machine's time, between two looks at what threads that take no turns have done
+OURS = {END_WITH_PARENT}  # such threads that do nothing for a script
 LOOK_NS = 1_000_000  # a thread whose answer depends on another one's doing looks so often
 
 
@@ -136,11 +139,20 @@ class Turns:
             now_ns = self.now_ns()
             following = min(self._waiting, key=lambda turn: turn.due(now_ns))
             wake_ns = following.due(now_ns)[0]
-            outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
-            if wake_ns < inf or outside is None:
+            if wake_ns < inf or not self._wait_outside():
                 break
-            outside()
         self._waiting.remove(following)
         if wake_ns < inf:  # else nobody can go on, and the one that has waited longest is told
             self._clock.sleep_until(int(wake_ns))
         return following
+
+    def _wait_outside(self) -> bool:
+        """Wait for what the machine, or a thread that takes no turns, may bring; False where neither can."""
+        outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
+        if outside is not None:
+            outside()
+        elif any(thread.ident not in self._threads and thread.name not in OURS for thread in threading.enumerate()):
+            threading.Event().wait(FOREIGN_S)
+        else:
+            return False
+        return True
