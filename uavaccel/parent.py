@@ -34,13 +34,12 @@ def end_with_parent(parent: int, last: Callable[[], object] = lambda: None) -> N
     try:
         descriptor = os.pidfd_open(parent)
     except OSError:  # it has gone already
-        return _end(last)
+        _end(last)
+        return
     if os.getppid() != parent:
         _end(last)
-    threading.Thread(
-        target=_wait_and_end, args=(descriptor, last), daemon=True, name=END_WITH_PARENT
-    ).start()
-    return None
+    threading.Thread(target=_wait_and_end, args=(descriptor, last), daemon=True, name=END_WITH_PARENT).start()
+    return
 
 
 def _wait_and_end(parent: int, last: Callable[[], object]) -> None:

@@ -4,7 +4,7 @@ A command with a `duration` returns at once; one with `max_wait_seconds` waits s
 0. Source of names, defaults and parameter orders: AirSim v1.1, PythonClient/AirSimClient.py and docs/apis.md.
 """
 
-# ruff: noqa: F401, F403, N802  the names are AirSim's, and all of it is for scripts
+# ruff: noqa: F403, N802, N815  the names are AirSim's, and all of it is for scripts
 
 from __future__ import annotations
 
@@ -128,7 +128,8 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
     # --- commands ---------------------------------------------------------------------------------
 
     def moveByAngle(self, pitch: float, roll: float, z: float, yaw: float, duration: float) -> bool:
-        return _begun(self.moveByAngleZAsync(pitch, roll, z, yaw, duration))
+        """Angles as they are on the wire, which later clients turn round: a nose that is up, to the right."""
+        return _begun(self.moveByRollPitchYawZAsync(roll, -pitch, -yaw, z, duration))
 
     moveByAngleZ = moveByAngle
 

@@ -59,7 +59,8 @@ def fly(
         float | None,
         typer.Option(
             min=0.0,
-            help=f"Wall seconds that the script takes before each call; otherwise {THINK_S['virtual']:g} in virtual, 0 in lockstep.",
+            help="Wall seconds that the script takes before each call; "
+            f"otherwise {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of Python's and NumPy's global generators.")] = None,

@@ -47,7 +47,9 @@ def fly_script(request: FlyRequest) -> None:
     """Fly, compare and report. Raises typer.Exit with the script's exit status, UserError with one line."""
     _refuse_what_cannot_be(request)
     clear_leftovers(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
-    with tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True) as scratch:
+    with tempfile.TemporaryDirectory(
+        prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True
+    ) as scratch:
         request = _with_settings(request, Path(scratch))
         folder = request.out or Path(scratch, "flight")
         several = len(request.clocks) > 1

@@ -20,7 +20,9 @@ from uavaccel.fly.patches import Patches
 from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.parent import end_with_parent
 
-PORT = "UAVACCEL_FLY_PORT"  # of the flight's server, for the programs that a script starts; "" if there is none
+PORT = (
+    "UAVACCEL_FLY_PORT"  # of the flight's server, for the programs that a script starts; "" if there is none
+)
 LOOPBACK = "127.0.0.1"
 REFUSAL = (
     "a process that the script has started calls the simulation; it cannot share a simulated clock: "

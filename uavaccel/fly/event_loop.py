@@ -10,7 +10,9 @@ from uavaccel.fly.patches import Patches
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
-FREE_TURNS = 100  # of a loop while the clock stands; each one more looks at the clock, so that one that polls ends
+FREE_TURNS = (
+    100  # of a loop while the clock stands; each one more looks at the clock, so that one that polls ends
+)
 
 
 class SimulatedSelector:
@@ -34,7 +36,7 @@ class SimulatedSelector:
             self._let_others_run()
             happened()
         else:
-            self._turns.until(happened, timeout, lambda: self._selector.select(None) and None)
+            self._turns.until(happened, timeout, lambda: self._selector.select(None))
         return ready
 
     def _let_others_run(self) -> None:

@@ -68,7 +68,7 @@ def _wait_for_the_machine(module: Any, patches: Patches) -> None:
     """Processes compute in the machine's time: their futures are waited for in it."""
     condition = threading.Condition
 
-    class Future(module._base.Future):  # type: ignore[misc, name-defined]
+    class Future(module._base.Future):
         def __init__(self) -> None:
             super().__init__()
             self._condition = condition()

@@ -28,7 +28,10 @@ PARTS = {
 """Modules of theirs that are there without being imported."""
 CONSTANTS = (
     *(f"K_{key}" for key in string.ascii_lowercase + string.digits),
-    *(f"K_{key}" for key in ("UP", "DOWN", "LEFT", "RIGHT", "SPACE", "RETURN", "ESCAPE", "TAB", "LSHIFT", "LCTRL")),
+    *(
+        f"K_{key}"
+        for key in ("UP", "DOWN", "LEFT", "RIGHT", "SPACE", "RETURN", "ESCAPE", "TAB", "LSHIFT", "LCTRL")
+    ),
     *("QUIT", "KEYDOWN", "KEYUP", "MOUSEBUTTONDOWN", "MOUSEBUTTONUP", "MOUSEMOTION", "JOYAXISMOTION"),
     *("JOYBUTTONDOWN", "JOYBUTTONUP", "RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
 )

@@ -28,7 +28,7 @@ _HOME = "uavaccel.airsim"
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OWN = str(Path(__file__).parents[1])
 
-Modules = Mapping[str, Callable[[], ModuleType]]
+Modules = dict[str, Callable[[], ModuleType]]
 """Modules by the names under which they are imported, each made when it is."""
 
 

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Self
 
-
 THINK_S = {"wall": 0.0, "virtual": 0.001, "lockstep": 0.0}
 """By timing, the script's wall time that a flight charges before each call.
 
@@ -26,8 +25,8 @@ class FlightOptions:
     """One flight of one script.
 
     `think_s` is wall time that the script takes before each call, None the timing's; `until_s` ends it after so many
-    seconds of its wall clock times ClockSpeed; `reference` is a finished flight whose messages this one's have to equal.
-    `scratch` is a temporary folder; `settings_found`: nobody named the settings, they were found.
+    seconds of its wall clock times ClockSpeed; `reference` is a finished flight whose messages this one's have to
+    equal. `scratch` is a temporary folder; `settings_found`: nobody named the settings, they were found.
     """
 
     script: Path

@@ -77,7 +77,9 @@ def fly(options: FlightOptions) -> int:
     with Patches() as patches:
         if (seed := options.seed) is not None:
             random.seed(seed)
-            patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # the generator that scripts use
+            patches.when_imported(
+                "numpy", lambda numpy: numpy.random.seed(seed)
+            )  # the generator that scripts use
         outcome = flight.run()
     for kind in (signal.SIGINT, signal.SIGTERM):  # what was flown is kept
         signal.signal(kind, signal.SIG_IGN)
@@ -109,9 +111,7 @@ def settings_of(options: FlightOptions) -> Settings | None:
         return None
 
 
-def _flight(
-    options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
-) -> Any:
+def _flight(options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> Any:
     if options.timing == "wall":
         from uavaccel.fly.wall import WallFlight
 

@@ -20,6 +20,10 @@ from uavaccel.fly.watch import LOOK_S, Patience, ended_how
 HEED_S, END_S = 0.5, 5.0  # of an interruption: until the script has got it, and until it has ended
 
 
+class StoppedError(Exception):
+    """A script's process has been stopped for too long."""
+
+
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended: exit status of the script, and the summary that `process` wrote, if it came so far."""
@@ -61,10 +65,15 @@ def _wait(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
     """The script's status. Says what ended its process, if that was none of its own doing."""
     try:
         status = _status_of(process)
+        how = ended_how(status)
     except KeyboardInterrupt:
-        status = _interrupt(process, heeded)
+        return _interrupt(process, heeded)
+    except StoppedError:
+        process.kill()
+        process.wait()
+        status, how = -signal.SIGKILL, "was stopped, and killed since it did not go on"
     if status < 0:
-        _say(f"error: the script's process {ended_how(status)}")
+        _say(f"error: the script's process {how}")
         return 128 - status
     return status
 
@@ -75,8 +84,7 @@ def _status_of(process: subprocess.Popen[bytes]) -> int:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(LOOK_S)
         if patience.is_over():
-            _say("the script's process was stopped, and does not go on")
-            process.kill()
+            raise StoppedError
 
 
 def _interrupt(process: subprocess.Popen[bytes], heeded: Path | None) -> int:

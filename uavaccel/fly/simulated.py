@@ -30,8 +30,12 @@ if TYPE_CHECKING:
     from uavaccel.wire.transport import Call
 
 READING_NS = 10_000  # what a look at the clock costs the script, so that a loop that waits for a time ends
-FREE_CALLS = 100  # of a script that takes no time to think: so many calls since the last wait are taken for granted;
-POLL_NS = round(THINK_S["virtual"] * NS_PER_S)  # each one more costs that, so that a loop that waits for a state ends
+FREE_CALLS = (
+    100  # of a script that takes no time to think: so many calls since the last wait are taken for granted;
+)
+POLL_NS = round(
+    THINK_S["virtual"] * NS_PER_S
+)  # each one more costs that, so that a loop that waits for a state ends
 PATIENCE_NS = 3600 * NS_PER_S  # simulated time of a wait after which it is worth a line: AirSim's have no end
 
 
@@ -115,7 +119,9 @@ class SimulatedFlight:
     def summary(self) -> dict[str, Any]:
         """How long, and where to: SI units, NED; no place where no client connected."""
         flown = (
-            self._flown.summary() if self._is_flown() else {"simulated_s": 0.0, "position_m": None, "refused": []}
+            self._flown.summary()
+            if self._is_flown()
+            else {"simulated_s": 0.0, "position_m": None, "refused": []}
         )
         script = {"script_s": self._clock.now_ns() / NS_PER_S, "slept_s": self._slept_ns / NS_PER_S}
         return flown | script | {"think_s": self._think_ns / NS_PER_S}

@@ -61,7 +61,10 @@ class ThreadPool:
     """`multiprocessing.pool.ThreadPool`, for threads that take turns."""
 
     def __init__(
-        self, processes: int | None = None, initializer: Callable[..., object] | None = None, initargs: Any = ()
+        self,
+        processes: int | None = None,
+        initializer: Callable[..., object] | None = None,
+        initargs: Any = (),
     ) -> None:
         self._executor = concurrent.futures.ThreadPoolExecutor(
             processes or os.cpu_count() or 1, "ThreadPool", initializer, tuple(initargs)

@@ -6,7 +6,6 @@ Only one thread of a script ever runs, so locks are plain flags.
 from __future__ import annotations
 
 import queue
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -190,7 +189,8 @@ class Thread(threading.Thread):
             pass
         except BaseException as error:
             hide_ours(error)
-            threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), self)))
+            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
         finally:
             self.over = True
             self.running.remove(self)

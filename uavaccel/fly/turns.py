@@ -32,7 +32,7 @@ class Turn:
     wake_ns: float
     order: int
     happened: Callable[[], bool] | None = None
-    outside: Callable[[], None] | None = None
+    outside: Callable[[], object] | None = None
     begins: threading.Event = field(default_factory=threading.Event)
 
     def due(self, now_ns: int) -> tuple[float, int]:
@@ -81,7 +81,7 @@ class Turns:
         self,
         happened: Callable[[], bool],
         timeout_s: float | None = None,
-        outside: Callable[[], None] | None = None,
+        outside: Callable[[], object] | None = None,
     ) -> bool:
         """Let the others run until something has happened, or the time is over: then False.
 
@@ -151,7 +151,9 @@ class Turns:
         outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
         if outside is not None:
             outside()
-        elif any(thread.ident not in self._threads and thread.name not in OURS for thread in threading.enumerate()):
+        elif any(
+            thread.ident not in self._threads and thread.name not in OURS for thread in threading.enumerate()
+        ):
             threading.Event().wait(FOREIGN_S)
         else:
             return False

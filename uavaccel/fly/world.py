@@ -1,4 +1,4 @@
-"""What a script flies on a simulated clock: the simulation, its calls, and the trajectory that grows with the flight."""
+"""What a script flies on a simulated clock: the simulation, its calls, and a trajectory that grows with it."""
 
 from __future__ import annotations
 
