@@ -40,11 +40,11 @@ FLY_LIMIT_S = 300.0
 HEADER = f"""# AirSim's example scripts
 
 The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning,
-eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking {1000 * THINK_S["virtual"]:g} ms
-before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve` at ClockSpeed 10. A script passes if
-it ends well, or flies on until it is stopped where it has no end; if no call of it was refused; and if what it is for
-has happened: the vehicle has flown, or images have come. Positions are metres NED. Made by
-`experiments/airsim_scripts.py`.
+eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking
+{1000 * THINK_S["virtual"]:g} ms before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve`
+at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of
+it was refused; and if what it is for has happened: the vehicle has flown, or images have come. Positions are metres
+NED. Made by `experiments/airsim_scripts.py`.
 """
 
 NO_WINDOWS = """
