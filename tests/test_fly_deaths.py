@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.processes import alive, command_line, descendants, left_after
+from uavaccel.fly.options import SCRATCH
 
 pytestmark = [pytest.mark.skipif(sys.platform != "linux", reason="/proc, signals"), pytest.mark.slow]
 
@@ -82,3 +83,17 @@ def test_a_death_is_noticed_and_nothing_is_left(
     else:
         assert rest.startswith("interrupted; "), (rest, lines)
     assert not list(temporary.iterdir())
+
+
+def test_what_a_killed_flight_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        pass
+    left, others = (tmp_path / f"{SCRATCH}{pid}-x" for pid in (gone.pid, os.getpid()))
+    for folder in (left, others):
+        folder.mkdir()
+        (folder / "file").touch()
+    script = tmp_path / "script.py"
+    script.touch()
+    command = [sys.executable, "-m", "uavaccel", "fly", str(script)]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(tmp_path)}, check=True)
+    assert sorted(tmp_path.iterdir()) == sorted([others, script])

@@ -101,6 +101,32 @@ def test_who_waits_for_nobody_is_told(script: Any) -> None:
         script.threading.Event().wait()
 
 
+def test_who_all_wait_for_each_other_are_told(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda event: script.written.append(str(event.exc_value)))
+    [thread] = script.start(script.threading.Event().wait)
+    with pytest.raises(RuntimeError, match="would wait for ever"):
+        script.threading.Event().wait()
+    thread.join()
+    assert ["would wait for ever" in text for text in script.written] == [True]
+
+
+def test_who_waits_wakes_at_that_moment_and_is_not_looked_after_before(script: Any) -> None:
+    """A pool's idle workers would cost a look a millisecond."""
+    event = script.threading.Event()
+
+    def wait() -> None:
+        event.wait()
+        script.written.append(script.clock.now_ns())
+
+    [thread] = script.start(wait)
+    script.sleep(3600.0)
+    waited = script.turns._order
+    event.set()
+    thread.join()
+    assert script.written == [3600 * NS_PER_S]
+    assert waited < 10
+
+
 def test_a_timer_calls_unless_cancelled(script: Any) -> None:
     timers = [script.threading.Timer(period_s, script.written.append, (period_s,)) for period_s in (1.0, 2.0)]
     for timer in timers:

@@ -6,6 +6,7 @@ import selectors
 from collections.abc import Callable
 from typing import Any
 
+from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
@@ -52,11 +53,11 @@ class SimulatedSelector:
 
 
 def loops_taking_turns(module: Any, patches: Patches, turns: Turns, look: Callable[[], object]) -> None:
-    """Let event loops of asyncio.selector_events that are made by threads that take turns live on their clock."""
+    """Let event loops of asyncio.selector_events that a script makes live on its clock."""
     original = module.BaseSelectorEventLoop.__init__
 
     def init(self: Any, selector: Any = None) -> None:
-        if turns.is_mine():
+        if turns.is_mine() and called_by_a_script():
             selector = SimulatedSelector(selector or selectors.DefaultSelector(), turns, look)
             self.time = lambda: turns.now_ns() / NS_PER_S
         original(self, selector)

@@ -1,8 +1,8 @@
 """Python's own pools of threads, event loops and scheduler, on a simulated clock.
 
 `concurrent.futures` and `asyncio` make threads, locks and queues by the modules
-`threading`, `queue` and `time` that they have imported. Here they find others, which give whoever takes turns what
-takes turns too (uavaccel.fly.threads), and everybody else Python's.
+`threading`, `queue` and `time` that they have imported. Here they find others, which give a script what takes turns
+(uavaccel.fly.threads), and everybody else, such as a library that has pools of its own, Python's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from types import ModuleType
 from typing import Any
 
 from uavaccel.fly.event_loop import loops_taking_turns
+from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
+from uavaccel.fly.script import Enough
 from uavaccel.fly.threads import ThreadKinds, changed
 from uavaccel.fly.turns import Turns
 
@@ -22,7 +24,7 @@ POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
 def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
-    """Let pools, event loops and schedulers that are made by threads that take turns take them too.
+    """Let pools, event loops and schedulers that a script makes take turns.
 
     `clock` is the script's module `time`.
     """
@@ -43,6 +45,13 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
     def change_scheduler(module: Any) -> None:
         patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
 
+    def leave_ends_unsaid(module: Any) -> None:
+        logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
+        logger.addFilter(_is_no_end)
+        patches.undo(lambda: logger.removeFilter(_is_no_end))
+
+    for name in ("concurrent.futures._base", "asyncio.log"):
+        patches.when_imported(name, leave_ends_unsaid)
     for name in POOLS:
         patches.when_imported(name, change)
     patches.when_imported("concurrent.futures.process", lambda module: _wait_for_the_machine(module, patches))
@@ -55,13 +64,24 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> ModuleType:
-    """A copy of a module some of whose names mean `own` for threads that take turns."""
+    """A copy of a module some of whose names mean `own` for a script."""
 
     def chosen(name: str, kind: Any) -> Callable[..., Any]:
         original = getattr(module, name)
-        return lambda *arguments, **options: (kind if turns.is_mine() else original)(*arguments, **options)
+        return lambda *arguments, **options: (kind if _of_a_script(turns) else original)(
+            *arguments, **options
+        )
 
     return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
+
+
+def _is_no_end(record: Any) -> bool:
+    """Whether a logger's record is not of a flight's end, which is no error of a pool's."""
+    return not (record.exc_info and isinstance(record.exc_info[1], Enough))
+
+
+def _of_a_script(turns: Turns) -> bool:
+    return turns.is_mine() and called_by_a_script()
 
 
 def _wait_for_the_machine(module: Any, patches: Patches) -> None:
@@ -77,10 +97,10 @@ def _wait_for_the_machine(module: Any, patches: Patches) -> None:
 
 
 def _thread_pool(original: type, turns: Turns) -> type:
-    """multiprocessing's ThreadPool, which for threads that take turns is ours."""
+    """multiprocessing's ThreadPool, which for a script is ours."""
 
     def new(cls: type, *arguments: Any, **options: Any) -> Any:
-        if not turns.is_mine():
+        if not _of_a_script(turns):
             return object.__new__(cls)
         from uavaccel.fly.thread_pool import ThreadPool
 

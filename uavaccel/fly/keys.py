@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any
 
-from uavaccel.fly.modules import of_a_script
+from uavaccel.fly.modules import called_by_a_script
 
 ROOTS = ("keyboard", "pynput", "pygame", "msvcrt")
 KEY_S = 0.1  # of the script's time, until who waits for a key gets it
@@ -139,7 +139,7 @@ class _Finder(Loader, MetaPathFinder):
         self._clock = sleep, now_s
 
     def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
-        if name.partition(".")[0] not in ROOTS or not _asked_by_a_script():
+        if name.partition(".")[0] not in ROOTS or not called_by_a_script({"importlib", "_frozen_importlib"}):
             return None
         return ModuleSpec(name, self, is_package=True)
 
@@ -156,17 +156,6 @@ class _Finder(Loader, MetaPathFinder):
             part_of_it = sys.modules[f"{module.__name__}.{name}"] = Silent(f"{module.__name__}.{name}")
             vars(part_of_it).update(_names(part_of_it.__name__, *self._clock))
             setattr(module, name, part_of_it)
-
-
-def _asked_by_a_script() -> bool:
-    """Whether the import under way is one of a file that belongs to no library."""
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None:
-        asking = str(frame.f_globals.get("__name__"))
-        if not asking.startswith(("importlib", "uavaccel.fly")):
-            return of_a_script(frame.f_globals)
-        frame = frame.f_back
-    return False
 
 
 def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, Any]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import builtins
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
 from uavaccel.clock import MonotonicClock
@@ -114,3 +114,14 @@ def of_a_script(namespace: Mapping[str, Any] | None) -> bool:
         return False
     path = str(Path(file).absolute())
     return not path.startswith(_LIBRARIES) and "site-packages" not in path and not path.startswith(_OWN)
+
+
+def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:
+    """Whether the call under way is one of a file that belongs to no library, be it `through` Python's own modules."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if name.partition(".")[0] not in through and not name.startswith("uavaccel.fly"):
+            return of_a_script(frame.f_globals)
+        frame = frame.f_back
+    return False

@@ -34,10 +34,20 @@ class Patches:
     def set(self, owner: Any, name: str, value: Any) -> None:
         """Let an attribute be another one."""
         missing = object()
-        before = vars(owner).get(name, missing) if hasattr(owner, "__dict__") else getattr(owner, name)
+        before = getattr(owner, "__dict__", {}).get(name, missing)  # a method of a class as it stands there
+        if before is missing and not isinstance(
+            owner, ModuleType
+        ):  # one of those may warn of names it has not
+            before = getattr(owner, name, missing)
         setattr(owner, name, value)
-        undo = (delattr, owner, name) if before is missing else (setattr, owner, name, before)
-        self._undo.callback(*undo)
+        if before is missing:
+            self._undo.callback(delattr, owner, name)
+        else:
+            self._undo.callback(setattr, owner, name, before)
+
+    def undo(self, act: Callable[[], object]) -> None:
+        """Do something when the block is left."""
+        self._undo.callback(act)
 
     def when_imported(self, name: str, act: Act) -> None:
         """Change a module by `act(module)`, now if it has been imported, else when it is."""

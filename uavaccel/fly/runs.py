@@ -96,7 +96,7 @@ def _interrupt(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(HEED_S)
         if heeded is None or not heeded.exists():
-            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(END_S - 1.0)
         _say("the script was interrupted, and did not end; its process was killed")
