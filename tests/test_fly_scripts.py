@@ -100,6 +100,8 @@ EXECUTORS = """
     threading.Timer(1, barrier.wait).start()
     barrier.wait()
     print("Barrier", since(begun))
+    from joblib import Parallel, delayed  # a library's threads keep the machine's time
+    print("joblib", Parallel(n_jobs=2, backend="threading")(delayed(abs)(-number) for number in range(3)))
     concurrent.futures.ThreadPoolExecutor().submit(lambda: (time.sleep(1), print("left", since(begun))))
 """
 
@@ -115,7 +117,7 @@ def test_executors_loops_and_schedulers_follow_the_simulated_clock(folder: Folde
     assert done.stdout.splitlines()[:-1] == [
         "later 0.7", "wait_for 2.0", "to_thread 1.5 3.5", "run_in_executor 4.5",
         "sched 2.0", "sched 4.0", "submit [0.3, 0.6, 0.9] 4.9", "map [0.2, 0.1] 5.1",
-        "ThreadPool [1, 0.5, 0.2] 6.1", "Barrier 7.1", "left 8.1",
+        "ThreadPool [1, 0.5, 0.2] 6.1", "Barrier 7.1", "joblib [0, 1, 2]", "left 8.1",
     ], done.stderr  # fmt: skip
 
 

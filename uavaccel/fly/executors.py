@@ -1,8 +1,8 @@
 """Python's own pools of threads, event loops and scheduler, on a simulated clock.
 
-`concurrent.futures` and `asyncio` make threads, locks and queues by the modules
-`threading`, `queue` and `time` that they have imported. Here they find others, which give a script what takes turns
-(uavaccel.fly.threads), and everybody else, such as a library that has pools of its own, Python's.
+`concurrent.futures` and `asyncio` make threads, locks and queues by the modules `threading`, `queue` and `time` that
+they have imported. Here they find others, which give a script what takes turns (uavaccel.fly.threads), and everybody
+else, such as a library that has pools of its own, Python's.
 """
 
 from __future__ import annotations
@@ -45,13 +45,8 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
     def change_scheduler(module: Any) -> None:
         patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
 
-    def leave_ends_unsaid(module: Any) -> None:
-        logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
-        logger.addFilter(_is_no_end)
-        patches.undo(lambda: logger.removeFilter(_is_no_end))
-
     for name in ("concurrent.futures._base", "asyncio.log"):
-        patches.when_imported(name, leave_ends_unsaid)
+        patches.when_imported(name, lambda module: _leave_ends_unsaid(module, patches))
     for name in POOLS:
         patches.when_imported(name, change)
     patches.when_imported("concurrent.futures.process", lambda module: _wait_for_the_machine(module, patches))
@@ -75,8 +70,15 @@ def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> Mod
     return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
 
 
+def _leave_ends_unsaid(module: Any, patches: Patches) -> None:
+    """A pool, or an event loop, whose worker a flight's end reaches has nothing to log."""
+    logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
+    logger.addFilter(_is_no_end)
+    patches.undo(lambda: logger.removeFilter(_is_no_end))
+
+
 def _is_no_end(record: Any) -> bool:
-    """Whether a logger's record is not of a flight's end, which is no error of a pool's."""
+    """Whether a logger's record is of anything but a flight's end."""
     return not (record.exc_info and isinstance(record.exc_info[1], Enough))
 
 
