@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
-from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.options import THINK_S, FlightOptions
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.wall import recorded, serving
 
@@ -38,13 +38,14 @@ WIRE_CLOCK = 10.0
 WIRE_LIMIT_S, WIRE_LEAST_S = 60.0, 10.0
 FLY_LIMIT_S = 300.0
 
-HEADER = """# AirSim's example scripts
+HEADER = f"""# AirSim's example scripts
 
 The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning,
-eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking 1 ms before each call, and by
-the `airsim` 1.8.1 client over TCP against `uavaccel serve` at ClockSpeed 10. A script passes if it ends well, or flies
-on until it is stopped where it has no end; if no call of it was refused; and if what it is for has happened: the
-vehicle has flown, or images have come. Positions are metres NED. Made by `experiments/airsim_scripts.py`.
+eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking
+{1000 * THINK_S["virtual"]:g} ms before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve`
+at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of
+it was refused; and if what it is for has happened: the vehicle has flown, or images have come. Positions are metres
+NED. Made by `experiments/airsim_scripts.py`.
 """
 
 NO_WINDOWS = """
@@ -234,8 +235,6 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
         *settings_option(plan, scratch),
         "--seed",
         "0",
-        "--think",
-        "0.001",
     ]
     work = copied(folder, plan, scratch)
     done = run([*command, Path(plan.script).name, *plan.arguments], work, FLY_LIMIT_S)
@@ -272,13 +271,12 @@ def over_the_wire(plan: Plan, folder: Path, scratch: Path, python: Path, profile
     from uavaccel.airsim import VehicleClient
 
     settings = settings_option(plan, scratch)
-    options = FlightOptions(
-        Path(plan.script), (), scratch, profile=profile, settings=Path(settings[1]) if settings else None
-    )
+    options = FlightOptions(Path(plan.script), (), scratch, profile=profile)
+    file = Path(settings[1]) if settings else None
     work, log = copied(folder, plan, scratch), scratch / "server.txt"
     limit_s = max(WIRE_LEAST_S, plan.until_s / WIRE_CLOCK) if plan.endless else plan.wire_s
-    with said_to(log), serving(options, WIRE_CLOCK, port=41451) as port:
-        VehicleClient(port=port).startRecording()
+    with said_to(log), serving(options, WIRE_CLOCK, port=41451, settings=file) as served:
+        VehicleClient(port=served.port).startRecording()
         command = [str(python), Path(plan.script).name, *plan.arguments]
         status, output = run(command, work, limit_s, without_windows(scratch))
     told = [line.partition("warning: ")[2] for line in log.read_text().splitlines()]

@@ -109,7 +109,8 @@ PACED = """
 @pytest.mark.slow
 def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = fly("--check", "--seed", "3", "--out", out, script(tmp_path, PACED), "-a", "--clock", "7")
+    exact = ("--think", "0", "--seed", "3", "--out", out)
+    done = fly("--check", *exact, script(tmp_path, PACED), "-a", "--clock", "7")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     paused = [int(line) for line in lines if line.isdigit()]
