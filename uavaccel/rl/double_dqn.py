@@ -58,8 +58,9 @@ class DoubleDQN:
         random.seed(config.seed)
         th.manual_seed(config.seed)
         lanes.action_space.seed(config.seed)
-        self.policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
-        self._learned = list(self.policy.q_net.parameters())
+        policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
+        self.policy = policy
+        self._learned = list(policy.q_net.parameters())
         space = lanes.observation_space
         self.buffer = ReplayBuffer(
             self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch as th
 from gymnasium import spaces
@@ -49,4 +50,5 @@ def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Te
     if not isinstance(networks[0].features_extractor, LaneFeatures):
         return [network(observations) for network in networks]
     seen = contrast(observations.float())
-    return [network.q_net(network.features_extractor.layers(seen)) for network in networks]
+    readers: list[Any] = [network.features_extractor for network in networks]
+    return [network.q_net(reader.layers(seen)) for network, reader in zip(networks, readers, strict=True)]
