@@ -185,7 +185,7 @@ def face_at(faces, y, x):  # type: ignore[no-untyped-def]
             face = first + cuda.ffs(those) - 1
             those &= those - 1
             w = linear(faces, face, at.W, column, row)
-            if w > best and w <= near and covers(faces, face, column, row, w):
+            if w > best and w <= near and covers(faces, face, column, row):
                 best, shown = w, face
     return shown
 
