@@ -252,7 +252,7 @@ class CudaLanes:
             return
         self._project(self.going)
         launch, stream = self.kernels, kernels.stream()
-        grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
+        grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
         going, faces = kernels.shared(self.going), kernels.shared(self._faces)
         games, now = self._games_there, self._now_there
         if self.kind != DVS:
@@ -371,7 +371,7 @@ class CudaLanes:
         first = self.blank.expand(self.count, *self.frame_shape)
         if self.kind == DVS:
             self._project(self._renewed)
-            grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
+            grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
             launch.start[(*grid, stream)](
                 which,
                 kernels.shared(self._faces),
@@ -398,7 +398,7 @@ class CudaLanes:
             fields = th.stack([*self.task.fields(state, self._course)], 1).float()
             return fields.reshape(self.count, *self.frame_shape)
         self._project(self._renewed)
-        grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
+        grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
         frames = th.zeros_like(self._frames[0])
         self.kernels.show[(*grid, kernels.stream())](
             kernels.shared(self._renewed),

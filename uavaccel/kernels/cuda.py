@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
-from numba import cuda, types
+from numba import cuda, njit, types
 from numba.core.errors import NumbaPerformanceWarning
 from numba.cuda import libdevice
 from numba.cuda.extending import overload
@@ -26,19 +26,29 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.project import project_solid
-from uavaccel.kernels.rays import colour_of, covers, linear, luma, touches
+from uavaccel.kernels.rays import (
+    colour_of,
+    covers,
+    face_colour,
+    linear,
+    luma,
+    nearest_face,
+    quad_level,
+    sky_colour,
+    touches,
+)
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.vision.dvs_kernels import count_double_pixel, count_single_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 
-PIXELS = at.ROWS * at.COLUMNS
+BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
+BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
-TILE_ROWS, TILE_COLUMNS = 4, 8  # the pixels of a warp
-TILES_ACROSS = at.COLUMNS // TILE_COLUMNS
-TILES = PIXELS // WARP
-BLOCK_STEPS = (1, 2, 8, 16)  # between the threads of a block of 4 x 4 pixels
-FLYING_THREADS, SEEING_THREADS = 32, 256  # of a block of CUDA's
+MOST_LISTED = 62  # faces that a warp's blocks choose among; what is left out stands behind those, as good as always
+FLYING_THREADS, SEEING_THREADS = 32, 128  # of a block of CUDA's
+SEEING_WARPS = SEEING_THREADS // WARP
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -52,8 +62,22 @@ def _times(a, b):  # type: ignore[no-untyped-def]
     return lambda a, b: libdevice.dmul_rn(a, b)
 
 
+@njit
+def quick_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    """`count_single_pixel`, without the division where it is 0, as nearly always."""
+    change = log - base
+    if abs(change) < (positive if change > 0 else negative):
+        return np.int32(0)
+    return count_single_pixel(log, base, positive, negative)
+
+
+def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    of_type = quick_count if log == types.float32 else count_double_pixel
+    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
 for _function, _chosen in events.BY_TYPE:
-    overload(_function)(_chosen)
+    overload(_function)(_due if _function is events.due else _chosen)
 
 
 class Plan(NamedTuple):
@@ -167,38 +191,72 @@ def first_slot(solids, solid):  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def face_at(faces, y, x):  # type: ignore[no-untyped-def]
-    """The face that a thread's pixel shows, 0 for the sky (rays.nearest_face).
+def choose(faces, y, x, listed):  # type: ignore[no-untyped-def]
+    """The faces that a block of 4 x 4 pixels may show: bits of places in `listed`, which a warp's blocks share.
 
-    The threads of a warp have the pixels of a tile: each asks of other faces whether the tile may show them.
+    The threads of a warp have blocks beside each other: each looks at other faces for all of them.
     """
-    place, column, row = cuda.laneid, np.float32(x), np.float32(y)
-    left, top = np.float32(x - place % TILE_COLUMNS), np.float32(y - place // TILE_COLUMNS)
-    right, bottom = left + np.float32(TILE_COLUMNS - 1), top + np.float32(TILE_ROWS - 1)
-    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
-    total = int(faces[0, at.COUNT])
+    place, end, count = cuda.laneid, BLOCK_SIDE - 1, 0
+    row0, row1, left = np.float32(y), np.float32(y + end), np.float32(x - BLOCK_SIDE * place)
+    right, total = left + np.float32(BLOCK_SIDE * WARP - 1), int(faces[0, at.COUNT])
     for first in range(1, total, WARP):
         face = first + place
-        found = face < total and touches(faces, face, top, bottom, left, right)
+        found = face < total and touches(faces, face, row0, row1, left, right)
         those = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
-        while those != 0:
-            face = first + cuda.ffs(those) - 1
-            those &= those - 1
-            w = linear(faces, face, at.W, column, row)
-            if w > best and w <= near and covers(faces, face, column, row):
-                best, shown = w, face
-    return shown
+        before = cuda.popc(those & ((1 << place) - 1))
+        if found and count + before < MOST_LISTED:
+            listed[count + before] = face
+        count += cuda.popc(those)
+    cuda.syncwarp()
+    chosen, column0, column1 = 0, np.float32(x), np.float32(x + end)
+    for number in range(min(count, MOST_LISTED)):
+        face = listed[number]
+        if faces[face, at.FIRST_COLUMN] <= column1 and faces[face, at.LAST_COLUMN] >= column0:
+            chosen |= 1 << number
+    return chosen
 
 
 @cuda.jit(device=True)
-def grey_at(faces, plan, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
-    """Luma of a pixel, as a noisy camera reads it."""
-    face = face_at(faces, y, x)
-    red, green, blue = colour_of(faces, face, plan.texels, plan.textures, y, x)
-    level = int(luma(red, green, blue))
-    if camera[events.READ] > 0.0:
-        return noisy_at(level, camera, seeds, moment_ns, y * at.COLUMNS + x)
-    return level
+def draw_block(faces, plan, y, x, listed, levels):  # type: ignore[no-untyped-def]
+    """Luma of a block's pixels, (16,) row by row: the nearest face of each, then face by face its colours."""
+    chosen = choose(faces, y, x, listed)
+    best, shown = cuda.local.array(16, types.float32), cuda.local.array(16, types.int32)
+    near, far = faces[0, at.NEAR_W], faces[0, at.FAR_W]
+    for pixel in range(16):
+        best[pixel], shown[pixel] = far, 0
+    left = chosen
+    while left != 0:
+        face = listed[cuda.ffs(left) - 1]
+        left &= left - 1
+        for pixel in range(16):
+            column, row = np.float32(x + pixel % BLOCK_SIDE), np.float32(y + pixel // BLOCK_SIDE)
+            w = linear(faces, face, at.W, column, row)
+            if w > best[pixel] and w <= near and covers(faces, face, column, row):
+                best[pixel], shown[pixel] = w, face
+    sky = False
+    for pixel in range(16):
+        sky = sky or shown[pixel] == 0
+    if sky:
+        for pixel in range(16):
+            if shown[pixel] == 0:
+                row, column = y + pixel // BLOCK_SIDE, x + pixel % BLOCK_SIDE
+                red, green, blue = sky_colour(faces, plan.texels, plan.textures, row, column)
+                levels[pixel] = luma(red, green, blue)
+    while chosen != 0:
+        face = listed[cuda.ffs(chosen) - 1]
+        chosen &= chosen - 1
+        for quad in range(4):
+            row, column, first = y + 2 * (quad // 2), x + 2 * (quad % 2), 8 * (quad // 2) + 2 * (quad % 2)
+            seen = shown[first] == face or shown[first + 1] == face
+            if seen or shown[first + 4] == face or shown[first + 5] == face:
+                level = quad_level(faces, face, plan.textures, row, column)
+                for part in range(4):
+                    pixel = first + 4 * (part // 2) + part % 2
+                    if shown[pixel] == face:
+                        red, green, blue = face_colour(
+                            faces, face, level, plan.texels, plan.textures, row + part // 2, column + part % 2
+                        )
+                        levels[pixel] = luma(red, green, blue)
 
 
 @cuda.jit(device=True)
@@ -210,67 +268,74 @@ def noisy_at(level, camera, seeds, moment_ns, value):  # type: ignore[no-untyped
 
 
 @cuda.jit(device=True)
-def pixel_of(thread):  # type: ignore[no-untyped-def]
-    """Lane, row and column of a thread's pixel: a warp has a tile of 4 rows of 8."""
-    tile, place = thread // WARP, thread % WARP
-    lane, tile = tile // TILES, tile % TILES
-    y = TILE_ROWS * (tile // TILES_ACROSS) + place // TILE_COLUMNS
-    return lane, y, TILE_COLUMNS * (tile % TILES_ACROSS) + place % TILE_COLUMNS
+def grey_block(faces, plan, camera, seeds, moment_ns, y, x, listed, levels):  # type: ignore[no-untyped-def]
+    """Luma of a block's pixels, (16,), as a noisy camera reads them."""
+    draw_block(faces, plan, y, x, listed, levels)
+    if camera[events.READ] > 0.0:
+        for pixel in range(16):
+            value = (y + pixel // BLOCK_SIDE) * at.COLUMNS + x + pixel % BLOCK_SIDE
+            levels[pixel] = noisy_at(levels[pixel], camera, seeds, moment_ns, value)
 
 
 @cuda.jit(device=True)
-def block_sum(value):  # type: ignore[no-untyped-def]
-    """The sum over a block of 4 x 4 pixels, half a tile."""
-    for step in BLOCK_STEPS:
-        value += cuda.shfl_xor_sync(WHOLE_WARP, value, step)
-    return value
+def camera_of(games, game):  # type: ignore[no-untyped-def]
+    """A game's camera, in registers."""
+    row = games.cameras[game]
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
 
 
 def start_events(going, faces, plan, games, now, pixels):  # type: ignore[no-untyped-def]
     """Show each lane that is `going` its first picture, which makes no events."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    thread = cuda.grid(1)
+    lane, block = thread // BLOCKS, thread % BLOCKS
+    lists = cuda.shared.array((SEEING_WARPS, MOST_LISTED), types.int32)
     if lane >= len(going) or going[lane] == 0:
         return
-    game = now.game[lane]
-    level = grey_at(faces[lane], plan, games.cameras[game], games.seeds[game], 0, y, x)
-    log = plan.sensor.logs[level]
-    pixels.base[lane, y, x] = log
-    if pixels.filtered.size:
-        pixels.filtered[lane, y, x] = log
-    if pixels.last_s.size:
-        pixels.last_s[lane, y, x] = -np.float32(games.cameras[game, events.REFRACTORY])
-    if y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0:
-        pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] = 0
-    if y == 0 and x == 0:
+    y, x, game = BLOCK_SIDE * (block // BLOCK_COLUMNS), BLOCK_SIDE * (block % BLOCK_COLUMNS), now.game[lane]
+    levels, camera = cuda.local.array(16, types.int32), camera_of(games, game)
+    listed = lists[cuda.threadIdx.x // WARP]
+    grey_block(faces[lane], plan, camera, games.seeds[game], 0, y, x, listed, levels)
+    for pixel in range(16):
+        row, column, log = y + pixel // BLOCK_SIDE, x + pixel % BLOCK_SIDE, plan.sensor.logs[levels[pixel]]
+        pixels.base[lane, row, column] = log
+        if pixels.filtered.size:
+            pixels.filtered[lane, row, column] = log
+        if pixels.last_s.size:
+            pixels.last_s[lane, row, column] = -np.float32(camera[events.REFRACTORY])
+    pixels.gathered[lane, block // BLOCK_COLUMNS, block % BLOCK_COLUMNS] = 0
+    if block == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
 def see_events(going, tick_ns, take, faces, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Let the event cameras see a picture; where `take`, their events since the last time are a frame (L, 36, 64)."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    thread = cuda.grid(1)
+    lane, block = thread // BLOCKS, thread % BLOCKS
+    lists = cuda.shared.array((SEEING_WARPS, MOST_LISTED), types.int32)
     if lane >= len(going) or going[lane] == 0:
         return
-    state, game = now.state[lane], now.game[lane]
-    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
+    across, down, state, game = block % BLOCK_COLUMNS, block // BLOCK_COLUMNS, now.state[lane], now.game[lane]
     if state.collision_tick != NEVER:
-        if take != 0 and first:
+        if take != 0:
             frames[lane, down, across] = NEUTRAL_LEVEL
         return
-    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
-    dt_s = moment_ns * NS - pixels.time_s[lane]
+    y, x, camera, seeds = BLOCK_SIDE * down, BLOCK_SIDE * across, camera_of(games, game), games.seeds[game]
+    moment_ns = state.tick * tick_ns
+    dt_s, frame, seed = moment_ns * NS - pixels.time_s[lane], pixels.clock[lane] + 1, seeds[EVENT_SEED]
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    level = grey_at(faces[lane], plan, camera, seeds, moment_ns, y, x)
-    block, place = (y * at.COLUMNS + x) // BLOCK_SIDE, x % BLOCK_SIDE
-    normals, draws = events.drawn(camera, seeds[EVENT_SEED], pixels.clock[lane] + 1, block)
-    draw = normals[place], draws[place]
-    signed = events.see_pixel(level, camera, plan.sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
-    total = block_sum(np.int32(signed))
-    if first:
-        total += pixels.gathered[lane, down, across]
-        if take != 0:
-            frames[lane, down, across] = events.level_of(total)
-            total = 0
-        pixels.gathered[lane, down, across] = total
+    levels, listed, base = cuda.local.array(16, types.int32), lists[cuda.threadIdx.x // WARP], pixels.base[lane]
+    grey_block(faces[lane], plan, camera, seeds, moment_ns, y, x, listed, levels)
+    total = pixels.gathered[lane, down, across]
+    for line in range(BLOCK_SIDE):
+        row = y + line
+        normals, draws = events.drawn(camera, seed, frame, (row * at.COLUMNS + x) // BLOCK_SIDE)
+        for place in range(BLOCK_SIDE):
+            draw, level = (normals[place], draws[place]), levels[BLOCK_SIDE * line + place]
+            total += events.see_pixel(level, camera, plan.sensor, base, filtered, draw, row, x + place, dt_s)
+    if take != 0:
+        frames[lane, down, across] = events.level_of(total)
+        total = 0
+    pixels.gathered[lane, down, across] = total
 
 
 def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
@@ -283,28 +348,35 @@ def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
 
 def show_lanes(going, kind, tick_ns, faces, plan, games, now, frames):  # type: ignore[no-untyped-def]
     """Frames (L, channels, 36, 64) in colour or of depth: means of blocks of 4 x 4 pixels; blank after a touch."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    thread = cuda.grid(1)
+    lane, block = thread // BLOCKS, thread % BLOCKS
     if lane >= len(going) or going[lane] == 0:
         return
-    state, game, number = now.state[lane], now.game[lane], BLOCK_SIDE**2
-    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
-    free, face = state.collision_tick == NEVER, face_at(faces[lane], y, x)
+    across, down, state, game = block % BLOCK_COLUMNS, block // BLOCK_COLUMNS, now.state[lane], now.game[lane]
+    free, camera, seeds = state.collision_tick == NEVER, camera_of(games, game), games.seeds[game]
+    moment_ns, number, depth_sum = state.tick * tick_ns, BLOCK_SIDE**2, np.float32(0.0)
+    red_sum = green_sum = blue_sum = 0
+    for pixel in range(16):
+        y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
+        face = nearest_face(faces[lane], y, x)
+        if kind == DEPTH:
+            w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
+            depth_sum += min(np.float32(1.0) / w, SEEN_FAR_M)
+        else:
+            red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
+            if camera[events.READ] > 0.0:
+                value = 3 * (y * at.COLUMNS + x)
+                red = noisy_at(int(red), camera, seeds, moment_ns, value)
+                green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
+                blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
+            red_sum, green_sum, blue_sum = red_sum + red, green_sum + green, blue_sum + blue
     if kind == DEPTH:
-        w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
-        total = block_sum(min(np.float32(1.0) / w, SEEN_FAR_M))
-        if first:
-            shade = int(round(total / np.float32(number) * np.float32(255.0 / 50.0)))
-            frames[lane, 0, down, across] = shade if free else 0
+        shade = int(round(depth_sum / np.float32(number) * np.float32(255.0 / 50.0)))
+        frames[lane, 0, down, across] = shade if free else 0
         return
-    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
-    colour = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
-    for channel in range(3):
-        level = int(colour[channel])
-        if camera[events.READ] > 0.0:
-            level = noisy_at(level, camera, seeds, moment_ns, 3 * (y * at.COLUMNS + x) + channel)
-        mean = int(round(block_sum(np.int32(level)) / number))
-        if first:
-            frames[lane, channel, down, across] = mean if free else 0
+    frames[lane, 0, down, across] = int(round(red_sum / number)) if free else 0
+    frames[lane, 1, down, across] = int(round(green_sum / number)) if free else 0
+    frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
 
 
 class Kernels(NamedTuple):
