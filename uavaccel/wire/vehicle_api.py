@@ -49,8 +49,10 @@ class VehicleApi:
         place, attitude = types.pose(pose)
         if math.isnan(sum(place) + sum(attitude)):
             raise ValueError("pose must be finite")
+        if not isinstance(name, str):
+            raise ValueError(f"vehicle_name must be a text, not {type(name).__name__}")
         start = standing(place, euler_from_quaternion(attitude)[2])
-        self._simulation.add_vehicles([Newcomer(str(name), *start)])
+        self._simulation.add_vehicles([Newcomer(name, *start)])
         return True
 
     def pose(self, vehicle: Any = "") -> dict[str, Any]:
