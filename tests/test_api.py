@@ -144,9 +144,9 @@ def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None
 def test_a_name_that_a_file_cannot_hold_is_refused(name: str) -> None:
     vehicle: dict[str, Any] = {"Vehicles": {name: {}}}
     camera: dict[str, Any] = {"Vehicles": {"Drone": {"Cameras": {name: {}}}}}
-    for given, key in ((vehicle, "Vehicles: a vehicle"), (camera, "Cameras: a camera")):
+    for chosen, key in ((vehicle, "Vehicles: a vehicle"), (camera, "Cameras: a camera")):
         with pytest.raises(UserError, match=f"{key} cannot be called"):
-            new_api(settings=Settings.model_validate(given))
+            new_api(settings=Settings.model_validate(chosen))
 
 
 def test_each_recording_has_a_file_of_its_own(tmp_path: Path) -> None:
