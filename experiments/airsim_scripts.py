@@ -1,6 +1,7 @@
 """Fly AirSim's own example scripts, unmodified, and write down which of them pass.
 
     python experiments/airsim_scripts.py AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md
+    python experiments/airsim_scripts.py AIRSIM/PythonClient --from-ground
 
 Each script is flown twice: under `uavaccel fly` in virtual time, and by AirSim's own client over TCP against
 `uavaccel serve`, with a Python in whose environment `airsim` 1.8.1 is installed. A script passes if it ends well, or
@@ -20,14 +21,14 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
-from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.options import THINK_S, FlightOptions
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.wall import recorded, serving
 
@@ -37,13 +38,14 @@ WIRE_CLOCK = 10.0
 WIRE_LIMIT_S, WIRE_LEAST_S = 60.0, 10.0
 FLY_LIMIT_S = 300.0
 
-HEADER = """# AirSim's example scripts
+HEADER = f"""# AirSim's example scripts
 
 The scripts of AirSim's PythonClient (multirotor, computer_vision, environment, reinforcement_learning,
-eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking 1 ms before each call, and by
-the `airsim` 1.8.1 client over TCP against `uavaccel serve` at ClockSpeed 10. A script passes if it ends well, or flies
-on until it is stopped where it has no end; if no call of it was refused; and if what it is for has happened: the
-vehicle has flown, or images have come. Positions are metres NED. Made by `experiments/airsim_scripts.py`.
+eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time, thinking
+{1000 * THINK_S["virtual"]:g} ms before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve`
+at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of
+it was refused; and if what it is for has happened: the vehicle has flown, or images have come. Positions are metres
+NED. Made by `experiments/airsim_scripts.py`.
 """
 
 NO_WINDOWS = """
@@ -92,6 +94,7 @@ class Plan:
     arguments: tuple[str, ...] = ()
     until_s: float = FLY_LIMIT_S
     endless: bool = False
+    lands: bool = False  # it does nothing on the ground
     wire_s: float = WIRE_LIMIT_S  # wall time, in which scripts sleep over the wire whatever the ClockSpeed
     settings: Mapping[str, Any] = field(default_factory=dict)
     unfit: str = ""
@@ -109,7 +112,7 @@ PLANS = (
         flies=True,
         settings={"Vehicles": vehicles(Drone={"Sensors": {"Lidar1": {"SensorType": 6, "Enabled": True}}})},
     ),
-    Plan("multirotor/drone_stress_test.py", until_s=120),
+    Plan("multirotor/drone_stress_test.py", until_s=120, endless=True),
     Plan("multirotor/external_physics_engine.py", flies=True),
     Plan("multirotor/gimbal.py", flies=True),
     Plan("multirotor/hello_drone.py", flies=True, images=True),
@@ -123,7 +126,7 @@ PLANS = (
         },
     ),
     Plan("multirotor/kinect_publisher.py", unfit="needs ROS 1"),
-    Plan("multirotor/land.py", flies=True),
+    Plan("multirotor/land.py", flies=True, lands=True),
     Plan("multirotor/line_of_sight.py"),
     Plan("multirotor/manual_mode_demo.py"),
     Plan(
@@ -232,8 +235,6 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
         *settings_option(plan, scratch),
         "--seed",
         "0",
-        "--think",
-        "0.001",
     ]
     work = copied(folder, plan, scratch)
     done = run([*command, Path(plan.script).name, *plan.arguments], work, FLY_LIMIT_S)
@@ -270,13 +271,12 @@ def over_the_wire(plan: Plan, folder: Path, scratch: Path, python: Path, profile
     from uavaccel.airsim import VehicleClient
 
     settings = settings_option(plan, scratch)
-    options = FlightOptions(
-        Path(plan.script), (), scratch, profile=profile, settings=Path(settings[1]) if settings else None
-    )
+    options = FlightOptions(Path(plan.script), (), scratch, profile=profile)
+    file = Path(settings[1]) if settings else None
     work, log = copied(folder, plan, scratch), scratch / "server.txt"
     limit_s = max(WIRE_LEAST_S, plan.until_s / WIRE_CLOCK) if plan.endless else plan.wire_s
-    with said_to(log), serving(options, WIRE_CLOCK, port=41451) as port:
-        VehicleClient(port=port).startRecording()
+    with said_to(log), serving(options, WIRE_CLOCK, port=41451, settings=file) as served:
+        VehicleClient(port=served.port).startRecording()
         command = [str(python), Path(plan.script).name, *plan.arguments]
         status, output = run(command, work, limit_s, without_windows(scratch))
     told = [line.partition("warning: ")[2] for line in log.read_text().splitlines()]
@@ -361,6 +361,14 @@ def copied(folder: Path, plan: Plan, scratch: Path) -> Path:
     return work / Path(plan.script).parent
 
 
+def on_the_ground(plan: Plan) -> Plan:
+    """The plan with every vehicle where AirSim's stands by the time that somebody has pressed a key."""
+    own = plan.settings.get("Vehicles") or vehicles(SimpleFlight={})
+    placed = {name: {"X": 0, "Y": 0} | given | {"Z": 0} for name, given in own.items()}
+    settings = {**plan.settings, "Vehicles": placed}
+    return replace(plan, settings=settings, flies=plan.flies and not plan.lands)
+
+
 def settings_option(plan: Plan, scratch: Path) -> list[str]:
     if not plan.settings:
         return []
@@ -403,12 +411,13 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="AirSim's PythonClient")
     parser.add_argument("--client-python", type=Path, help="a Python with airsim 1.8.1; without it no wire")
     parser.add_argument("--only", default="", help="scripts whose path contains this")
+    parser.add_argument("--from-ground", action="store_true", help="begin where AirSim does, not in a hover")
     parser.add_argument("--timing", default="virtual")
     parser.add_argument("--profile", default="native")
     parser.add_argument("--page", type=Path, help="where to write the table; else to standard output")
     options = parser.parse_args()
     rows = []
-    for plan in PLANS:
+    for plan in map(on_the_ground, PLANS) if options.from_ground else PLANS:
         if options.only not in plan.script:
             continue
         fly = wire = None

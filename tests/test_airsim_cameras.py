@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,24 @@ def floats(response: dict[str, Any]) -> NDArray[np.float64]:
 def pixels(response: dict[str, Any]) -> NDArray[np.uint8]:
     flat = np.frombuffer(response["image_data_uint8"], np.uint8)
     return flat.reshape(response["height"], response["width"], 3)
+
+
+def test_optical_flow_is_empty_and_said_to_be_here_and_in_the_documents() -> None:
+    wire = AirSimWire()
+    for _ in range(2):
+        for image_type, picture in zip(
+            (8, 9, 0), wire.images(*(("0", t, False) for t in (8, 9, 0))), strict=True
+        ):
+            drawn = image_type == 0
+            assert (picture["width"], picture["height"]) == ((256, 144) if drawn else (0, 0))
+            assert bool(picture["image_data_uint8"]) is drawn
+            assert picture["message"].startswith("" if drawn else f"image type {image_type} is not available")
+    assert wire.said == ["simGetImages: images of types 8 and 9 (optical flow) are empty"]
+    for page in ("from-airsim.md", "airsim-senses.md"):
+        text = (Path(__file__).parents[1] / "docs" / page).read_text(encoding="utf-8")
+        told = [line for line in text.splitlines() if "ypes 8 and 9 (optical flow)" in line]
+        assert told, page
+        assert not any("there are none" in line for line in text.splitlines() if "empty images" in line)
 
 
 @pytest.mark.parametrize("name", MOUNTS)

@@ -151,6 +151,8 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
         return [int(part) for part in pixels[78, 128, ::-1]]
 
     assert middle() == colours()[42].tolist() == [92, 31, 106]
+    assert colours()[255].tolist() == [255, 255, 255]
+    assert len(np.unique(colours(), axis=0)) == 256
     assert wire.call("simSetSegmentationObjectID", BLOCK, -1, False)
     assert middle() == [0, 0, 0]
     with pytest.raises(rpc.RpcError, match="object_id must be -1 to 255, not 256"):

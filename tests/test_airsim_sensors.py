@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,10 @@ import pytest
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.scenes import Pose
 from uavaccel.sim.earth import GeoPoint, geographic, local, magnetic_field_gauss
+from uavaccel.sim.profile import AIRSIM
+from uavaccel.sim.sensors.noise import Drift
+from uavaccel.sim.sensors.ranging import LidarSettings, directions
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.types import EPOCH_NS
 from uavaccel.wire.world_api import ACCEPTED, REFUSED
@@ -176,6 +181,114 @@ def test_a_lidar_looks_within_its_field_of_view_and_says_nothing_of_nothing() ->
     assert {round(float(x)) for x in points[:, 0]} >= {42}
     wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -500.0), True, "")
     assert wire.call("getLidarData", "Half", "")["point_cloud"] == [0.0]
+
+
+def lidar(channels: int, points_per_s: int, **keys: float) -> LidarSettings:
+    given = {"SensorType": 6, "NumberOfChannels": channels, "PointsPerSecond": points_per_s, **keys}
+    return LidarSettings.model_validate(given)
+
+
+CIRCLES = [(-180, 180), (0, 360), (-360, 0), (90, 90), (-90, 270)]
+PARTS = [(0, 359), (-30, 30), (-180, 179), (300, 20), (-350, -10), (90, -90)]
+
+
+@pytest.mark.parametrize(("first", "last"), CIRCLES + PARTS)
+@pytest.mark.parametrize("channels", [4, 16, 32, 64])
+@pytest.mark.parametrize("points_per_s", [8_000, 10_000, 100_000])
+def test_a_lidars_rays_are_those_of_airsims_formula(
+    channels: int, points_per_s: int, first: float, last: float
+) -> None:
+    """Every channel has the same azimuths, one after the other, channel by channel; in fractions, from 0 and later."""
+    settings = lidar(channels, points_per_s, HorizontalFOVStart=first, HorizontalFOVEnd=last)
+    of_one = math.floor(Fraction(points_per_s, 10 * channels) + Fraction(1, 2))
+    low, high = Fraction(first) % 360, Fraction(last) % 360
+    for begun in (0, 36, 340):
+        turns = [(begun + Fraction(360, of_one) * ray) % 360 for ray in range(of_one)]
+        seen = [
+            turn for turn in turns if (low <= turn <= high if low < high else turn >= low or turn <= high)
+        ]
+        assert len(seen) == of_one or (first, last) in PARTS
+        rays, expected = directions(settings, begun), np.tile([float(turn) for turn in seen], channels)
+        assert rays.shape == (len(expected), 3)
+        yaw, down = np.degrees([np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(rays[:, 2])])
+        np.testing.assert_allclose((yaw - expected + 180) % 360 - 180, 0.0, atol=1e-9)
+        np.testing.assert_allclose(down, np.repeat(np.linspace(15, 45, channels), len(seen)), atol=1e-9)
+        assert len(np.unique(rays.round(9), axis=0)) == len(rays), "no ray twice"
+
+
+def test_a_lidar_of_fewer_points_than_channels_sees_nothing() -> None:
+    """Less than half a point for each of them is none."""
+    assert directions(lidar(64, 310), 0.0).shape == (0, 3)
+    assert directions(lidar(64, 320), 0.0).shape == (64, 3)
+
+
+def test_a_lidar_around_meets_the_ground_on_all_sides() -> None:
+    wire = with_sensors(Around=LIDAR | {"HorizontalFOVStart": -180, "HorizontalFOVEnd": 180})
+    wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -6.0), True, "")
+    points = np.array(wire.call("getLidarData", "Around", "")["point_cloud"]).reshape(-1, 3)
+    assert len(points) == 800
+    bearing = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360
+    np.testing.assert_allclose(bearing[:100], np.arange(0, 360, 3.6), atol=1e-3)
+
+
+def drifting(tau_s: float, sigma: float = 0.05) -> AirSimWire:
+    keys = {"PressureFactorTau": tau_s, "PressureFactorSigma": sigma, "UncorrelatedNoiseSigma": 0.0}
+    return with_sensors(Baro={"SensorType": 1, **keys})
+
+
+def drift_of(wire: AirSimWire) -> float:
+    true = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
+    return wire.call("getBarometerData", "", "")["pressure"] / true - 1.0
+
+
+def test_a_barometers_first_reading_is_right_but_for_its_white_noise() -> None:
+    first = []
+    for seed in range(40):
+        told = AirSimWire({"SensorSeed": seed}).call("getBarometerData", "", "")
+        first.append(told["altitude"] - 132.0)
+    assert np.mean(first) == pytest.approx(0.0, abs=0.15)
+    assert 0.15 < np.std(first) <= 0.3
+
+
+def test_a_barometer_drifts_from_nothing_as_airsims_gauss_markov_process() -> None:
+    """Each fiftieth of a second keeps exp(-dt/tau) and gains the rest of a normal number; anew with a reset."""
+    keep, sigma = math.exp(-0.02 / 2.0), 0.05
+    wire = drifting(2.0)
+    values = [drift_of(wire)]
+    for _ in range(400):
+        wire.fly(0.02)
+        values.append(drift_of(wire))
+    gained = (np.array(values)[1:] - keep * np.array(values)[:-1]) / ((1 - keep) * sigma)
+    assert values[0] == pytest.approx(0.0, abs=1e-12)
+    assert gained.mean() == pytest.approx(0.0, abs=0.2)
+    assert gained.std() == pytest.approx(1.0, abs=0.15)
+    assert np.abs(gained).max() < 4.5, "at a whole second no more than at another"
+    wire.call("reset")
+    assert drift_of(wire) == pytest.approx(0.0, abs=1e-12)
+    wire.fly(3.0)
+    assert drift_of(wire) == pytest.approx(values[150], rel=1e-9), "whoever asked before"
+
+
+def test_an_imus_biases_walk_in_small_steps() -> None:
+    """In fiftieths of a second, as far in the root of the time as AirSim's."""
+    walk = Drift(3, "imu rate", 3, 1.0, 0.02**0.5)
+    steps = np.diff([walk.at(step / 50) for step in range(5001)], axis=0)
+    assert (steps != 0.0).all()
+    np.testing.assert_allclose(steps.std(axis=0), 0.02**0.5, rtol=0.05)
+    assert walk.at(70.011).tolist() == Drift(3, "imu rate", 3, 1.0, 0.02**0.5).at(70.0).tolist()
+
+
+def test_wind_acts_at_the_next_tick_as_in_airsims_physics() -> None:
+    """FastPhysicsEngine beside it, 10 m/s from rest at 3 ms: half a kick at the first tick, the way from the next."""
+    world = World("blocks", AIRSIM)
+    world.advance(4)
+    world.set_wind((10.0, 0.0, 0.0))
+    for speed, gained, way in ((9.76691e-4, 0.651114, 0.0), (2.929692e-3, 0.650859, 5.860272e-6)):
+        world.advance(1)
+        now = world.kinematics()
+        assert now.linear_velocity_m_s[0] == pytest.approx(speed, rel=1e-4)
+        assert now.linear_acceleration_m_s2[0] == pytest.approx(gained, rel=1e-4)
+        assert now.position_m[0] == pytest.approx(way, rel=1e-4, abs=1e-12)
 
 
 def test_wind_blows_the_vehicle_and_absurd_wind_is_refused() -> None:

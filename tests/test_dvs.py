@@ -1,6 +1,7 @@
 """The DVS model against v2e's own emulator (recorded in tests/data/v2e_clean.npz), and its properties."""
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -190,3 +191,27 @@ def test_frames_that_cannot_be_are_refused(frame: NDArray, t_s: float, message: 
     state = dvs.init_state(sensor, np.zeros((3, 4), np.uint8))
     with pytest.raises(ValueError, match=message):
         dvs.step(sensor, state, frame, t_s)
+
+
+@pytest.mark.parametrize(
+    ("before_s", "now_s", "count", "index", "torchs"),
+    [
+        (199844.142, 199844.162, 131, 65, 199844.140625),
+        (115421.722, 115421.724, 435, 217, 115421.7265625),
+        (87894.222, 87894.223, 373, 186, 87894.2265625),
+    ],
+)
+def test_stamps_late_in_a_long_game_are_torchs(
+    before_s: float, now_s: float, count: int, index: int, torchs: float
+) -> None:
+    """Where a sum needs more than a double's bits: each is the float32 nearest to the exact sum, rounded once."""
+    stamps = dvs.time_stamps(before_s, now_s, count)
+    assert stamps[index] == np.float32(torchs)
+    start, end = np.float32(before_s + (now_s - before_s) / count), np.float32(now_s)
+    spacing = Fraction(float((end - start) / np.float32(count - 1)))
+    for place, stamp in enumerate(stamps):
+        rising = place < count // 2
+        exact = Fraction(float(start)) + spacing * place
+        exact = exact if rising else Fraction(float(end)) - spacing * (count - 1 - place)
+        around = (np.nextafter(stamp, np.float32(-np.inf)), stamp, np.nextafter(stamp, np.float32(np.inf)))
+        assert min(around, key=lambda value: abs(Fraction(float(value)) - exact)) == stamp

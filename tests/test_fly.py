@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uavaccel.airsim import MultirotorClient
+from uavaccel.airsim import LandedState, MultirotorClient
 from uavaccel.airsim.connection import connect_with
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
@@ -42,12 +42,14 @@ def flight_in() -> Iterator[FlightMaker]:
     """Makes flights without a script, in lockstep unless told otherwise."""
     with contextlib.ExitStack() as stack:
 
-        def make(folder: Path, clock_speed: float = 1.0, **options: Any) -> SimulatedFlight:
+        def make(
+            folder: Path, clock_speed: float = 1.0, settings: Any = None, **options: Any
+        ) -> SimulatedFlight:
             folder.mkdir(exist_ok=True)
             asked = FlightOptions(Path("script.py"), (), folder, **{"timing": "lockstep", **options})
             log = MessageLog(folder, asked.reference)
             stack.callback(log.close_file)
-            return SimulatedFlight(asked, Settings(), clock_speed, log)
+            return SimulatedFlight(asked, Settings.model_validate(settings or {}), clock_speed, log)
 
         yield make
 
@@ -107,7 +109,8 @@ PACED = """
 @pytest.mark.slow
 def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = fly("--check", "--seed", "3", "--out", out, script(tmp_path, PACED), "-a", "--clock", "7")
+    exact = ("--think", "0", "--seed", "3", "--out", out)
+    done = fly("--check", *exact, script(tmp_path, PACED), "-a", "--clock", "7")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     paused = [int(line) for line in lines if line.isdigit()]
@@ -253,6 +256,21 @@ def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, t
 
 
 # --- nothing fails silently ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+def test_a_script_takes_off_from_the_ground(timing: str, flight_in: FlightMaker, tmp_path: Path) -> None:
+    """All first calls fall into the first tick, as those of AirSim's takeoff.py do; and after a reset again."""
+    settings = {"Vehicles": {"Drone": {"X": 0, "Y": 0, "Z": 0}}}
+    client = client_of(flight_in(tmp_path, timing=timing, settings=settings))
+    for _ in range(2):
+        client.enableApiControl(True)
+        client.armDisarm(True)
+        assert client.getMultirotorState().landed_state == LandedState.Landed
+        client.takeoffAsync().join()
+        assert client.simGetVehiclePose().position.z_val < -1.2
+        assert client.getMultirotorState().landed_state == LandedState.Flying
+        client.reset()
 
 
 def test_flights_that_differ_stop_at_the_first_message_that_does(

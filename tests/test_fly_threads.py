@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from uavaccel.clock import VirtualClock
-from uavaccel.fly.threads import thread_modules
-from uavaccel.fly.turns import LOOK_NS, Turns
+from uavaccel.fly.threads import ThreadKinds
+from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
 
@@ -17,7 +17,8 @@ def script() -> Any:
     """What a script with threads has: its modules, its clock, and what it writes down."""
     clock = VirtualClock()
     turns = Turns(clock)
-    modules, running = thread_modules(turns)
+    kinds = ThreadKinds(turns)
+    modules, running = kinds.modules(), kinds.running
     written: list[Any] = []
 
     def sleep(seconds: float) -> None:
@@ -66,7 +67,7 @@ def test_a_lock_lets_one_in_at_a_time(script: Any) -> None:
         thread.join()
     names, times = zip(*script.written, strict=True)
     assert names == (0, 1, 2)
-    assert times == pytest.approx((1.0, 2.0, 3.0), abs=3 * LOOK_NS / NS_PER_S)
+    assert times == (1.0, 2.0, 3.0)
     assert lock.acquire(timeout=0.1)
     assert not lock.acquire(blocking=False)
     assert not lock.acquire(timeout=0.5)
@@ -98,6 +99,32 @@ def test_events_conditions_and_queues_wake_who_waits(script: Any) -> None:
 def test_who_waits_for_nobody_is_told(script: Any) -> None:
     with pytest.raises(RuntimeError, match="would wait for ever"):
         script.threading.Event().wait()
+
+
+def test_who_all_wait_for_each_other_are_told(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda event: script.written.append(str(event.exc_value)))
+    [thread] = script.start(script.threading.Event().wait)
+    with pytest.raises(RuntimeError, match="would wait for ever"):
+        script.threading.Event().wait()
+    thread.join()
+    assert ["would wait for ever" in text for text in script.written] == [True]
+
+
+def test_who_waits_wakes_at_that_moment_and_is_not_looked_after_before(script: Any) -> None:
+    """A pool's idle workers would cost a look a millisecond."""
+    event = script.threading.Event()
+
+    def wait() -> None:
+        event.wait()
+        script.written.append(script.clock.now_ns())
+
+    [thread] = script.start(wait)
+    script.sleep(3600.0)
+    waited = script.turns._order
+    event.set()
+    thread.join()
+    assert script.written == [3600 * NS_PER_S]
+    assert waited < 10
 
 
 def test_a_timer_calls_unless_cancelled(script: Any) -> None:

@@ -38,6 +38,7 @@ ROOMS: dict[str, set[str]] = {
     "vision": GROUND,
     "metrics": GROUND,
     "airsim": {"units", "errors", "clock", "wire"},
+    "kernels": GROUND | {"clock", "sim", "vision"},
 }
 ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim"}
 ROOMS["rl"] = ROOMS["envs"] | {"envs"}

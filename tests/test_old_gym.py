@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from uavaccel.fly import old_gym
+from uavaccel.fly import old_gym, shims
 
-pytestmark = pytest.mark.skipif(not old_gym.gym_modules(), reason="a gym is installed")
+pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
 
 
 class Walk(old_gym.Env):
@@ -34,7 +34,7 @@ class Walk(old_gym.Env):
 
 @pytest.fixture
 def gym() -> Iterator[ModuleType]:
-    gym = old_gym.gym_modules()["gym"]
+    gym = old_gym.modules()["gym"]
     gym.envs.registration.register(id="walk-v0", entry_point=Walk, kwargs={"start": 1})
     yield gym
     old_gym._registered.clear()

@@ -102,7 +102,9 @@ def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     assert recording.commands.shape == (0, 2)
 
 
-def test_a_full_command_log_keeps_the_time_of_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
     simulation.record()
@@ -110,8 +112,17 @@ def test_a_full_command_log_keeps_the_time_of_the_first_command(monkeypatch: pyt
         simulation.fly_velocity(NORTH, 0.02, go_to(simulation, tick))
     go_to(simulation, 110)
     kept = simulation.recording()
-    assert kept.commands.tolist() == [[40, 50], [60, 70], [80, 90]]
+    assert kept.commands.tolist() == [[0, 10], [20, 30], [40, 50]]
     assert kept.samples[:, 0].tolist() == [0, 25, 50, 75, 100]
+    assert kept.commands_dropped == 2
+    log = simulation.commands
+    assert log.last_goal(105, 10) == 100, "of the latest, for which there was no room"
+    simulation.fly_velocity(NORTH, 1.0, go_to(simulation, 120))
+    simulation.cancel(go_to(simulation, 130))
+    assert log.ticks().tolist() == [[10, 20], [30, 40], [50, 60]]
+    copy = type(log)()
+    copy.set_state(log.get_state())
+    assert (copy.last_goal(130, 7), copy.dropped, len(copy)) == (127, 3, 3)
 
 
 # --- speed ----------------------------------------------------------------------------------------------

@@ -198,10 +198,10 @@ def test_the_ground_and_the_top_of_the_air_can_be_flown_from() -> None:
 def test_a_place_on_the_wire_is_refused_with_one_line() -> None:
     simulation = simulate()
     pose = {
-        "position": {"x_val": 0.0, "y_val": 0.0, "z_val": 3.0},
+        "position": {"x_val": 0.0, "y_val": 0.0, "z_val": -3e4},
         "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
     }
-    with pytest.raises(rpc.RpcError, match=r"ground\), not 3\.$"):
+    with pytest.raises(rpc.RpcError, match=r"ground\), not -30000\.$"):
         Api(simulation).call("simSetVehiclePose", [pose, True], 0)
 
 

@@ -189,6 +189,19 @@ def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None])
     return module
 
 
+def counted_time_module(slept: Callable[[float], None]) -> ModuleType:
+    """The machine's module `time`; `slept` hears how many seconds each sleep was to last."""
+    module = ModuleType("time", time.__doc__)
+    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+
+    def sleep(seconds: float) -> None:
+        time.sleep(seconds)
+        slept(seconds)
+
+    vars(module).update(sleep=sleep)
+    return module
+
+
 def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
     """A stand-in for the module `datetime` whose present is `epoch_now_ns`, in ns since 1970 in UTC."""
 

@@ -1,4 +1,4 @@
-"""What killed runs leave in shared memory: joblib's semaphores and folders, when its tracker was killed with them."""
+"""What killed runs leave behind: joblib's semaphores and folders in shared memory, temporary folders of flights."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ SHARED_MEMORY = Path("/dev/shm")
 OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
 
 
-def clear_leftovers(folder: Path = SHARED_MEMORY) -> None:
-    """Remove those whose process is gone and which are this user's; nothing happens where there is no such folder."""
+def clear_leftovers(folder: Path = SHARED_MEMORY, named_by: re.Pattern[str] = OF_JOBLIB) -> None:
+    """Remove those whose process is gone and which are this user's; nothing happens where there is no such folder.
+
+    The first group of `named_by` is the process's number.
+    """
     if not folder.is_dir():
         return
     for path in folder.iterdir():
-        named = OF_JOBLIB.match(path.name)
+        named = named_by.match(path.name)
         with suppress(OSError):  # another run clears it too
             if named is None or path.stat().st_uid != os.getuid() or _alive(int(named[1])):
                 continue

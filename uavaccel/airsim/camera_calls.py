@@ -7,11 +7,13 @@ A camera's name may be a number, as in AirSim's scripts. `external` asks for a c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from uavaccel.airsim.calls import Calls
 from uavaccel.airsim.types import CameraInfo, DetectionInfo, ImageRequest, ImageResponse, Pose
+from uavaccel.airsim.vectors import Quaternionr, Vector3r
 
 
 class CameraCalls(Calls):
@@ -43,6 +45,13 @@ class CameraCalls(Calls):
     ) -> None:
         """The pose in the frame of the vehicle."""
         self.client.call("simSetCameraPose", str(camera_name), pose, vehicle_name, external)
+
+    def simSetCameraOrientation(
+        self, camera_name: str | int, orientation: Quaternionr, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """Of AirSim before 1.6: turn a camera in the frame of the vehicle, and leave it where it is there."""
+        nowhere = Vector3r(math.nan, math.nan, math.nan)
+        self.simSetCameraPose(camera_name, Pose(nowhere, orientation), vehicle_name, external)
 
     def simSetCameraFov(
         self, camera_name: str | int, fov_degrees: float, vehicle_name: str = "", external: bool = False

@@ -80,6 +80,7 @@ class ImageType:
 
     Scene = 0
     DepthPlanar = 1
+    DepthPlanner = 1  # before 1.5
     DepthPerspective = 2
     DepthVis = 3
     DisparityNormalized = 4

@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from uavaccel.fly.options import THINK_S
+
 
 def serve(
     settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
@@ -54,10 +56,21 @@ def fly(
         typer.Option(min=0.0, help="Stop the script after so many simulated seconds, pauses included."),
     ] = None,
     think: Annotated[
-        float, typer.Option(min=0.0, help="Wall seconds that the script takes before each call.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Wall seconds that the script takes before each call; "
+            f"otherwise {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of Python's and NumPy's global generators.")] = None,
-    settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            help="AirSim's settings.json; otherwise the one beside the script, or in ~/Documents/AirSim."
+        ),
+    ] = None,
+    no_settings: Annotated[bool, typer.Option("--no-settings", help="Look for no settings.json.")] = False,
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
     out: Annotated[Path | None, typer.Option(help="Folder to make for trajectory and messages.")] = None,
@@ -83,4 +96,4 @@ def fly(
         until_s=until,
         film=film,
     )
-    fly_script(FlyRequest(flight, parse_clocks(clock), check, out))
+    fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out))

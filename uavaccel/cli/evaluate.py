@@ -8,13 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.cli.run import RunRequest, configure, console, run_experiment
-from uavaccel.draw.film import write_contact_sheet, write_video
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
-from uavaccel.sim.gl import describe_renderer
-from uavaccel.suites.evaluation.film import best_first
-from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.evaluation.summary import compare
 from uavaccel.suites.runner import check_jobs
 from uavaccel.suites.sweep.conditions import parse_sweep
 from uavaccel.yaml_io import parse_yaml
@@ -29,6 +24,8 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
     if run is None:
         return
     if other is not None:
+        from uavaccel.suites.evaluation.summary import compare
+
         console.print(compare(run.rows(), other), markup=False)
     if films:
         film_extremes(run)
@@ -74,6 +71,8 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
         if not theirs & {case.lane for case in suite.cases(config)}:
             raise UserError(f"--against {other.path}: is no evaluation of the same lanes")
     if films:
+        from uavaccel.sim.gl import describe_renderer
+
         try:
             describe_renderer()
         except UserError as error:
@@ -82,6 +81,10 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
 
 def film_extremes(run: RunDirectory) -> None:
     """The best game and the worst as films and contact sheets."""
+    from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.suites.evaluation.film import best_first
+    from uavaccel.suites.evaluation.suite import Evaluation
+
     order = best_first(run.rows())
     for name, row in {"best": order[0], "worst": order[-1]}.items():
         _, film = Evaluation().film(run, row["case"])

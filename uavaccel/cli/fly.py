@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import re
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,15 +12,12 @@ from typing import Any
 import typer
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.process import DIFFERS
+from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions
 from uavaccel.fly.runs import Flown, check, fly
-from uavaccel.fly.trajectory import largest_difference_m
+from uavaccel.fly.settings_file import found_settings
+from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset
-from uavaccel.sim.profile import PROFILES
-from uavaccel.wire.session import TIMINGS
-from uavaccel.wire.settings import Settings, read_settings
 
 
 @dataclass(frozen=True)
@@ -29,6 +27,7 @@ class FlyRequest:
     flight: FlightOptions
     clocks: tuple[float, ...] = ()
     check: bool = False
+    find_settings: bool = True
     out: Path | None = None
 
 
@@ -49,8 +48,12 @@ def parse_clocks(text: str | None) -> tuple[float, ...]:
 def fly_script(request: FlyRequest) -> None:
     """Fly, compare and report. Raises typer.Exit with the script's exit status, UserError with one line."""
     _refuse_what_cannot_be(request)
-    with tempfile.TemporaryDirectory(prefix="uavaccel-fly-") as scratch:
-        folder = request.out or Path(scratch)
+    clear_leftovers(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
+    with tempfile.TemporaryDirectory(
+        prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True
+    ) as scratch:
+        request = _with_settings(request, Path(scratch))
+        folder = request.out or Path(scratch, "flight")
         several = len(request.clocks) > 1
         status = _fly_clocks(request, folder) if several else _fly_one(request, folder, Path(scratch))
     raise typer.Exit(status)
@@ -58,9 +61,13 @@ def fly_script(request: FlyRequest) -> None:
 
 def _refuse_what_cannot_be(request: FlyRequest) -> None:
     flight = request.flight
-    for option, value, known in (("timing", flight.timing, TIMINGS), ("profile", flight.profile, PROFILES)):
-        if value not in known:
-            raise UsageError(f"--{option} {value}: there are {', '.join(known)}")
+    if flight.timing not in THINK_S:
+        raise UsageError(f"--timing {flight.timing}: there are {', '.join(THINK_S)}")
+    if flight.profile != FlightOptions.profile:
+        from uavaccel.sim.profile import PROFILES  # as heavy as the simulation itself
+
+        if flight.profile not in PROFILES:
+            raise UsageError(f"--profile {flight.profile}: there are {', '.join(PROFILES)}")
     _refuse_numbers(flight)
     asset(f"mjcf/{flight.scene}.xml")
     if not flight.script.is_file():
@@ -71,7 +78,7 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
         )
     if request.out is not None and request.out.exists() and any(request.out.iterdir()):
         raise UserError(f"{request.out}: is there already; choose another --out")
-    if flight.timing == "wall" and (flight.film or flight.think_s):
+    if flight.timing == "wall" and (flight.film or flight.think_s is not None):
         raise UsageError(
             "--film and --think need --timing virtual or lockstep: in wall time they would cost flight time"
         )
@@ -87,47 +94,60 @@ def _refuse_numbers(flight: FlightOptions) -> None:
         raise UsageError(f"--seed {flight.seed}: must be 0 to {MOST_SEEDS - 1}")
 
 
+def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:
+    """The request with the settings that there are, where none were named and none refused; says which."""
+    flight = replace(request.flight, scratch=scratch)
+    if flight.settings is None and request.find_settings and (found := found_settings(flight.script)):
+        print(f"settings: {found} (--no-settings flies without, --settings with others)", flush=True)
+        flight = replace(flight, settings=found, settings_found=True)
+    return replace(request, flight=flight)
+
+
 def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
-    options = replace(request.flight, folder=folder, clock_speed=_clocks_of(request)[0])
+    clock_speed = request.clocks[0] if request.clocks else None
+    options = replace(request.flight, folder=folder, clock_speed=clock_speed)
     flown = fly(options)
     _say_how_it_went(flown)
-    if request.check and flown.summary is not None:
-        again = check(replace(options, folder=scratch / "again", film=False), folder)
-        if again.status == DIFFERS:
-            return 1
-        print(
-            f"checked: flown twice, {flown.summary['calls']} calls and the trajectory are equal to the byte"
-        )
+    if not request.check or flown.summary is None or flown.interrupted:
+        return flown.status
+    again = check(replace(options, folder=scratch / "again", film=False), folder)
+    if again.differs:
+        return 1
+    if again.summary is None or again.interrupted:
+        print("not checked: the second flight did not come to its end", flush=True)
+        return again.status
+    print(f"checked: flown twice, {flown.summary['calls']} calls and the trajectory are equal to the byte")
     return flown.status
 
 
 def _fly_clocks(request: FlyRequest, folder: Path) -> int:
     """One line per ClockSpeed; the first one's flight is what the others are compared with."""
-    clocks = _clocks_of(request)
+    clocks = request.clocks
     first = folder / f"clock-{clocks[0]:g}"
-    statuses = []
+    statuses, slept = [], False
     for clock in clocks:
         options = replace(request.flight, folder=folder / f"clock-{clock:g}", clock_speed=clock)
         flown = fly(options, quiet=clock != clocks[0])
         statuses.append(flown.status)
-        if flown.summary is None:
+        if flown.summary is None or flown.interrupted:
             break
-        difference = (
-            ""
-            if clock == clocks[0]
-            else (
-                f", at most {largest_difference_m(options.folder, first):.3f} m from {clocks[0]:g}x at equal times"
-            )
-        )
+        slept |= flown.summary["slept_s"] > 0
+        compared = clock != clocks[0] and flown.summary["position_m"] is not None
+        difference = _difference_text(options.folder, first, clocks[0]) if compared else ""
         print(f"clock {clock:g}: {_speed_text(flown.summary)}{difference}", flush=True)
+    if slept:
+        print(
+            "the script sleeps while the clock runs: its sleeps are wall time, so at ClockSpeed k they let k times as "
+            "much be flown, and its flights part by that"
+        )
     return max(statuses)
 
 
-def _clocks_of(request: FlyRequest) -> Sequence[float]:
-    if request.clocks:
-        return request.clocks
-    flight = request.flight
-    return ((read_settings(flight.settings) if flight.settings else Settings()).clock_speed,)
+def _difference_text(folder: Path, first: Path, clock_speed: float) -> str:
+    from uavaccel.fly.trajectory import largest_difference_m
+
+    metres = largest_difference_m(folder, first)
+    return f", at most {metres:.3f} m from {clock_speed:g}x at equal times"
 
 
 def _say_how_it_went(flown: Flown) -> None:
@@ -135,8 +155,12 @@ def _say_how_it_went(flown: Flown) -> None:
         return
     summary = flown.summary
     stopped = "" if summary["finished"] else "interrupted; " if flown.status else "stopped by --until; "
-    place = "".join(f" {metres:.2f}" for metres in summary["position_m"] or ())
-    print(f"{stopped}{_speed_text(summary)}; {summary['calls']} calls; at{place} m", flush=True)
+    if summary["position_m"] is None:
+        print(f"{stopped}no client connected, nothing was flown", flush=True)
+        return
+    place = "".join(f" {metres:.2f}" for metres in summary["position_m"])
+    thinking = f", {1000 * summary['think_s']:g} ms of thinking before each" if summary["think_s"] else ""
+    print(f"{stopped}{_speed_text(summary)}; {summary['calls']} calls{thinking}; at{place} m", flush=True)
 
 
 def _speed_text(summary: dict[str, Any]) -> str:

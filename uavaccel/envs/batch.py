@@ -20,6 +20,7 @@ from uavaccel.envs.checks import make_task
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
+from uavaccel.sim.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
 
@@ -194,6 +195,9 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
 def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderService | None:
     if renderer == "own" or task.sensor().picture is None:
         return None
+    known = known_renderer()
+    if renderer == "auto" and known is not None and known.software:
+        return None  # no process need be started to say so
     service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:
         drawn_by = service.ready()

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Count, Course, Moment, NotNegative, Positive, Task, position_option
+from uavaccel.envs.task import (
+    AnyMoment,
+    Count,
+    Course,
+    NotNegative,
+    Positive,
+    Task,
+    distance,
+    position_option,
+)
 from uavaccel.kinematics import Kinematics
 
 POST_M = 0.2  # half the side of a post
@@ -41,32 +49,49 @@ class GatesTask(Task):
         places = [(x, y + side) for x, y, _ in course["gates_m"] for side in (-beside_m, beside_m)]
         return {"obstacles": [{"x_m": x, "y_m": y, "half_side_m": POST_M} for x, y in places]}
 
-    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        coming = (course["gates_m"][course["passed"] :] or course["gates_m"][-1:]) * 2
-        ways = np.subtract([coming[0], coming[1]], state.position_m).ravel()
-        return np.concatenate([ways, super().features(state, course)[0, 3:]]).astype(np.float32)
+    def fields(self, state: Any, course: Course) -> Sequence[Any]:
+        """The ways to the next two gates, the last one's twice, and the state but for its place."""
+        gates, passed = course["gates_m"], course["passed"]
+        coming = [*_gate(gates, passed), *_gate(gates, passed + 1)]
+        ways_m = [there - here for there, here in zip(coming, (*state.position_m,) * 2, strict=True)]
+        return [*ways_m, *super().fields(state, course)[3:]]
 
-    def advance(self, before: Moment, now: Moment) -> Course:
-        passed, missed = now.course["passed"], False
-        start, way = np.array(before.position_m), np.subtract(now.position_m, before.position_m)
-        for gate in now.course["gates_m"][passed:]:
-            if not missed and start[0] < gate[0] <= now.position_m[0]:
-                _, beside_m, above_m = abs(start + way * (gate[0] - start[0]) / way[0] - gate)
-                missed = bool(beside_m > self.half_width_m or above_m > self.half_height_m)
-                passed += not missed
+    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
+        return super().features(state, course)[0]
+
+    def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
+        passed, start, end = now.course["passed"], before.position_m, now.position_m
+        first, missed = passed, passed < 0
+        ahead_m = end[0] - start[0]
+        for number, (north, east, down) in enumerate(now.course["gates_m"]):
+            due = (first <= number) & (missed == 0) & (start[0] < north) & (north <= end[0])
+            share = (north - start[0]) / (ahead_m + (ahead_m == 0))
+            beside_m = abs(start[1] + (end[1] - start[1]) * share - east)
+            above_m = abs(start[2] + (end[2] - start[2]) * share - down)
+            outside = (beside_m > self.half_width_m) | (above_m > self.half_height_m)
+            missed = missed | (due & outside)
+            passed = passed + (due & (outside == 0))
         return {**now.course, "passed": passed, "missed": missed}
 
-    def reward(self, before: Moment, now: Moment) -> float:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
         """A point for each metre nearer to the gate that was next, five for each passed; five less for a failure."""
-        gate_m, passed = before.course["gates_m"][before.course["passed"]], before.course["passed"]
-        nearer_m = math.dist(gate_m, before.position_m) - math.dist(gate_m, now.position_m)
+        passed = before.course["passed"]
+        gate_m = _gate(before.course["gates_m"], passed)
+        nearer_m = distance(gate_m, before.position_m) - distance(gate_m, now.position_m)
         return nearer_m + 5.0 * (now.course["passed"] - passed) - 5.0 * self.failure(now)
 
-    def success(self, now: Moment) -> bool:
-        return now.collision is None and now.course["passed"] == len(now.course["gates_m"])
+    def success(self, now: AnyMoment) -> Any:
+        return now.free & (now.course["passed"] == len(now.course["gates_m"]))
 
-    def failure(self, now: Moment) -> bool:
-        return now.collision is not None or now.course["missed"]
+    def failure(self, now: AnyMoment) -> Any:
+        return now.touched | now.course["missed"]
+
+
+def _gate(gates: Sequence[Sequence[Any]], number: Any) -> list[Any]:
+    """Where the gate of that number is, beyond the last one the last: a choice by arithmetic, game by game."""
+    last = len(gates) - 1
+    chosen = [number == each for each in range(last)] + [number >= last]
+    return [sum(is_it * gate[axis] for is_it, gate in zip(chosen, gates, strict=True)) for axis in range(3)]
 
 
 class Gates(FlightEnv):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import Count, Course, Moment, Positive, Task, position_option
+from uavaccel.envs.task import AnyMoment, Count, Course, Moment, Positive, Task, distance, position_option
 from uavaccel.kinematics import Kinematics
 
 
@@ -31,29 +30,34 @@ class HoverTask(Task):
         drawn = random.uniform(-self.reach_m, self.reach_m, 3) - (0.0, 0.0, self.altitude_m)
         return {"waypoint_m": position_option(options, "waypoint_m", drawn), "held_s": 0.0}
 
+    def fields(self, state: Any, course: Course) -> Sequence[Any]:
+        """The way to the waypoint, and the state but for its place."""
+        way_m = [there - here for there, here in zip(course["waypoint_m"], state.position_m, strict=True)]
+        return [*way_m, *super().fields(state, course)[3:]]
+
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        features = super().features(state, course)[0]
-        features[:3] = np.subtract(course["waypoint_m"], state.position_m)
-        return features
+        return super().features(state, course)[0]
 
-    def advance(self, before: Moment, now: Moment) -> Course:
+    def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         there = distance_m(now) <= self.radius_m
-        return {**now.course, "held_s": now.course["held_s"] + self.t_move_s if there else 0.0}
+        return {**now.course, "held_s": (now.course["held_s"] + self.t_move_s) * there}
 
-    def reward(self, before: Moment, now: Moment) -> float:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
         """A point for each metre nearer and for each second held, and ten for the end of it."""
         held_s = self.t_move_s * (now.course["held_s"] > 0)
-        return distance_m(before) - distance_m(now) + held_s + 10.0 * self.success(now) - self.failure(now)
+        ends = 10.0 * self.success(now) - 1.0 * self.failure(now)
+        return distance_m(before) - distance_m(now) + held_s + ends
 
-    def success(self, now: Moment) -> bool:
-        return now.collision is None and now.course["held_s"] >= self.hold_s - 1e-9
+    def success(self, now: AnyMoment) -> Any:
+        return now.free & (now.course["held_s"] >= self.hold_s - 1e-9)
 
     def info(self, now: Moment) -> dict[str, Any]:
         return {"distance_m": distance_m(now), **now.course}
 
 
-def distance_m(now: Moment) -> float:
-    return math.dist(now.course["waypoint_m"], now.position_m)
+def distance_m(now: AnyMoment) -> Any:
+    """From the waypoint."""
+    return distance(now.course["waypoint_m"], now.position_m)
 
 
 class Hover(FlightEnv):

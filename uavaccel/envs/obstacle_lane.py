@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -17,10 +17,10 @@ from pydantic import Field, field_validator, model_validator
 from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import Count, Course, Moment, Task
+from uavaccel.envs.task import AnyMoment, Count, Course, Moment, Task
 from uavaccel.envs.told import Knowledge, Told
 from uavaccel.errors import UserError
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import Vector
 from uavaccel.limits import Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M, Difficulty, Split, lane_seed
@@ -143,10 +143,15 @@ class LaneTask(Task):
         """The headings."""
         return spaces.Discrete(len(self.headings_deg))
 
-    def goal(self, action: Any) -> VelocityGoal:
-        heading = math.radians(self.headings_deg[int(action)])
-        velocity = (self.speed_m_s * math.cos(heading), self.speed_m_s * math.sin(heading), 0.0)
-        return VelocityGoal(velocity, -self.altitude_m)
+    @property
+    def directions(self) -> Sequence[Vector]:
+        """Of the headings."""
+        headings = [math.radians(heading) for heading in self.headings_deg]
+        return [(math.cos(heading), math.sin(heading), 0.0) for heading in headings]
+
+    @property
+    def held_z_m(self) -> float:
+        return -self.altitude_m
 
     def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
         """A lane of the split, or the one that the options name."""
@@ -179,15 +184,15 @@ class LaneTask(Task):
     def layout(self, course: Course) -> Any:
         return self.wire_lane(course["lane"])
 
-    def reward(self, before: Moment, now: Moment) -> float:
-        progress_m = float(now.position_m[0]) - float(before.position_m[0])
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
+        progress_m = now.position_m[0] - before.position_m[0]
         ends = self.goal_reward * self.success(now) + self.collision_reward * self.failure(now)
-        from_middle = 2.0 * float(now.position_m[1]) / WIDTH_M
-        return self.progress_reward * progress_m + self.wall_reward * from_middle**2 + ends
+        from_middle = 2.0 * now.position_m[1] / WIDTH_M
+        return self.progress_reward * progress_m + self.wall_reward * (from_middle * from_middle) + ends
 
-    def success(self, now: Moment) -> bool:
+    def success(self, now: AnyMoment) -> Any:
         """The lane's end without a collision (paper, section III-C3)."""
-        return now.collision is None and float(now.position_m[0]) >= LENGTH_M
+        return now.free & (now.position_m[0] >= LENGTH_M)
 
     def info(self, now: Moment) -> dict[str, Any]:
         """How far north it got, the lane's index, and the conditions, where they were drawn."""

@@ -160,9 +160,9 @@ def from_arrays(state: Mapping[str, Any]) -> dict[str, Any]:
     return {name: each if each.ndim else each.item() for name, each in arrays.items()}
 
 
-def state_fields(state: Kinematics) -> NDArray[np.float32]:
-    """Position, attitude, velocity and body rate (1, 13), in the units of `Kinematics`."""
-    return np.concatenate([getattr(state, name) for name in STATE_FIELDS]).astype(np.float32)[None]
+def state_fields(state: Any) -> list[Any]:
+    """Position, attitude, velocity and body rate, 13 numbers, in the units of `Kinematics`; or 13 arrays."""
+    return [number for name in STATE_FIELDS for number in getattr(state, name)]
 
 
 def _reduced(image: NDArray[Any]) -> NDArray[Any]:

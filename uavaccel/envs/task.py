@@ -6,7 +6,8 @@ the environment's keywords, and a few pure functions of what happened, each of w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -36,7 +37,11 @@ AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 
 
 
 class Moment(NamedTuple):
-    """What is known at a game's start and at the end of each command."""
+    """What is known at a game's start and at the end of each command.
+
+    A task's functions take one game's, or a `Moments` of many: what they compute is arithmetic on its numbers, the same
+    for one float and for an array of them.
+    """
 
     state: Kinematics
     """Of the last sample."""
@@ -48,6 +53,34 @@ class Moment(NamedTuple):
     """Flown so far."""
     course: Course
     """The task's own: what it drew, and what became of it. Plain numbers, lists and mappings."""
+
+    @property
+    def touched(self) -> bool:
+        return self.collision is not None
+
+    @property
+    def free(self) -> bool:
+        return self.collision is None
+
+
+class Moments(NamedTuple):
+    """The same of many games: where `Moment` has a number, an array (n,) of NumPy or a tensor of PyTorch."""
+
+    state: Any
+    """A `Kinematics` of arrays."""
+    position_m: Any
+    """Three arrays: north, east, down."""
+    touched: Any
+    commands: Any
+    course: Mapping[str, Any]
+    """What is a list of numbers in a game's course is a list of arrays."""
+
+    @property
+    def free(self) -> Any:
+        return ~self.touched
+
+
+AnyMoment = Any  # a Moment, or Moments
 
 
 class Task(Config):
@@ -186,9 +219,13 @@ class Task(Config):
         """What the agent is told beside its frames."""
         return None
 
+    def fields(self, state: Any, course: Course) -> Sequence[Any]:
+        """The numbers of a frame of observation "state", of one state or of a `Kinematics` of arrays."""
+        return state_fields(state)
+
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
         """A frame of observation "state"."""
-        return state_fields(state)
+        return np.array(self.fields(state, course), np.float32)[None]
 
     # --- actions: by default a velocity ---------------------------------------------------------------
 
@@ -196,10 +233,21 @@ class Task(Config):
         """North, east and down: shares of `speed_m_s`."""
         return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
+    @property
+    def directions(self) -> Sequence[Vector] | None:
+        """Of discrete actions: north, east and down, shares of `speed_m_s`. None: an action is its own direction."""
+        return None
+
+    @property
+    def held_z_m(self) -> float | None:
+        """The NED height that every command holds; None: commands fly up and down too."""
+        return None
+
     def goal(self, action: Any) -> VelocityGoal:
         """The velocity that an action of the space asks for."""
-        north, east, down = (float(share) * self.speed_m_s for share in action)
-        return VelocityGoal((north, east, down))
+        direction = action if self.directions is None else self.directions[int(action)]
+        north, east, down = (float(share) * self.speed_m_s for share in direction)
+        return VelocityGoal((north, east, down), self.held_z_m)
 
     # --- a game ---------------------------------------------------------------------------------------
 
@@ -219,21 +267,21 @@ class Task(Config):
         """The scene of a game as Client.set_lane takes it; None: as it is."""
         return None
 
-    def advance(self, before: Moment, now: Moment) -> Course:
+    def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         """The course after a command."""
         return now.course
 
-    def reward(self, before: Moment, now: Moment) -> float:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
         """Of one command."""
-        return 0.0
+        return 0.0 * now.commands
 
-    def success(self, now: Moment) -> bool:
+    def success(self, now: AnyMoment) -> Any:
         """Whether the game is won; it is over then."""
-        return False
+        return now.touched & now.free
 
-    def failure(self, now: Moment) -> bool:
+    def failure(self, now: AnyMoment) -> Any:
         """Whether it is lost."""
-        return now.collision is not None
+        return now.touched
 
     def info(self, now: Moment) -> dict[str, Any]:
         """What infos have beside the keys of `FlightEnv`."""
@@ -266,3 +314,9 @@ def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.flo
         raise UserError(f"reset: option {name} = {options[name]!r} must be {form} in metres")
     positions: list[Any] = given.tolist()
     return positions
+
+
+def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """Metres between two places, of one game or of many."""
+    squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
+    return math.sqrt(squared) if isinstance(squared, float) else squared**0.5

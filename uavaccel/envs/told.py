@@ -72,6 +72,17 @@ class Told:
             plane[rows] = min(level, FULL_LEVEL)
         return plane
 
+    def actions_shown(self) -> NDArray[np.uint8]:
+        """`last_action` after each action (actions + 1, 36, 64), after none the last."""
+        planes = np.full((len(self._columns) + 1, *SIZE), NEUTRAL_LEVEL, np.uint8)
+        for action, columns in enumerate(self._columns):
+            planes[action, :, columns] = FULL_LEVEL
+        return planes
+
+    def rows_frames(self) -> NDArray[np.int64]:
+        """Which frame's age each row of `frame_age` shows (36,)."""
+        return np.repeat(np.arange(self._frames), [len(rows) for rows in self._bands])
+
     def get_state(self) -> State:
         """What it remembers of the running game, for np.savez."""
         return {"action": self._action, "now_ns": self._now_ns, "taken_ns": list(self._taken_ns)}
@@ -80,6 +91,11 @@ class Told:
         """Back to what `get_state` gave."""
         self._action, self._now_ns = int(state["action"]), int(state["now_ns"])
         self._taken_ns.extend(int(each) for each in state["taken_ns"])
+
+
+def age_levels(ages_ns: Any) -> Any:
+    """What `frame_age` shows of ages in simulated ns, an array of them: 128 to 255."""
+    return NEUTRAL_LEVEL + (ages_ns // AGE_LEVEL_NS).clip(0, FULL_LEVEL - NEUTRAL_LEVEL)
 
 
 def _part(width: int, part: int, parts: int) -> slice:

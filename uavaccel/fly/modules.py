@@ -9,41 +9,50 @@ from __future__ import annotations
 import builtins
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
-import uavaccel.airsim
-from uavaccel import airsim
-from uavaccel.airsim import client, pfm, types, utils
-from uavaccel.wire.rpc import RpcError
+from uavaccel.clock import MonotonicClock
+from uavaccel.units import NS_PER_S
 
 CLIENTS = ("airsim", "cosysairsim")
+OLD_CLIENT = "AirSimClient"  # the client's one module before AirSim 1.2
+PARTS = ("client", "types", "utils", "pfm")
+_HOME = "uavaccel.airsim"
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_OWN = str(Path(__file__).parents[1])
+
+Modules = dict[str, Callable[[], ModuleType]]
+"""Modules by the names under which they are imported, each made when it is."""
 
 
-def client_modules() -> dict[str, ModuleType]:
+def client_modules() -> Modules:
     """AirSim's client under the names by which scripts import it, and the helpers that it comes with."""
-    found: dict[str, ModuleType] = {}
+    homes = {OLD_CLIENT: f"{_HOME}.old_client"}
     for name in CLIENTS:
-        found[name] = airsim
-        parts = {"client": client, "types": types, "utils": utils, "pfm": pfm}
-        found |= {f"{name}.{part}": module for part, module in parts.items()}
-    return (
-        found
-        | _msgpackrpc()
-        | {"setup_path": named_module("setup_path", SetupPath=type("SetupPath", (), {}))}
-    )
+        homes |= {name: _HOME} | {f"{name}.{part}": f"{_HOME}.{part}" for part in PARTS}
+    found: dict[str, Callable[[], ModuleType]] = {
+        name: lambda home=home: import_module(home)  # type: ignore[misc]
+        for name, home in homes.items()
+    }
+    found["setup_path"] = lambda: named_module("setup_path", SetupPath=type("SetupPath", (), {}))
+    return found | {"msgpackrpc": _msgpackrpc, "msgpackrpc.error": lambda: _msgpackrpc().error}
 
 
-def _msgpackrpc() -> dict[str, ModuleType]:
+def _msgpackrpc() -> ModuleType:
     """The errors that scripts catch."""
+    from uavaccel.wire.rpc import RpcError
+
     error = named_module(
         "msgpackrpc.error", RPCError=RpcError, TransportError=ConnectionError, TimeoutError=TimeoutError
     )
-    return {"msgpackrpc": named_module("msgpackrpc", error=error), "msgpackrpc.error": error}
+    return named_module("msgpackrpc", error=error, __path__=[])
 
 
 def named_module(name: str, **attributes: Any) -> ModuleType:
@@ -52,11 +61,30 @@ def named_module(name: str, **attributes: Any) -> ModuleType:
     return module
 
 
+class Exchanged(Loader, MetaPathFinder):
+    """Finds modules of ours by names of others; counts the wall time that making them takes."""
+
+    def __init__(self, modules: Modules) -> None:
+        self._modules, self._clock = modules, MonotonicClock()
+        self.spent_s = 0.0
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if name not in self._modules:
+            return None
+        return ModuleSpec(name, self, is_package=name in (*CLIENTS, "gym"))
+
+    def exec_module(self, module: ModuleType) -> None:
+        begun_ns = self._clock.now_ns()
+        sys.modules[module.__name__] = self._modules[module.__name__]()
+        self.spent_s += (self._clock.now_ns() - begun_ns) / NS_PER_S
+
+
 @contextmanager
-def importing(everywhere: Mapping[str, ModuleType], in_scripts: Mapping[str, ModuleType]) -> Iterator[None]:
+def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[Exchanged]:
     """Let imports find these modules: `everywhere`, or where files that belong to no library import them."""
-    before = {name: sys.modules.get(name) for name in everywhere}
-    sys.modules.update(everywhere)
+    before = {name: sys.modules.pop(name, None) for name in everywhere}
+    finder = Exchanged(everywhere)
+    sys.meta_path.insert(0, finder)
     original = builtins.__import__
 
     def import_for(
@@ -64,17 +92,14 @@ def importing(everywhere: Mapping[str, ModuleType], in_scripts: Mapping[str, Mod
     ) -> ModuleType:
         if level == 0 and name in in_scripts and of_a_script(globals):
             return in_scripts[name]
-        found = original(name, globals, locals, fromlist, level)
-        if level == 0 and name in everywhere and "." in name:  # nobody has put it into its package
-            package, _, part = name.rpartition(".")
-            setattr(sys.modules[package], part, everywhere[name])
-        return found
+        return original(name, globals, locals, fromlist, level)
 
     builtins.__import__ = import_for
     try:
-        yield
+        yield finder
     finally:
         builtins.__import__ = original
+        sys.meta_path.remove(finder)
         for name, module in before.items():
             if module is None:
                 sys.modules.pop(name, None)
@@ -91,4 +116,12 @@ def of_a_script(namespace: Mapping[str, Any] | None) -> bool:
     return not path.startswith(_LIBRARIES) and "site-packages" not in path and not path.startswith(_OWN)
 
 
-_OWN = str(Path(uavaccel.airsim.__file__).parents[1])
+def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:
+    """Whether the call under way is one of a file that belongs to no library, be it `through` Python's own modules."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if name.partition(".")[0] not in through and not name.startswith("uavaccel.fly"):
+            return of_a_script(frame.f_globals)
+        frame = frame.f_back
+    return False

@@ -176,22 +176,27 @@ def make(id: str, **arguments: Any) -> Adapted:
     return Adapted(entry_point(**{**defaults, **arguments}))
 
 
-def gym_modules() -> dict[str, ModuleType]:
-    """gym, and shimmy, by which stable-baselines3 takes old environments; nothing where a gym is installed."""
-    if importlib.util.find_spec("gym") is not None:
-        return {}
+def modules() -> dict[str, ModuleType]:
+    """gym, and shimmy, by which stable-baselines3 takes old environments."""
     registration = named_module("gym.envs.registration", register=register, make=make)
     envs = named_module("gym.envs", registration=registration)
     core = named_module("gym.core", Env=Env, Wrapper=Wrapper, ObservationWrapper=ObservationWrapper)
     utils = named_module("gym.utils", seeding=seeding)
     wrappers = (Wrapper, ObservationWrapper, ActionWrapper, RewardWrapper)
     gym = named_module(
-        "gym", Env=Env, spaces=spaces, envs=envs, core=core, utils=utils, make=make, register=register
+        "gym",
+        Env=Env,
+        spaces=spaces,
+        envs=envs,
+        core=core,
+        utils=utils,
+        make=make,
+        register=register,
     )
     vars(gym).update({wrapper.__name__: wrapper for wrapper in wrappers}, __path__=[], __version__="0.21.0")
     shimmy = named_module("shimmy", GymV21CompatibilityV0=lambda env: Adapted(env))
-    modules = (gym, envs, registration, core, utils, shimmy)
-    return {module.__name__: module for module in modules} | {
+    found = (gym, envs, registration, core, utils, shimmy)
+    return {module.__name__: module for module in found} | {
         "gym.spaces": spaces,
         "gym.utils.seeding": seeding,
     }

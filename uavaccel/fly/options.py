@@ -7,13 +7,26 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Self
 
+THINK_S = {"wall": 0.0, "virtual": 0.001, "lockstep": 0.0}
+"""By timing, the script's wall time that a flight charges before each call.
+
+In `wall` the script takes what it takes, in `lockstep` nothing takes any time; in `virtual` one that calls in a loop
+would otherwise do so as often as the wire carries it, which no script does.
+"""
+
+SUMMARY = "flight.json"
+DIFFERENCE = "difference.txt"  # in it, how a flight differs from its reference; not there where it does not
+HEEDED = "interrupted"  # in the temporary folder: the script has got an interruption
+SCRATCH = "uavaccel-fly-"  # then the number of the process to which a temporary folder belongs
+
 
 @dataclass(frozen=True)
 class FlightOptions:
     """One flight of one script.
 
-    `think_s` is wall time that the script takes before each call; `until_s` ends it after so many seconds of its wall
-    clock times ClockSpeed; `reference` is a finished flight whose messages this one's have to equal.
+    `think_s` is wall time that the script takes before each call, None the timing's; `until_s` ends it after so many
+    seconds of its wall clock times ClockSpeed; `reference` is a finished flight whose messages this one's have to
+    equal. `scratch` is a temporary folder; `settings_found`: nobody named the settings, they were found.
     """
 
     script: Path
@@ -24,11 +37,18 @@ class FlightOptions:
     scene: str = "blocks"
     clock_speed: float | None = None
     settings: Path | None = None
-    think_s: float = 0.0
+    think_s: float | None = None
     seed: int | None = None
     until_s: float | None = None
     film: bool = False
     reference: Path | None = None
+    scratch: Path | None = None
+    settings_found: bool = False
+
+    @property
+    def thinks_s(self) -> float:
+        """Wall time before each call."""
+        return THINK_S[self.timing] if self.think_s is None else self.think_s
 
     def to_json(self) -> str:
         return json.dumps(

@@ -1,44 +1,63 @@
 """The process in which a script flies; it leaves its flight in a folder.
 
-    python -m uavaccel.fly.process OPTIONS
+    python -m uavaccel.fly.process OPTIONS PARENT
 
-OPTIONS are those of `FlightOptions.to_json`. Exit status: the script's; DIFFERS where a flight is not as its reference.
+OPTIONS are those of `FlightOptions.to_json`, PARENT the number of the process that started it, without which it ends.
+Exit status: the script's. Where a flight is not as its reference, the file DIFFERENCE is in its folder.
 """
 
 from __future__ import annotations
 
+import os
 import random
+import shutil
+import signal
 import sys
-from typing import Any
-
-import numpy as np
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 from uavaccel.errors import UserError
-from uavaccel.files import to_json
 from uavaccel.fly.messages import DifferenceError, MessageLog
-from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.script import compiled, flush_output, unraisable
-from uavaccel.fly.simulated import SimulatedFlight
-from uavaccel.fly.wall import WallFlight
-from uavaccel.wire.settings import Settings, read_settings
+from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions
+from uavaccel.fly.patches import Patches
+from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
+from uavaccel.parent import end_with_parent
 
-DIFFERS = 3
-SUMMARY = "flight.json"
+if TYPE_CHECKING:
+    from uavaccel.wire.settings import Settings
 
 
 def main() -> None:
     options = FlightOptions.from_json(sys.argv[1])
+    end_with_parent(int(sys.argv[2]), lambda: _clear_away(options))
+    for kind in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(kind, lambda number, frame: _heed(options, frame))
     sys.unraisablehook = unraisable
     try:
         status = fly(options)
     except DifferenceError as error:
-        status = _complain(str(error), DIFFERS)
+        (options.folder / DIFFERENCE).write_text(f"{error}\n", encoding="utf-8")
+        status = _complain(str(error), 1)
     except UserError as error:
         status = _complain(f"error: {error}", error.exit_status)
     except KeyboardInterrupt:
-        status = _complain("interrupted", 130)
+        status = _complain("interrupted", INTERRUPTED)
     flush_output()
     sys.exit(status)
+
+
+def _heed(options: FlightOptions, frame: FrameType | None) -> None:
+    """SIGTERM and Ctrl-C alike interrupt the script; whoever started it sees that it knows."""
+    if options.scratch is not None:
+        (options.scratch / HEEDED).touch()
+    signal.default_int_handler(signal.SIGINT, frame)
+
+
+def _clear_away(options: FlightOptions) -> None:
+    """Whoever would do that was killed."""
+    os.write(2, b"uavaccel: error: the process that started this flight was killed; the script ends too\n")
+    if options.scratch is not None:
+        shutil.rmtree(options.scratch, ignore_errors=True)
 
 
 def _complain(text: str, status: int) -> int:
@@ -50,21 +69,56 @@ def _complain(text: str, status: int) -> int:
 def fly(options: FlightOptions) -> int:
     """Fly a script, and write messages, trajectory and summary; returns its exit status. Raises UserError."""
     compiled(options.script)  # what is no Python is said before anything is built
-    settings = read_settings(options.settings) if options.settings else Settings()
-    clock_speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
+    settings = settings_of(options)
+    given = 1.0 if settings is None else settings.clock_speed
+    clock_speed = given if options.clock_speed is None else options.clock_speed
     log = MessageLog(options.folder, options.reference)
-    kind: type[WallFlight | SimulatedFlight] = WallFlight if options.timing == "wall" else SimulatedFlight
-    flight: Any = kind(options, settings, clock_speed, log)
-    if options.seed is not None:
-        random.seed(options.seed)
-        np.random.seed(options.seed)  # noqa: NPY002  the generator that scripts use
-    outcome = flight.run()
+    flight = _flight(options, settings, clock_speed, log)
+    with Patches() as patches:
+        if (seed := options.seed) is not None:
+            random.seed(seed)
+            patches.when_imported(
+                "numpy", lambda numpy: numpy.random.seed(seed)
+            )  # the generator that scripts use
+        outcome = flight.run()
+    for kind in (signal.SIGINT, signal.SIGTERM):  # what was flown is kept
+        signal.signal(kind, signal.SIG_IGN)
     flush_output()
     flight.end()
-    log.close()
+    if outcome.status == INTERRUPTED and not outcome.finished:
+        log.close_file()  # it was not flown to the end of any reference
+    else:
+        log.close()
     summary = {"clock_speed": clock_speed, "calls": log.calls, **outcome._asdict(), **flight.summary()}
+    from uavaccel.files import to_json
+
     (options.folder / SUMMARY).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
     return outcome.status
+
+
+def settings_of(options: FlightOptions) -> Settings | None:
+    """Those of the file that there is, if any. Raises UserError where one that was named is none."""
+    if options.settings is None:
+        return None
+    from uavaccel.wire.settings import read_settings
+
+    try:
+        return read_settings(options.settings)
+    except UserError as error:
+        if not options.settings_found:
+            raise
+        print(f"uavaccel: warning: {error}; flown without", file=sys.stderr, flush=True)
+        return None
+
+
+def _flight(options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> Any:
+    if options.timing == "wall":
+        from uavaccel.fly.wall import WallFlight
+
+        return WallFlight(options, settings, clock_speed, log)
+    from uavaccel.fly.simulated import SimulatedFlight
+
+    return SimulatedFlight(options, settings, clock_speed, log)
 
 
 if __name__ == "__main__":

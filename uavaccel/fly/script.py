@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.fly.tracebacks import hide_ours
 from uavaccel.units import NS_PER_S
 
 INTERRUPTED = 130  # exit status
@@ -82,6 +83,7 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
         raise
     except Exception as error:
         error.__traceback__ = _of_the_script(error.__traceback__, code.co_filename)
+        hide_ours(error)
         traceback.print_exception(error)
         return 1
     return 0

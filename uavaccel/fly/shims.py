@@ -1,83 +1,82 @@
-"""What scripts of AirSim's time need on a modern, headless Python: NumPy's old names, windows, keys.
+"""What scripts of AirSim's time need on a modern, headless Python: NumPy's old names, windows, keys, gym 0.21.
 
-Each is put in place for the process that flies a script, and never taken back.
+What changes a module does so when the script, or a library of its, imports that module.
 """
 
 from __future__ import annotations
 
 import builtins
 import functools
+import importlib.util
 import os
 import warnings
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
-import cv2
-import numpy as np
+from uavaccel.fly.modules import Modules, named_module
+from uavaccel.fly.patches import Patches
 
-from uavaccel.airsim import utils
-from uavaccel.fly.modules import named_module
-
-OLD_NAMES = {  # of NumPy, gone since 1.24 and 2.0
+OLD_NAMES = {  # of NumPy, gone since 1.24 and 2.0, and what they mean: of Python, or NumPy's name of today
     "bool": bool,
     "complex": complex,
     "float": float,
     "int": int,
     "object": object,
     "str": str,
-    "bool8": np.bool_,
-    "complex_": np.complex128,
-    "float_": np.float64,
-    "unicode_": np.str_,
-    "string_": np.bytes_,
-    "Inf": np.inf,
-    "NaN": np.nan,
-    "infty": np.inf,
-    "PINF": np.inf,
-    "NINF": -np.inf,
-    "product": np.prod,
-    "cumproduct": np.cumprod,
-    "sometrue": np.any,
-    "alltrue": np.all,
-    "in1d": np.isin,
+    "bool8": "bool_",
+    "complex_": "complex128",
+    "float_": "float64",
+    "unicode_": "str_",
+    "string_": "bytes_",
+    "Inf": "inf",
+    "NaN": "nan",
+    "infty": "inf",
+    "PINF": "inf",
+    "product": "prod",
+    "cumproduct": "cumprod",
+    "sometrue": "any",
+    "alltrue": "all",
+    "in1d": "isin",
 }
+GYM = ("gym", "gym.envs", "gym.envs.registration", "gym.core", "gym.utils", "gym.spaces", "gym.utils.seeding")
 NO_KEY = -1  # of cv2.waitKey
 WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
 
 
-def supply(sleep: Callable[[float], None]) -> None:
+def supply(patches: Patches, sleep: Callable[[float], None]) -> None:
     """Put all of them in place; waiting for a key in a window takes its time by `sleep`."""
     os.environ["MPLBACKEND"] = "Agg"
-    supply_numpy()
-    supply_windows(sleep)
-    builtins.input = _no_input
-    utils.wait_key = _no_key
-    import uavaccel.airsim as airsim
+    patches.set(builtins, "input", _no_input)
+    patches.when_imported("numpy", lambda module: supply_numpy(patches, module))
+    patches.when_imported("cv2", lambda module: supply_windows(patches, module, sleep))
+    patches.when_imported("matplotlib.pyplot", lambda module: supply_pause(patches, module, sleep))
+    for name in ("uavaccel.airsim", "uavaccel.airsim.utils"):
+        patches.when_imported(name, lambda module: patches.set(module, "wait_key", no_key))
 
-    airsim.wait_key = _no_key
 
-
-def supply_numpy() -> None:
+def supply_numpy(patches: Patches, numpy: Any) -> None:
     """NumPy's old names, and `fromstring` of bytes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for name, value in OLD_NAMES.items():
-            if not hasattr(np, name):
-                setattr(np, name, value)
-    original = np.fromstring
+        missing = {name: now for name, now in OLD_NAMES.items() if not hasattr(numpy, name)}
+        if not hasattr(numpy, "NINF"):
+            patches.set(numpy, "NINF", -numpy.inf)
+    for name, now in missing.items():
+        patches.set(numpy, name, getattr(numpy, now) if isinstance(now, str) else now)
+    original = numpy.fromstring
 
     @functools.wraps(original)
     def fromstring(string: Any, dtype: Any = float, count: int = -1, sep: str = "", **options: Any) -> Any:
         if sep:
             return original(string, dtype, count, sep=sep, **options)
         data = string.encode("latin1") if isinstance(string, str) else string
-        return np.frombuffer(data, dtype, count).copy()
+        return numpy.frombuffer(data, dtype, count).copy()
 
-    np.fromstring = fromstring  # type: ignore[assignment]
+    patches.set(numpy, "fromstring", fromstring)
 
 
-def supply_windows(sleep: Callable[[float], None]) -> None:
+def supply_windows(patches: Patches, cv2: Any, sleep: Callable[[float], None]) -> None:
     """OpenCV's windows, shown nowhere; no key is ever pressed."""
 
     def wait_key(delay: int = 0) -> int:
@@ -85,17 +84,41 @@ def supply_windows(sleep: Callable[[float], None]) -> None:
         return NO_KEY
 
     for name in WINDOWS:
-        setattr(cv2, name, lambda *arguments, **options: None)
-    cv2.waitKey = cv2.waitKeyEx = wait_key
+        patches.set(cv2, name, lambda *arguments, **options: None)
+    for name in ("waitKey", "waitKeyEx"):
+        patches.set(cv2, name, wait_key)
 
 
-def old_modules() -> dict[str, ModuleType]:
-    """scipy.misc, whose images went in SciPy 1.2."""
-    return {"scipy.misc": named_module("scipy.misc", imsave=_save_image, imread=_read_image)}
+def supply_pause(patches: Patches, pyplot: Any, sleep: Callable[[float], None]) -> None:
+    """Matplotlib's pause between two pictures, shown nowhere."""
+    patches.set(pyplot, "pause", lambda interval: sleep(interval))
+
+
+def old_modules() -> Modules:
+    """scipy.misc, whose images went in SciPy 1.2; gym 0.21 and its adapter where no gym is installed."""
+    found: dict[str, Callable[[], ModuleType]] = {
+        "scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)
+    }
+    if importlib.util.find_spec("gym") is None:
+        found |= {name: lambda name=name: _of_gym(name) for name in (*GYM, "shimmy")}  # type: ignore[misc]
+    return found
+
+
+@functools.cache
+def _gym() -> dict[str, ModuleType]:
+    from uavaccel.fly import old_gym
+
+    return old_gym.modules()
+
+
+def _of_gym(name: str) -> ModuleType:
+    return _gym()[name]
 
 
 def _read_image(name: str) -> Any:
     """Red first. Raises FileNotFoundError where there is no image."""
+    import cv2
+
     pixels = cv2.imread(str(name))
     if pixels is None:
         raise FileNotFoundError(f"no image in {name}")
@@ -104,6 +127,9 @@ def _read_image(name: str) -> Any:
 
 def _save_image(name: str, image: Any) -> None:
     """Stretched to 0 to 255 where it is not of bytes, red first."""
+    import cv2
+    import numpy as np
+
     pixels = np.asarray(image)
     if pixels.dtype != np.uint8:
         low, high = float(pixels.min()), float(pixels.max())
@@ -117,7 +143,7 @@ def _no_input(prompt: object = "") -> str:
     return ""
 
 
-def _no_key(message: str = "") -> str:
+def no_key(message: str = "") -> str:
     """As if Enter were pressed."""
     if message:
         print(message)

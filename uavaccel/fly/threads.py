@@ -6,14 +6,14 @@ Only one thread of a script ever runs, so locks are plain flags.
 from __future__ import annotations
 
 import queue
-import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any, Self, TypeVar
 
 from uavaccel.fly.script import Enough
+from uavaccel.fly.tracebacks import hide_ours
 from uavaccel.fly.turns import Turns
 
 Class = TypeVar("Class", bound=type)
@@ -158,6 +158,14 @@ class Semaphore:
         self.release()
 
 
+class Barrier(threading.Barrier):
+    turns: Turns
+
+    def __init__(self, parties: int, action: Any = None, timeout: float | None = None) -> None:
+        super().__init__(parties, action, timeout)
+        self._cond = bound(Condition, self.turns)()
+
+
 class Thread(threading.Thread):
     """A thread that runs in its turns. The process does not wait for it; the flight does, unless it is a daemon."""
 
@@ -179,8 +187,10 @@ class Thread(threading.Thread):
             run()
         except Enough:
             pass
-        except BaseException:
-            threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), self)))
+        except BaseException as error:
+            hide_ours(error)
+            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
         finally:
             self.over = True
             self.running.remove(self)
@@ -238,18 +248,30 @@ class PriorityQueue(Queue, queue.PriorityQueue[Any]):
     pass
 
 
-def thread_modules(turns: Turns) -> tuple[dict[str, ModuleType], list[Thread]]:
-    """`threading` and `queue` for a script, and the list of its threads that run."""
-    running: list[Thread] = []
-    kinds = (Lock, RLock, Condition, Event, Semaphore, Thread, Timer, Queue, LifoQueue, PriorityQueue)
-    own: dict[str, Any] = {kind.__name__: bound(kind, turns) for kind in kinds}
-    for name in ("Thread", "Timer"):
-        own[name].running = running
-    own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
-    modules = {}
-    for original in (threading, queue):
-        module = modules[original.__name__] = ModuleType(original.__name__, original.__doc__)
-        names = {name for name in vars(original) if not name.startswith("__")}
-        vars(module).update({name: getattr(original, name) for name in names})
-        vars(module).update({name: kind for name, kind in own.items() if name in names})
-    return modules, running
+class ThreadKinds:
+    """The stand-ins, by the name of the module and their own, and the script's threads that run."""
+
+    def __init__(self, turns: Turns) -> None:
+        kinds = (Lock, RLock, Condition, Event, Semaphore, Barrier, Thread, Timer)
+        own: dict[str, Any] = {kind.__name__: bound(kind, turns) for kind in kinds}
+        own |= {kind.__name__: bound(kind, turns) for kind in (Queue, LifoQueue, PriorityQueue)}
+        own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
+        self.running: list[Thread] = []
+        for name in ("Thread", "Timer"):
+            own[name].running = self.running
+        self.own = {
+            module: {name: kind for name, kind in own.items() if hasattr(module, name)}
+            for module in (threading, queue)
+        }
+
+    def modules(self) -> dict[str, ModuleType]:
+        """`threading` and `queue` for a script."""
+        return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
+
+
+def changed(module: ModuleType, names: Mapping[str, Any]) -> ModuleType:
+    """A copy of a module in which some names are others."""
+    copy = ModuleType(module.__name__, module.__doc__)
+    vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
+    vars(copy).update(names)
+    return copy

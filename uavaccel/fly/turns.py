@@ -5,73 +5,109 @@ So a script with threads flies the same every time: who runs, and when, is decid
 
 from __future__ import annotations
 
-import heapq
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 
-from uavaccel.clock import VirtualClock
+from uavaccel.clock import WallClock
+from uavaccel.errors import UserError
+from uavaccel.fly.script import Enough
+from uavaccel.parent import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
-LOOK_NS = 1_000_000  # a thread that waits for another one's doing looks so often
+FOREIGN_S = 1e-3  # of the machine's time, between two looks at what threads that take no turns have done
+OURS = {END_WITH_PARENT}  # such threads that do nothing for a script
+LOOK_NS = 1_000_000  # a thread whose answer depends on another one's doing looks so often
 
 
-@dataclass(order=True)
+@dataclass(eq=False)
 class Turn:
-    """A thread that waits for a time; of two for the same time, the one that has waited longer goes first."""
+    """A thread that waits: for a time, for something to happen, or for whichever is first.
 
-    wake_ns: int
+    Of two that may go on, the one that has waited longer does. `outside` waits for what the machine may bring, such as
+    a message on a socket: for when nobody else can go on.
+    """
+
+    wake_ns: float
     order: int
-    begins: threading.Event = field(default_factory=threading.Event, compare=False)
+    happened: Callable[[], bool] | None = None
+    outside: Callable[[], object] | None = None
+    begins: threading.Event = field(default_factory=threading.Event)
+
+    def due(self, now_ns: int) -> tuple[float, int]:
+        """When it may go on, and its place among those that may then."""
+        ready = self.wake_ns > now_ns and self.happened is not None and self.happened()
+        return (now_ns if ready else self.wake_ns), self.order
 
 
 class Turns:
-    """Hands the run of a script from thread to thread. Made in the first thread, which runs."""
+    """Hands the run of a script from thread to thread. Made in the first thread, which runs.
 
-    def __init__(self, clock: VirtualClock) -> None:
+    At `limit_ns` of the clock waits end with Enough.
+    """
+
+    def __init__(self, clock: WallClock, limit_ns: int | None = None) -> None:
         self._clock = clock
+        self._limit_ns = inf if limit_ns is None else limit_ns
         self._waiting: list[Turn] = []
         self._order = 0
         self._threads = {threading.get_ident()}
 
+    def now_ns(self) -> int:
+        return self._clock.now_ns()
+
     def earliest_ns(self) -> int | None:
-        """When the next other thread wants to run; None if there is none."""
-        return self._waiting[0].wake_ns if self._waiting else None
+        """When the next other thread wants to run; None if there is none, or none that time alone would wake."""
+        wake_ns = min((turn.due(self.now_ns())[0] for turn in self._waiting), default=inf)
+        return None if wake_ns == inf else int(wake_ns)
 
     def is_mine(self) -> bool:
         """Whether the calling thread is one of those that take turns."""
         return threading.get_ident() in self._threads
 
+    def check_thread(self) -> None:
+        """Raises UserError in a thread that takes no turns."""
+        if not self.is_mine():
+            raise UserError(
+                "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
+            )
+
     def wait_until(self, wall_ns: int) -> None:
         """Let the others run until it is the caller's turn again, not before `wall_ns`."""
-        mine = self.announce(wall_ns)
-        following = heapq.heappop(self._waiting)
-        self._clock.sleep_until(following.wake_ns)
-        if following is not mine:
-            following.begins.set()
-            mine.begins.wait()
+        self._wait(self.announce(wall_ns))
 
-    def until(self, happened: Callable[[], bool], timeout_s: float | None = None) -> bool:
+    def until(
+        self,
+        happened: Callable[[], bool],
+        timeout_s: float | None = None,
+        outside: Callable[[], object] | None = None,
+    ) -> bool:
         """Let the others run until something has happened, or the time is over: then False.
 
-        Raises RuntimeError where nobody is left who could let it happen.
+        Raises RuntimeError where nobody is left who could let it happen, Enough where that is not before the limit.
         """
-        now_ns = self._clock.now_ns
-        end_ns = None if timeout_s is None else now_ns() + round(max(timeout_s, 0.0) * NS_PER_S)
-        while not happened():
-            if end_ns is not None and now_ns() >= end_ns:
-                return False
-            if end_ns is None and not self._waiting:
-                raise RuntimeError("this would wait for ever: no other thread of the script runs")
-            look_ns = now_ns() + LOOK_NS
-            self.wait_until(look_ns if end_ns is None else min(look_ns, end_ns))
-        return True
+        if happened():
+            return True
+        self.check_thread()
+        end_ns = inf if timeout_s is None else self.now_ns() + round(max(timeout_s, 0.0) * NS_PER_S)
+        self._order += 1
+        mine = Turn(min(end_ns, self._limit_ns), self._order, happened, outside)
+        self._waiting.append(mine)
+        self._wait(mine)
+        if happened():
+            return True
+        if self.now_ns() >= self._limit_ns:
+            raise Enough
+        if self.now_ns() < end_ns:
+            raise RuntimeError("this would wait for ever: no other thread of the script runs")
+        return False
 
     def announce(self, wall_ns: int | None = None) -> Turn:
         """Somebody waits for a time, or for now."""
         self._order += 1
-        turn = Turn(self._clock.now_ns() if wall_ns is None else wall_ns, self._order)
-        heapq.heappush(self._waiting, turn)
+        turn = Turn(self.now_ns() if wall_ns is None else wall_ns, self._order)
+        self._waiting.append(turn)
         return turn
 
     def begin(self, turn: Turn) -> None:
@@ -82,6 +118,43 @@ class Turns:
     def end(self) -> None:
         """The calling thread runs no more."""
         self._threads.discard(threading.get_ident())
-        following = heapq.heappop(self._waiting)
-        self._clock.sleep_until(following.wake_ns)
-        following.begins.set()
+        if self._waiting:
+            self._following().begins.set()
+
+    def forked(self, clock: WallClock) -> None:
+        """In a process that was forked off: its one thread lives on a clock of its own, and nobody else waits."""
+        self._clock, self._limit_ns = clock, inf
+        self._waiting.clear()
+        self._threads = {threading.get_ident()}
+
+    def _wait(self, mine: Turn) -> None:
+        following = self._following()
+        if following is not mine:
+            following.begins.set()
+            mine.begins.wait()
+
+    def _following(self) -> Turn:
+        """Whoever goes on next, out of the queue, and the clock at that time."""
+        while True:
+            now_ns = self.now_ns()
+            following = min(self._waiting, key=lambda turn: turn.due(now_ns))
+            wake_ns = following.due(now_ns)[0]
+            if wake_ns < inf or not self._wait_outside():
+                break
+        self._waiting.remove(following)
+        if wake_ns < inf:  # else nobody can go on, and the one that has waited longest is told
+            self._clock.sleep_until(int(wake_ns))
+        return following
+
+    def _wait_outside(self) -> bool:
+        """Wait for what the machine, or a thread that takes no turns, may bring; False where neither can."""
+        outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
+        if outside is not None:
+            outside()
+        elif any(
+            thread.ident not in self._threads and thread.name not in OURS for thread in threading.enumerate()
+        ):
+            threading.Event().wait(FOREIGN_S)
+        else:
+            return False
+        return True

@@ -6,43 +6,58 @@ that starts or stops recordings itself cuts it short.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from uavaccel.airsim.connection import Future, SocketConnection, connect_with
-from uavaccel.clock import MonotonicClock
+from uavaccel.airsim.connection import Future, SocketConnection
+from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
 from uavaccel.fly import shims
+from uavaccel.fly.children import LOOPBACK, children_finding, forked_children
+from uavaccel.fly.keys import key_modules
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
-from uavaccel.fly.old_gym import gym_modules
 from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.sent import as_sent
+from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.trajectory import write_trajectory
+from uavaccel.fly.watch import Watch
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.settings import Settings
 
 RECORDINGS = "recordings"
-LOOPBACK = "127.0.0.1"
 ANSWER_S = 60.0
-_END_S = 20
+_END_S = 3
+_SERVE = """from uavaccel.parent import end_with_parent
+end_with_parent({parent})
+from uavaccel.cli.main import main
+main()
+"""
 
 
 class LoggedConnection:
-    """A connection over TCP whose messages are logged with the wall time since the flight's start."""
+    """A connection over TCP whose messages are logged with the wall time since the flight's start.
 
-    def __init__(self, port: int, timeout_s: float, log: MessageLog) -> None:
-        self._connection = SocketConnection(LOOPBACK, port, timeout_s)
+    In a process that was forked off it is another one, whose messages are not. Raises Enough once the server has gone.
+    """
+
+    def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
+        self._open = lambda: SocketConnection(LOOPBACK, port, timeout_s)
+        self._connection, self._pid = self._open(), os.getpid()
         self._log, self._clock, self._lock = log, MonotonicClock(), threading.Lock()
+        self._watch = watch
         self._start_ns = self._clock.now_ns()
 
     def call(self, method: str, *params: Any) -> Any:
@@ -50,17 +65,33 @@ class LoggedConnection:
         return future.get()
 
     def call_async(self, method: str, *params: Any) -> Future:
+        if os.getpid() != self._pid:
+            self._connection, self._pid, self._log = self._open(), os.getpid(), _Unheard()
         with self._lock:
             number = self._log.call(self._now_ns(), None, method, as_sent(params))
-        sent = self._connection.call_async(method, *params)
+        with self._ending():
+            sent = self._connection.call_async(method, *params)
 
         def wait(future: Future) -> None:
-            sent.join()
+            with self._ending():
+                sent.join()
             with self._lock:
                 self._log.answer(number, self._now_ns(), sent.error, sent.result)
             future.answer(sent.error, sent.result)
 
         return Future(method, wait)
+
+    @contextmanager
+    def _ending(self) -> Iterator[None]:
+        """Let a call that finds the server gone end the flight."""
+        if self._watch.lost:
+            raise Enough
+        try:
+            yield
+        except ConnectionError:
+            if self._watch.is_lost_soon():
+                raise Enough from None
+            raise
 
     def close(self) -> None:
         self._connection.close()
@@ -69,32 +100,62 @@ class LoggedConnection:
         return self._clock.now_ns() - self._start_ns
 
 
+class _Unheard(MessageLog):
+    """Of a process that was forked off."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def _write(self, row: Any) -> None:
+        pass
+
+
 class WallFlight:
     """A script and a server, two processes on one clock."""
 
     def __init__(
-        self, options: FlightOptions, settings: Settings, clock_speed: float, log: MessageLog
+        self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
     ) -> None:
         self._options, self._clock_speed, self._log = options, clock_speed, log
+        self._settings = None if settings is None else options.settings
+        self._slept_s = 0.0
 
     def run(self) -> Outcome:
         """Run the script against a server, at most for `until_s`. Raises UserError."""
         options = self._options
-        clock = MonotonicClock()
-        shims.supply(lambda seconds: clock.sleep_until(clock.now_ns() + round(seconds * NS_PER_S)))
-        with serving(options, self._clock_speed) as port:
-            recorder = SocketConnection(LOOPBACK, port, ANSWER_S)
+        with serving(options, self._clock_speed, settings=self._settings) as served:
+            recorder = SocketConnection(LOOPBACK, served.port, ANSWER_S)
             recorder.call("startRecording")
 
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
-                return LoggedConnection(port, timeout_s, self._log)
+                return LoggedConnection(served.port, timeout_s, self._log, served.watch)
 
-            with (
-                connect_with(connect),
-                importing(client_modules() | gym_modules() | shims.old_modules(), {}),
-                stopping_after(options.until_s, self._clock_speed),
-            ):
-                return run_script(options.script, options.arguments)
+            with contextlib.ExitStack() as stack:
+                self._prepare(stack, connect, served.port)
+                stack.enter_context(stopping_after(options.until_s, self._clock_speed))
+                outcome = run_script(options.script, options.arguments)
+        if served.watch.lost:
+            raise UserError(f"{served.watch.lost}; the script ends too")
+        return outcome
+
+    def _prepare(self, stack: contextlib.ExitStack, connect: Callable[..., Any], port: int) -> None:
+        """What the script, and what it starts, find until `stack` is left."""
+        patches = stack.enter_context(Patches())
+        clock = counted_time_module(self._slept)
+        sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+        shims.supply(patches, sleep)
+        hide_frames_everywhere(patches)
+        patches.when_imported(
+            "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
+        )
+        modules = client_modules() | shims.old_modules()
+        stack.enter_context(importing(modules, {"time": clock}))
+        stack.enter_context(key_modules(sleep, now_s))
+        stack.enter_context(children_finding(self._options.scratch, port))
+        stack.enter_context(forked_children(self._log.abandon))
+
+    def _slept(self, seconds: float) -> None:
+        self._slept_s += seconds
 
     def end(self) -> None:
         """Write what the server recorded."""
@@ -113,17 +174,33 @@ class WallFlight:
         return {
             "simulated_s": float(times[-1] - times[0]) if len(times) else 0.0,
             "position_m": self._poses[-1, :3].tolist() if len(times) else None,
+            "slept_s": self._slept_s,
+            "think_s": 0.0,
         }
 
 
+class Served(NamedTuple):
+    """A server: where it listens, and who looks after it."""
+
+    port: int
+    watch: Watch
+
+
 @contextmanager
-def serving(options: FlightOptions, clock_speed: float, port: int = 0) -> Iterator[int]:
-    """A server for one flight; gives its port, `port` or a free one. Raises UserError if it does not start."""
-    command = [sys.executable, "-m", "uavaccel", "serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
-    command += ["--profile", options.profile, "--scene", options.scene]
-    command += ["--recordings", str(options.folder / RECORDINGS)]
-    if options.settings:
-        command += ["--settings", str(options.settings)]
+def serving(
+    options: FlightOptions, clock_speed: float, port: int = 0, settings: Path | None = None
+) -> Iterator[Served]:
+    """A server for one flight, on `port` or a free one. Raises UserError if it does not start.
+
+    Where it ends, or is stopped, before the `with` block does, that raises Enough in the first thread.
+    """
+    arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
+    arguments += ["--profile", options.profile, "--scene", options.scene]
+    arguments += ["--recordings", str(options.folder / RECORDINGS)]
+    if settings:
+        arguments += ["--settings", str(settings)]
+    program = _SERVE.format(parent=os.getpid())
+    command = [sys.executable, "-c", program, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as server:
         assert server.stdout is not None
         line = server.stdout.readline()
@@ -131,15 +208,39 @@ def serving(options: FlightOptions, clock_speed: float, port: int = 0) -> Iterat
             raise UserError(f"the server did not start: {line.strip() or 'see above'}")
         teller = threading.Thread(target=_tell_warnings, args=(server.stdout,), daemon=True)
         teller.start()
-        try:
-            yield int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2])
-        finally:
-            server.send_signal(signal.SIGINT)
+        with _interrupted_by(signal.SIGUSR1) as interrupt:
+            watch = Watch(server, "the server's process", interrupt)
             try:
-                server.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                server.kill()
-            teller.join()
+                yield Served(
+                    int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2]), watch
+                )
+            finally:
+                watch.end()
+                _end(server)
+                teller.join()
+
+
+def _end(server: subprocess.Popen[str]) -> None:
+    server.send_signal(signal.SIGINT)
+    try:
+        server.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+
+
+@contextmanager
+def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
+    """What other threads call to raise Enough in the first one."""
+    first = threading.main_thread().ident or 0
+    before = signal.signal(number, _stop)
+    try:
+        yield lambda: signal.pthread_kill(first, number)
+    finally:
+        signal.signal(number, before)
+
+
+def _stop(*_: Any) -> None:
+    raise Enough
 
 
 def _tell_warnings(lines: Iterator[str]) -> None:
@@ -162,14 +263,10 @@ def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 @contextmanager
 def stopping_after(simulated_s: float | None, clock_speed: float) -> Iterator[None]:
     """Raise Enough in the `with` block after so much wall time times ClockSpeed."""
-
-    def stop(*_: Any) -> None:
-        raise Enough
-
     if simulated_s is None:
         yield
         return
-    before = signal.signal(signal.SIGALRM, stop)
+    before = signal.signal(signal.SIGALRM, _stop)
     signal.setitimer(signal.ITIMER_REAL, simulated_s / clock_speed)
     try:
         yield

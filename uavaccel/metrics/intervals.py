@@ -1,4 +1,7 @@
-"""Uncertainty of what games show: bootstrap over games, Wilson interval, exact paired McNemar test."""
+"""Uncertainty of what games show: bootstrap over games, Wilson interval, exact paired McNemar test.
+
+scipy.stats takes as long to load as the rest of a command: whoever only flies does without.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, fisher_exact
 
 RESAMPLES = 2000
 
@@ -47,6 +49,8 @@ def wilson_interval(successes: int, games: int, level: float = 0.95) -> tuple[fl
     """Wilson score interval of a success ratio, in [0, 1]; ValueError unless 0 <= successes <= games > 0."""
     if games <= 0 or not 0 <= successes <= games:
         raise ValueError(f"need 0 <= successes <= games > 0, got {successes} of {games}")
+    from scipy.stats import binomtest
+
     interval = binomtest(successes, games).proportion_ci(level, method="wilson")
     return float(interval.low), float(interval.high)
 
@@ -64,6 +68,8 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
 
     Only discordant games count; with none, p is 1. Raises ValueError on lengths that differ.
     """
+    from scipy.stats import binomtest
+
     a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     if a.shape != b.shape or a.ndim != 1:
         raise ValueError(f"paired outcomes need one length, got {a.shape} and {b.shape}")
@@ -79,5 +85,7 @@ def _median(values: np.ndarray) -> np.ndarray:
 
 def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are one."""
+    from scipy.stats import fisher_exact
+
     table = np.array([[successes, games - successes] for successes, games in (first, second)])
     return float(fisher_exact(table).pvalue)

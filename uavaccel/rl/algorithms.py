@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,12 +107,19 @@ def policy_keywords(config: LearnerConfig) -> dict[str, Any]:
     return keywords
 
 
-def make_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
+class NoOptimizer:
+    """Of a policy that only flies: PyTorch's own load its compiler, which takes longer than all else of a start."""
+
+    def __init__(self, parameters: Iterable[th.nn.Parameter], **_: Any) -> None: ...
+
+
+def make_policy(config: LearnerConfig, learning_rate: Schedule, learns: bool = True) -> BasePolicy:
     """The untrained policy: networks, and the optimizer of those that learn."""
     found = stable_baselines3.DQN if config.algorithm == OWN else baseline_class(config.algorithm)
     make: Any = found.policy_aliases[policy_name(config)]
     space, actions = config.task.observation_space(), config.task.action_space()
-    policy: BasePolicy = make(space, actions, learning_rate, **policy_keywords(config))
+    keywords = policy_keywords(config) | ({} if learns else {"optimizer_class": NoOptimizer})
+    policy: BasePolicy = make(space, actions, learning_rate, **keywords)
     return policy
 
 

@@ -41,6 +41,7 @@ from uavaccel.rl.learner import (
     set_generator,
 )
 from uavaccel.rl.mirror import turned_actions
+from uavaccel.rl.network import ratings
 from uavaccel.rl.replay import Batch, ReplayBuffer, Row
 
 COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
@@ -57,7 +58,9 @@ class DoubleDQN:
         random.seed(config.seed)
         th.manual_seed(config.seed)
         lanes.action_space.seed(config.seed)
-        self.policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
+        policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
+        self.policy = policy
+        self._learned = list(policy.q_net.parameters())
         space = lanes.observation_space
         self.buffer = ReplayBuffer(
             self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device
@@ -200,14 +203,14 @@ class DoubleDQN:
         loss = functional.smooth_l1_loss(chosen, targets)
         self.policy.optimizer.zero_grad()
         loss.backward()
-        th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.options.max_grad_norm)
+        th.nn.utils.clip_grad_norm_(self._learned, self.options.max_grad_norm)
         self.policy.optimizer.step()
 
     @th.no_grad()
     def targets(self, batch: Batch) -> th.Tensor:
         """Rewards (n, 1) plus the discounted rating of what the online network would do next."""
-        best = self.policy.q_net(batch.next_observations).argmax(dim=1, keepdim=True)
-        rating = self.policy.q_net_target(batch.next_observations).gather(1, best)
+        both = ratings((self.policy.q_net, self.policy.q_net_target), batch.next_observations)
+        rating = both[1].gather(1, both[0].argmax(dim=1, keepdim=True))
         return batch.rewards + (1 - batch.dones) * batch.discounts * rating
 
     def _half_mirrored(self, batch: Batch) -> Batch:

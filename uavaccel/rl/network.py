@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.dqn.policies import QNetwork
 from torch import nn
 
 from uavaccel.vision.observation import NEUTRAL_LEVEL
@@ -33,6 +35,20 @@ class LaneFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255; they are overwritten."""
-        distance = observations.sub_(NEUTRAL_LEVEL)
-        features: th.Tensor = self.layers(distance.div_(distance.abs().add_(HALF_CONTRAST)))
+        features: th.Tensor = self.layers(contrast(observations))
         return features
+
+
+def contrast(levels: th.Tensor) -> th.Tensor:
+    """Distances of float grey levels from "no events", -1 to 1, faint ones spread out; in place."""
+    distance = levels.sub_(NEUTRAL_LEVEL)
+    return distance.div_(distance.abs().add_(HALF_CONTRAST))
+
+
+def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Tensor]:
+    """Ratings (n, actions) by networks of one layout; what all of them read grey levels as is worked out once."""
+    if not isinstance(networks[0].features_extractor, LaneFeatures):
+        return [network(observations) for network in networks]
+    seen = contrast(observations.float())
+    readers: list[Any] = [network.features_extractor for network in networks]
+    return [network.q_net(reader.layers(seen)) for network, reader in zip(networks, readers, strict=True)]

@@ -120,7 +120,7 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
     config = validate(LearnerConfig, described, str(path / MANIFEST))
     if config.algorithm != OWN:
         baseline_class(config.algorithm)
-    network = make_policy(config, lambda _: 0.0)
+    network = make_policy(config, lambda _: 0.0, learns=False)
     network.set_training_mode(False)
     target = {
         _TARGET + name.removeprefix("q_net."): tensor

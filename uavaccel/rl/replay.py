@@ -102,14 +102,16 @@ class ReplayBuffer:
         discounts = gamma ** counted.sum(axis=1).astype(np.float32)
         final = (rows + last) % self.rows
         dones = self.dones[final, lanes] * (1.0 - self.truncated[final, lanes])
-        row, lane, after, actions = self._sent(rows, lanes, final, self.actions[rows, lanes])
+        seen, after, actions = self._sent(
+            rows * self.lanes + lanes, final * self.lanes + lanes, self.actions[rows, lanes]
+        )
         dones, rewards, discounts = self._sent(
             *(each.astype(np.float32) for each in (dones, rewards, discounts))
         )
         return Batch(
-            self.observations[row, lane],
+            self.observations.flatten(0, 1).index_select(0, seen),  # which copies whole observations
             actions[:, None],
-            self.next_observations[after, lane],
+            self.next_observations.flatten(0, 1).index_select(0, after),
             dones[:, None],
             rewards[:, None],
             discounts[:, None],

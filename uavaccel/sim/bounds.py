@@ -16,11 +16,11 @@ LONGEST_NAME = 256
 APART_M = 0.75  # between the middles of two vehicles, so that they do not touch
 
 
-def check_bounds(position_m: Vector, ground_altitude_m: float) -> None:
-    """Raise UserError for an NED place below the ground, in no air, or too far away."""
+def check_bounds(position_m: Vector, ground_altitude_m: float, anywhere: bool = False) -> None:
+    """Raise UserError for an NED place in no air, too far away, or, unless it may be `anywhere`, below the ground."""
     x_m, y_m, z_m = position_m
     top_m = ground_altitude_m - HIGHEST_M
-    if not top_m <= z_m <= 0.0:
+    if not top_m <= z_m <= (FARTHEST_M if anywhere else 0.0):
         raise UserError(
             f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
         )

@@ -1,4 +1,4 @@
-"""When the physics has to look for contacts, a third of a step in the lane: not while the vehicle can touch nothing.
+"""When MuJoCo has to step the vehicle, looking for contacts: not while it can touch nothing.
 
 Nothing is estimated: no flight within the rotors', the air's and gravity's strongest pull leaves the ball of the reach.
 """

@@ -28,6 +28,7 @@ _driver = threading.RLock()
 _in_thread = threading.local()  # .context: the one that is current
 _drawn = False  # whether this process, or one that it was forked from, has made a context
 _forked = False  # whether it was forked after that
+_found: GlRenderer | None = None  # who drew in the last context of this process
 
 # MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
 _PROBE = """
@@ -60,7 +61,7 @@ def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
     Raises UserError where nothing can draw, one line that names the packages to install, and in a process that was
     forked from one that has drawn: the driver's threads stayed behind, and it would wait for them for ever.
     """
-    global _drawn
+    global _drawn, _found
     check_process()
     backend = choose_backend()
     try:
@@ -69,7 +70,8 @@ def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
             context = importlib.import_module(module).GLContext(width, height)
             _drawn = True
             bind(context)
-            return context, _current_renderer(backend)
+            _found = _current_renderer(backend)
+            return context, _found
     except Exception as error:  # of several libraries, each with its own kind
         raise UserError(
             f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
@@ -131,6 +133,11 @@ def describe_renderer() -> GlRenderer:
     context, renderer = make_context(8, 8)
     release(context)
     return renderer
+
+
+def known_renderer() -> GlRenderer | None:
+    """Who draws here, and in processes started from here, where that has been found out already."""
+    return _found
 
 
 def bind(context: Any) -> None:

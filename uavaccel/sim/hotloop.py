@@ -1,5 +1,7 @@
 """The hot loop: autopilot, rotors, drag and MuJoCo's own `mj_step`, without Python and without the GIL.
 
+Where nothing can be touched, `free_step` takes `mj_step`'s place, to the same bits.
+
 AirSim integrates by velocity Verlet: the pose moves with the mean velocity of the tick, and the velocity it
 reports belongs to the tick's end (FastPhysicsEngine.hpp). MuJoCo's semi-implicit Euler step kicks, then drifts.
 Both are one and the same leapfrog if MuJoCo's velocity is read as the one half a tick behind, so here
@@ -28,6 +30,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from uavaccel.sim.autopilot import control
+from uavaccel.sim.free_body import free_step
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
 
 PACKAGE = __name__.partition(".")[0] + "."
@@ -182,23 +185,36 @@ def after_step(
     changed = note_contacts(state, contact)
     kick(parameters, state, qvel, force)
     feel_contacts(parameters, state, contact, push)
+    arrive(parameters, state, recorder, qpos, samples)
+    return changed
+
+
+@njit
+def arrive(
+    parameters: Record,
+    state: Record,
+    recorder: Record,
+    qpos: NDArray[np.float64],
+    samples: NDArray[np.float64],
+) -> None:
+    """The rotors at the tick that ends, then the next one: its pose, the autopilot, the recorder."""
     turn_rotors(parameters, state)
     read_pose(state, qpos)
     state.tick += 1
     control(parameters, state)
     record(recorder, samples, state)
-    return changed
 
 
-HANDLES = 13  # of one vehicle
+HANDLES = 15  # of one vehicle
 
 
 @njit
 def views(handles: Any, first: int) -> Any:
-    """What the entry points work on. `handles` are int64 addresses from `first` on, the last one a count of rows.
+    """What the entry points work on. `handles` are int64 addresses from `first` on, but for a count of rows.
 
     In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor, qfrc_constraint; parameters, flight,
-    recorder, samples. Records come as arrays of one: numba returns no records.
+    recorder, samples, their rows; and for `fly_free` alone qacc_warmstart and a copy of MuJoCo's time. Records come as
+    arrays of one: numba returns no records.
     Plain addresses, since numba's own dispatch of a dozen arrays costs more than three ticks of flight.
     """
     return (
@@ -212,6 +228,22 @@ def views(handles: Any, first: int) -> Any:
         carray(pointer(handles[first + 10]), 1, RECORDER_DTYPE),
         carray(pointer(handles[first + 11]), (handles[first + 12], SAMPLE_COLUMNS), np.float64),
     )
+
+
+@njit
+def steps_without_mujoco(handles: Any, ticks: int) -> int:
+    """How many of `ticks` were flown where nothing is touched; `handles` as views'."""
+    qpos, qvel, force, _, _, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
+    parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
+    acceleration = carray(pointer(handles[13]), 6, np.float64)
+    time_s = carray(pointer(handles[14]), 1, np.float64)
+    for flown in range(ticks):
+        if not free_step(parameters, qpos, qvel, force, acceleration):
+            return flown
+        time_s[0] += parameters.tick_s
+        kick(parameters, state, qvel, force)
+        arrive(parameters, state, recorder, qpos, samples)
+    return ticks
 
 
 @njit
@@ -230,6 +262,8 @@ class EntryPoints(NamedTuple):
 
     fly: Any
     """Fly up to `ticks` ticks; returns how many: fewer where contacts begin or end."""
+    fly_free: Any
+    """`fly` where nothing can be touched, without MuJoCo; fewer where numbers come up that it would warn of."""
     fly_all: Any
     """`fly` for several vehicles of one model: `handles` are their count, and then those of each."""
     stand_still: Any
@@ -249,11 +283,15 @@ def _compile(sources: int) -> EntryPoints:
     def fly(handles: Any, ticks: int) -> int:
         qpos, qvel, force, contact, push, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
         parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
-        for flown in range(ticks if sources else 0):
+        for flown in range(ticks * (sources != 0)):
             call_mj_step(handles[0], handles[1], handles[2])
             if after_step(parameters, state, recorder, qpos, qvel, force, contact, push, samples):
                 return flown + 1
         return ticks
+
+    @entry_point
+    def fly_free(handles: Any, ticks: int) -> int:
+        return steps_without_mujoco(handles, ticks * (sources != 0))
 
     @entry_point
     def fly_all(handles: Any, ticks: int) -> int:
@@ -266,8 +304,7 @@ def _compile(sources: int) -> EntryPoints:
     @entry_point
     def stand_still(handles: Any, ticks: int) -> int:
         _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles, 0)
-        if sources:
-            pass_ticks(of_flight[0], of_recorder[0], samples, ticks)
+        pass_ticks(of_flight[0], of_recorder[0], samples, ticks * (sources != 0))
         return ticks
 
     @entry_point
@@ -277,7 +314,7 @@ def _compile(sources: int) -> EntryPoints:
         kick(of_parameters[0], of_flight[0], qvel, force)
         return ticks * (sources != 0)
 
-    return EntryPoints(fly, fly_all, stand_still, look)
+    return EntryPoints(fly, fly_free, fly_all, stand_still, look)
 
 
 def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
@@ -294,10 +331,10 @@ def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
     return found
 
 
-def _sources() -> int:
-    """A number that changes with the code that the hot loop takes from other files; never 0."""
-    files = _reached(__name__, {})
+def sources(module: str) -> int:
+    """A number that changes with the code that a module takes from other files of ours; never 0."""
+    files = _reached(module, {})
     return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
 
 
-ENTRY_POINTS = _compile(_sources())
+ENTRY_POINTS = _compile(sources(__name__))

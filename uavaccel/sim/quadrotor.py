@@ -53,6 +53,7 @@ PARAMETERS_DTYPE = np.dtype(
         ("full_pid", "i8"),  # whether any of them is not
         ("integral_gain", "f8", 3 * PID_LEVELS),
         ("derivative_gain", "f8", 3 * PID_LEVELS),
+        ("sea_density_kg_m3", "f8"),  # the air's at sea level, which thrust and torque are given for
         ("contacts_act", "i8"),  # whether what is touched pushes back; else the first touch ends the flight
     ]
 )
@@ -130,6 +131,7 @@ def parameters(
     record["rate_gain"] = 0.25
     record["min_throttle"] = 0.3
     record["min_mixed_throttle"] = 0.05
+    record["sea_density_kg_m3"] = air_density(0.0)
     return record
 
 
@@ -149,7 +151,7 @@ def air_density(altitude_m: float) -> float:
 @njit(cache=True)
 def density_ratio(parameters: Record, z_m: float) -> float:
     """Density at NED height `z_m` over that at sea level, which thrust and torque are proportional to."""
-    return air_density(parameters.ground_altitude_m - z_m) / air_density(0.0)
+    return air_density(parameters.ground_altitude_m - z_m) / parameters.sea_density_kg_m3
 
 
 @njit(cache=True)
@@ -191,7 +193,7 @@ def accelerate(
     term at the step's mean velocity (FastPhysicsEngine.hpp, getNextKinematicsNoCollision).
     """
     density = air_density(parameters.ground_altitude_m - state.position[2])
-    ratio = density / air_density(0.0)
+    ratio = density / parameters.sea_density_kg_m3
     output = state.rotor_output
     u0, u1, u2, u3 = output[0], output[1], output[2], output[3]
     thrust, arm = parameters.max_thrust_n * ratio, parameters.rotor_arm_m

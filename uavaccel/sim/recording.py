@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,25 +16,37 @@ COMMAND_LOG_LENGTH = 1 << 16
 
 
 class CommandLog:
-    """First and last tick of the commands since the last reset: the latest `length` of them."""
+    """First and last tick of the commands since the last reset: the first `length` of them, and the latest.
+
+    As the recorder's samples they begin with the first command; `dropped` counts those for which there was no room.
+    """
 
     def __init__(self, length: int | None = None) -> None:
         self.origin_tick: int | None = None  # at which the first was accepted: a recording's t = 0
-        self._ticks: deque[tuple[int, int]] = deque(maxlen=length or COMMAND_LOG_LENGTH)
+        self.dropped = 0
+        self._length = length or COMMAND_LOG_LENGTH
+        self._ticks: list[tuple[int, int]] = []
+        self._latest = (0, 0)  # the last of the list unless it was dropped
 
     def accept(self, tick: int, end_tick: int) -> None:
         """A command begins, and ends at `end_tick` unless `cut_short`."""
         if self.origin_tick is None:
             self.origin_tick = tick
-        self._ticks.append((tick, end_tick))
+        self._latest = (tick, end_tick)
+        if len(self._ticks) < self._length:
+            self._ticks.append(self._latest)
+        else:
+            self.dropped += 1
 
     def cut_short(self, tick: int) -> None:
         """The latest ended at `tick`."""
-        self._ticks[-1] = (self._ticks[-1][0], tick)
+        self._latest = (self._latest[0], tick)
+        if not self.dropped:
+            self._ticks[-1] = self._latest
 
     def last_goal(self, tick: int, period: int) -> int:
         """When the latest's loop has last set its goal by `tick`: as it began, and every `period` ticks from there."""
-        accepted = self._ticks[-1][0]
+        accepted = self._latest[0]
         return accepted + (tick - accepted) // period * period
 
     def __len__(self) -> int:
@@ -49,13 +60,15 @@ class CommandLog:
         return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
 
     def get_state(self) -> State:
-        return {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
+        state: State = {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
+        return state | {"latest": np.array(self._latest), "dropped": self.dropped}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave."""
         self.origin_tick = number_or_none(state["origin_tick"])
-        self._ticks.clear()
-        self._ticks.extend((int(first), int(last)) for first, last in state["ticks"])
+        self._ticks = [(int(first), int(last)) for first, last in state["ticks"]]
+        first, last = state.get("latest", self._ticks[-1] if self._ticks else (0, 0))
+        self._latest, self.dropped = (int(first), int(last)), int(state.get("dropped", 0))
 
 
 @dataclass(frozen=True)
@@ -63,13 +76,14 @@ class Recording:
     """A game as the recorder saw it; ticks count from the acceptance of the first command.
 
     `samples` (n, 14): tick, position (m, NED), wxyz, velocity (m/s), body rate (rad/s). `commands` (c, 2): first
-    and last tick. `dropped`: samples for which the buffer had no room.
+    and last tick. `dropped` and `commands_dropped`: those of either for which there was no room; the first are kept.
     """
 
     samples: NDArray[np.float64]
     commands: NDArray[np.int64]
     tick_ns: int
     dropped: int = 0
+    commands_dropped: int = 0
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
         """The raw samples of a run directory, in seconds and SI units."""

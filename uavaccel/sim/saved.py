@@ -47,8 +47,9 @@ def optional(number: int | None) -> NDArray[np.int64]:
 
 
 def number_or_none(array: Any) -> int | None:
-    """The inverse of `optional`."""
-    return int(array[0]) if len(array) else None
+    """The inverse of `optional`; a bare number is itself."""
+    found = np.ravel(array)
+    return int(found[0]) if len(found) else None
 
 
 def layout_of(state: Mapping[str, Any]) -> LaneLayout:

@@ -290,7 +290,8 @@ class Simulation(Commanded):
         """What the recorder and the command log hold since the first command after the last reset."""
         rows, log, origin = self.world.samples(), self.commands.ticks(), self.commands.origin_tick or 0
         rows[:, 0] -= origin
-        return Recording(rows, log - origin, self.profile.tick_ns, self.world.samples_dropped)
+        dropped = (self.world.samples_dropped, self.commands.dropped)
+        return Recording(rows, log - origin, self.profile.tick_ns, *dropped)
 
     # --- saving -----------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
+UNCOUNTED = -1.0  # contacts: some, which the hot loop has not seen yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
@@ -80,6 +81,7 @@ class Vehicle:
         self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._parameters: NDArray[np.void] | None = None
+        self._time_s = np.zeros(1)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model, the one before being gone; `name_of` names what a geom belongs to."""
@@ -98,28 +100,22 @@ class Vehicle:
         self.qvel = data.qvel[motion : motion + 6]
         self._force = data.qfrc_applied[motion : motion + 6]
         self._push = data.qfrc_constraint[motion : motion + 6]
+        self._gained = data.qacc[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
+        self._model, self._data = model, data
         self.touches = Touches(data, self.body_id, model, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
         """What the hot loop works on, in the order of hotloop.views."""
-        return self._pointing(model, data, (self.qpos, self.qvel, self._force, self._contact, self._push))
-
-    def addresses_alone_in(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
-        """The same for a model that holds nothing but this vehicle."""
-        arrays = (data.qpos, data.qvel, data.qfrc_applied, data.sensordata, data.qfrc_constraint)
-        return self._pointing(model, data, arrays)
-
-    def _pointing(
-        self, model: mujoco.MjModel, data: mujoco.MjData, arrays: Sequence[NDArray[np.float64]]
-    ) -> NDArray[np.int64]:
+        arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]  # type: ignore[union-attr]
         fixed = [hotloop.mj_step_address(), model._address, data._address]
-        return np.array([*fixed, *own, len(self._samples.buffer)], np.int64)
+        free = [self._warm_start.ctypes.data, self._time_s.ctypes.data]
+        return np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
 
     # --- state ------------------------------------------------------------------------------------
 
@@ -160,6 +156,11 @@ class Vehicle:
         """Whether the vehicle rests on, or against, something."""
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
+
+    @property
+    def rises(self) -> bool:
+        """Whether MuJoCo's latest forces lift it, or hold it."""
+        return bool(self._gained[2] >= 0.0)
 
     def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
         """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
@@ -222,11 +223,10 @@ class Vehicle:
         for name, gains in self._default_gains.items():
             self.parameters[name] = gains[0]
 
-    def set_airframe(self, models: Sequence[mujoco.MjModel], mass_ratio: float, thrust_ratio: float) -> None:
-        """Make it heavier or stronger than its own, in each of the models that it flies in."""
+    def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
+        """Make it heavier or stronger than its own."""
         assert self._parameters is not None
-        for model in models:
-            set_airframe(model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
+        set_airframe(self._model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
 
     # --- places -----------------------------------------------------------------------------------
 
@@ -256,6 +256,14 @@ class Vehicle:
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.touches.clear()
+
+    def stand(self) -> None:
+        """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
+        self.look()
+        assert self._parameters is not None
+        parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
+        hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
+        self.state["contacts"] = UNCOUNTED
 
     def put(
         self,
@@ -312,6 +320,13 @@ class Vehicle:
     def fly(self, ticks: int) -> int:
         """hotloop's `fly`, for a vehicle that is alone in its world."""
         return int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks))
+
+    def fly_free(self, ticks: int) -> int:
+        """The same where it touches nothing, and can touch nothing, for so long."""
+        self._time_s[0] = self._data.time
+        flown = int(hotloop.ENTRY_POINTS.fly_free.ctypes(self._handles_pointer, ticks))
+        self._data.time = self._time_s[0]
+        return flown if flown == ticks else flown + self.fly(ticks - flown)
 
     def stand_still(self, ticks: int) -> int:
         """Let ticks pass."""

@@ -18,13 +18,12 @@ from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.led import Led
-from uavaccel.sim.open_air import OpenAir
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
 from uavaccel.sim.scene import load_scene, scene_path
 from uavaccel.sim.scene_objects import take_over
-from uavaccel.sim.touch import deepest_contact
+from uavaccel.sim.standing import depth, on_the_ground, stand
 from uavaccel.sim.vehicle import BODY, HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
@@ -86,7 +85,6 @@ class World(Led):
             vehicle.bind(self.model, self.data, self.name_of)
         self._bodies = {vehicle.body_id: vehicle.name for vehicle in self.vehicles}
         rows = [vehicle.handles for vehicle in self.vehicles]
-        self._open_air = OpenAir(self.scene, self.model, self.data) if self.clearance.alone else None
         self._handles = np.concatenate([[len(rows)], *rows]).astype(np.int64)
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -126,7 +124,7 @@ class World(Led):
         self.lane = layout
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
-        self.lead.set_airframe(self._models(), layout.mass_ratio, layout.thrust_ratio)
+        self.lead.set_airframe(layout.mass_ratio, layout.thrust_ratio)
 
     def _move_to(self, scenery: str) -> None:
         scene_path(self.scene, scenery)  # raises UserError, while nothing has changed
@@ -136,10 +134,6 @@ class World(Led):
         self._take(*self._made(self.vehicles))
         self.set_physics(physics)
         self.lead.take_over(carried)
-
-    def _models(self) -> list[mujoco.MjModel]:
-        """All in which the leading vehicle flies."""
-        return [self.model, *([self._open_air.model] if self._open_air else [])]
 
     def surroundings_changed(self) -> None:
         """Objects of the model were moved, have come or gone, or look different."""
@@ -184,8 +178,7 @@ class World(Led):
         for vehicle in new:
             vehicle.state["wind"] = wind
             vehicle.parameters["ground_altitude_m"] = self.parameters["ground_altitude_m"]
-            self._begin(vehicle, vehicle.start)
-            vehicle.state["tick"] = ticks
+        self._begin({vehicle: vehicle.start for vehicle in new}, ticks)
 
     def close(self) -> None:
         """Give back what OpenGL holds."""
@@ -206,14 +199,18 @@ class World(Led):
         self.check_place(start.position_m, start.orientation_wxyz)
         self.stop_recording()
         mujoco.mj_resetData(self.model, self.data)
-        self._begin(self.lead, start)
-        for vehicle in self.vehicles[1:]:
-            self._begin(vehicle, vehicle.start)
+        self._begin({vehicle: vehicle.start for vehicle in self.vehicles} | {self.lead: start}, 0)
         self.failed = False
 
-    def _begin(self, vehicle: Vehicle, start: Start) -> None:
-        vehicle.begin(start)
+    def _begin(self, starts: Mapping[Vehicle, Start], tick: int) -> None:
+        """Let vehicles begin at a tick; those that are idle and touch something stand on it."""
+        for vehicle, start in starts.items():
+            vehicle.begin(start)
+            vehicle.state["tick"] = tick
         self._moved()
+        for vehicle, start in starts.items():
+            if start.idle and not (self.freeze_on_collision or self.still):
+                stand(self, vehicle)
 
     def _moved(self) -> None:
         mujoco.mj_kinematics(self.model, self.data)
@@ -245,8 +242,11 @@ class World(Led):
     ) -> None:
         """Put a vehicle somewhere (NED of the world, wxyz), as fast as it is or as is said; all else goes on.
 
-        What it has touched stays told (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
+        Below the ground is on it. What it has touched stays told (MultirotorPawnSimApi::setPose). Raises UserError as
+        `place` does otherwise.
         """
+        if not self.still:
+            position_m = on_the_ground(self, vehicle, position_m, orientation_wxyz)
         self.check_place(position_m, orientation_wxyz, vehicle)
         if self.failed:  # nothing of its velocity is worth keeping
             self.warnings[:] = 0
@@ -264,16 +264,10 @@ class World(Led):
     ) -> None:
         """Raise UserError, as `place` does, where a vehicle cannot be put."""
         vehicle = vehicle or self.lead
-        check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]))
+        check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]), self.still)
         if self.freeze_on_collision or self.still:  # nothing is thrown: the game is over before it began
             return
-        before = self.physics()
-        self.clearance.look_anew()
-        vehicle.set_pose(position_m, orientation_wxyz)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_collision(self.model, self.data)
-        depth_m, geom = deepest_contact(self.model, self.data, vehicle.body_id)
-        self.set_physics(before)
+        depth_m, geom = depth(self, vehicle, position_m, orientation_wxyz)
         if depth_m > DEEPEST_M:
             raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
 
@@ -298,8 +292,8 @@ class World(Led):
         while flown < ticks:
             tick = int(field["tick"][0])
             due = self.clearance.ticks_to_fly(tick, ticks - flown, lead.parameters, lead.state)
-            if self._open_air and self.clearance.left_out and not field["contacts"][0]:
-                flown += self._open_air.fly(lead, due)
+            if self.clearance.left_out and not field["contacts"][0]:
+                flown += lead.fly_free(due)
                 continue
             flown += lead.fly(due)
             if field["contacts_changed"][0]:

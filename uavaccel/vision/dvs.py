@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.vision import dvs_kernels as kernels
+from uavaccel.vision import noise
 from uavaccel.vision.dvs_sensor import (
     HOT_RATE_HZ,
     PRESETS,
@@ -123,16 +124,30 @@ def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32
     """The `count` >= 1 stamps of a frame: evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
 
     Bit for bit v2e's float32 `torch.linspace` on an x86-64 with AVX2: filled from both ends, each element by
-    one fused multiply-add, which the double-precision sum here rounds alike.
+    one fused multiply-add.
     """
     start = np.float32(t_before_s + (t_s - t_before_s) / count)
     if count == 1:
         return np.array([start])
     end, index = np.float32(t_s), np.arange(count)
     spacing = np.float64((end - start) / np.float32(count - 1))
-    rising = np.float64(start) + spacing * index
-    falling = np.float64(end) - spacing * (count - 1 - index)
-    return np.where(index < count // 2, rising, falling).astype(np.float32)
+    rising = _once_rounded(np.float64(start), spacing * index)
+    falling = _once_rounded(np.float64(end), -spacing * (count - 1 - index))
+    return np.where(index < count // 2, rising, falling)
+
+
+def _once_rounded(base: np.float64, offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+    """`base + offsets`, which may need more than a double's 53 bits, rounded to float32 as if in one step.
+
+    The double sum is rounded to odd (Boldo and Melquiond 2008): where it is inexact its last bit is set, so that it
+    is never taken for a tie of float32.
+    """
+    near = base + offsets
+    part = near - base
+    lost = (base - (near - part)) + (offsets - part)  # exactly what the sum has lost (Knuth's TwoSum)
+    beyond = np.nextafter(near, np.where(lost > 0, np.inf, -np.inf))
+    even = (near.view(np.int64) & 1) == 0
+    return np.where((lost != 0) & even, beyond, near).astype(np.float32)
 
 
 def _advance(
@@ -141,26 +156,17 @@ def _advance(
     _check_frame(sensor, frame)
     _check_time(state, t_s)
     frame, dt_s, index = np.ascontiguousarray(frame), t_s - state.time_s, state.frame_index + 1
-    rng = _noise(sensor, state.noise_seed, index)
     log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
-    base = _leaked(sensor, state.base_log, dt_s, rng)
+    base = _leaked(sensor, state.base_log, dt_s, state.noise_seed, index)
     due = _due_events(sensor, state, log, base, t_s, listed)
     kept, last_event_s = _after_refractory(due)
     base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
     on, off = kernels.split_polarities(kept)
-    shots = _shot_noise(sensor, frame, dt_s, rng)
+    shots = _shot_noise(sensor, frame, dt_s, state.noise_seed, index)
     if shots is not None:  # a noisy pixel memorises the current intensity
         on, off, base = on + shots[0], off + shots[1], np.where(shots[0] | shots[1], log, base)
     events = _list_events(due, kept, shots) if listed else NO_EVENTS
     return DvsState(base, log, last_event_s, t_s, index, state.noise_seed), on, off, events
-
-
-def _noise(sensor: DvsSensor, seed: int, index: int) -> np.random.Generator | None:
-    """The generator of a frame's noise; None without noise, as making one takes as long as making the events."""
-    parameters = sensor.parameters
-    if parameters.leak_rate_hz <= 0 and parameters.shot_noise_rate_hz <= 0:
-        return None
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
 
 
 def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame, dt_s: float) -> Floats:
@@ -171,16 +177,15 @@ def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame
     return kernels.low_pass(frame, filtered_log, LIN_LOG, weights)
 
 
-def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, rng: np.random.Generator | None) -> Floats:
-    parameters = sensor.parameters
+def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, seed: int, index: int) -> Floats:
+    parameters, positive = sensor.parameters, sensor.positive_threshold
     if sensor.hot is not None:
-        rise = np.float32(dt_s * HOT_RATE_HZ) * sensor.positive_threshold.astype(np.float32)
-        base_log = np.where(sensor.hot, base_log - rise, base_log)
-    if rng is None or parameters.leak_rate_hz <= 0:
+        base_log = kernels.heat(base_log, positive, sensor.hot, np.float32(dt_s * HOT_RATE_HZ))
+    if parameters.leak_rate_hz <= 0:
         return base_log
-    jitter = 1 - parameters.leak_jitter_fraction * rng.standard_normal(base_log.shape, np.float32)
-    rate_hz = parameters.leak_rate_hz * sensor.leak_rate_factor * jitter
-    return base_log - dt_s * rate_hz * sensor.positive_threshold.astype(np.float32)
+    rate_hz, jitter = np.float32(parameters.leak_rate_hz), np.float32(parameters.leak_jitter_fraction)
+    draws = noise.normal(base_log.shape, seed, index, noise.LEAK_JITTER)
+    return kernels.leak(base_log, positive, np.float32(dt_s), rate_hz, sensor.leak_rate_factor, jitter, draws)
 
 
 def _due_events(
@@ -204,21 +209,22 @@ def _after_refractory(due: _FrameEvents) -> tuple[Counts, NDArray[np.float32]]:
 
 
 def _shot_noise(
-    sensor: DvsSensor, frame: Frame, dt_s: float, rng: np.random.Generator | None
+    sensor: DvsSensor, frame: Frame, dt_s: float, seed: int, index: int
 ) -> tuple[Mask, Mask] | None:
     parameters = sensor.parameters
-    if rng is None or parameters.shot_noise_rate_hz <= 0:
+    if parameters.shot_noise_rate_hz <= 0:
         return None
-    dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
-    chance = kernels.look_up(frame, parameters.shot_noise_rate_hz / 2 * dt_s * dimming)
-    draw = rng.random(frame.shape, np.float32)
-    chance_on = chance * _sensitivity(parameters.positive_threshold, sensor.positive_threshold)
-    chance_off = chance * _sensitivity(parameters.negative_threshold, sensor.negative_threshold)
-    return draw > 1 - chance_on, draw < chance_off
+    draws = noise.uniform(frame.shape, seed, index, noise.SHOT_NOISE)
+    nominal = np.float32(parameters.positive_threshold), np.float32(parameters.negative_threshold)
+    thresholds = sensor.positive_threshold, sensor.negative_threshold
+    return kernels.shoot(
+        frame, shot_chances(parameters.shot_noise_rate_hz, dt_s), draws, *thresholds, nominal
+    )
 
 
-def _sensitivity(nominal: float, threshold: Floats) -> NDArray[np.float32]:
-    return np.float32(nominal) / threshold.astype(np.float32)
+def shot_chances(rate_hz: float, dt_s: float) -> NDArray[np.float64]:
+    """Probability (256,) of a noise event of one polarity within a frame, by intensity."""
+    return rate_hz / 2 * dt_s * ((SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1)
 
 
 def _list_events(due: _FrameEvents, kept: Counts, shots: tuple[Mask, Mask] | None) -> Events:

@@ -1,17 +1,111 @@
-"""The per-pixel arithmetic of the DVS model, compiled.
+"""The arithmetic of the DVS model, compiled: one pixel's, for a CPU's loops or a GPU's threads alike, then pictures'.
 
 Every operation keeps the type and the single rounding it has in v2e (SensorsINI/v2e, commit cac6384,
-`v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Arrays are (H, W).
+`v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Logarithms and what is memorised are
+float32 or, after a low-pass, float64; thresholds, factors and draws are float32 where v2e has them so. Pictures are (H, W).
 A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
 """
+
+from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.vision.rounding import times
+
+ONE = np.float32(1.0)
+
+Float = Any  # float32, or float64 after a low-pass
 Floats = NDArray[np.floating]
 Counts = NDArray[np.int32]
 Frame = NDArray[np.uint8]
+
+
+@njit(cache=True, error_model="numpy")
+def low_passed(before: float, log: float, weight: float) -> float:
+    """One step of a first-order low-pass, in double precision."""
+    return times(1.0 - weight, before) + times(weight, log)
+
+
+@njit(cache=True, error_model="numpy")
+def heated(base: Float, positive: Float, share: np.float32) -> Float:
+    """A hot pixel's memorised intensity, fallen by a share of its threshold."""
+    return base - times(share, np.float32(positive))
+
+
+@njit(cache=True, error_model="numpy")
+def leaked(
+    base: Float,
+    positive: Float,
+    dt_s: np.float32,
+    rate_hz: np.float32,
+    factor: np.float32,
+    jitter: np.float32,
+) -> Float:
+    """The memorised intensity after a leak of `rate_hz`, times a pixel's own factor, times this frame's `jitter`."""
+    rate = times(times(rate_hz, factor), jitter)
+    return base - times(times(dt_s, rate), np.float32(positive))
+
+
+@njit(cache=True, error_model="numpy")
+def jittered(fraction: np.float32, normal: np.float32) -> np.float32:
+    """What a leak is multiplied by, for a draw of the standard normal distribution."""
+    return ONE - times(fraction, normal)
+
+
+@njit(cache=True, error_model="numpy")
+def count_single_pixel(
+    log: np.float32, base: np.float32, positive: np.float32, negative: np.float32
+) -> np.int32:
+    """Signed count: whole thresholds in log - base, float32.
+
+    v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision
+    quotient: that of two float32 is never rounded up to a whole number below 2^28.
+    """
+    change = log - base
+    threshold = positive if change > 0 else negative
+    return np.int32(np.float64(change) / np.float64(threshold))
+
+
+@njit(cache=True, error_model="numpy")
+def count_double_pixel(log: float, base: float, positive: float, negative: float) -> np.int32:
+    """As `count_single_pixel`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
+    change = log - base
+    threshold, size = positive if change > 0 else negative, abs(change)
+    quotient = size / threshold
+    count = np.int32(quotient)
+    if count > 0 and count == quotient and size % threshold > 0.5 * threshold:
+        count = np.int32(count - 1)
+    return count if change > 0 else np.int32(-count)
+
+
+@njit(cache=True, error_model="numpy")
+def advanced(base: Float, signed: np.int32, positive: Float, negative: Float) -> Float:
+    """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
+
+    v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.
+    """
+    rise = times(np.float32(max(signed, 0)), np.float32(positive))
+    fall = times(np.float32(max(-signed, 0)), np.float32(negative))
+    return base + rise - fall
+
+
+@njit(cache=True, error_model="numpy")
+def shot_chance(chance: float, nominal: np.float32, threshold: Float) -> float:
+    """Probability of a noise event of one polarity: the more sensitive the pixel, the higher."""
+    return times(chance, np.float64(nominal / np.float32(threshold)))
+
+
+@njit(cache=True, error_model="numpy")
+def shot(draw: np.float32, chance_on: float, chance_off: float) -> np.int32:
+    """Noise of a frame, for a draw of [0, 1): 1 for an ON event, -1 for an OFF event, 2 for one of each."""
+    on, off = draw > 1.0 - chance_on, draw < chance_off
+    if on and off:
+        return np.int32(2)
+    return np.int32(on) - np.int32(off)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -30,40 +124,58 @@ def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table
     result = np.empty_like(filtered_log)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
-            weight = weight_table[frame[y, x]]
-            result[y, x] = (1.0 - weight) * filtered_log[y, x] + weight * log_table[frame[y, x]]
+            level = frame[y, x]
+            result[y, x] = low_passed(filtered_log[y, x], log_table[level], weight_table[level])
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def heat(base: Floats, positive: Floats, hot: NDArray[np.bool_], share: np.float32) -> Floats:
+    """The memorised intensity, fallen by a share of the threshold where a pixel is hot."""
+    result = base.copy()
+    for y in range(base.shape[0]):
+        for x in range(base.shape[1]):
+            if hot[y, x]:
+                result[y, x] = heated(base[y, x], positive[y, x], share)
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def leak(
+    base: Floats,
+    positive: Floats,
+    dt_s: np.float32,
+    rate_hz: np.float32,
+    factor: Floats,
+    jitter: np.float32,
+    normal: Floats,
+) -> Floats:
+    """The memorised intensity after a leak, uneven by `jitter` times a normal draw."""
+    result = np.empty_like(base)
+    for y in range(base.shape[0]):
+        for x in range(base.shape[1]):
+            uneven = jittered(jitter, normal[y, x])
+            result[y, x] = leaked(base[y, x], positive[y, x], dt_s, rate_hz, factor[y, x], uneven)
     return result
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Signed counts: whole thresholds in log - base, float32.
-
-    v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision
-    quotient: that of two float32 is never rounded up to a whole number below 2^28.
-    """
+    """Signed counts, float32."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
-            change, up, down = log[y, x] - base[y, x], positive[y, x], negative[y, x]
-            threshold = up if change > 0 else down
-            signed[y, x] = np.int32(np.float64(change) / np.float64(threshold))
+            signed[y, x] = count_single_pixel(log[y, x], base[y, x], positive[y, x], negative[y, x])
     return signed
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """As `count_single`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
+    """Signed counts, float64."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
-            change, up, down = log[y, x] - base[y, x], positive[y, x], negative[y, x]
-            threshold, size = up if change > 0 else down, abs(change)
-            quotient = size / threshold
-            count = np.int32(quotient)
-            if count > 0 and count == quotient and size % threshold > 0.5 * threshold:
-                count -= 1
-            signed[y, x] = count if change > 0 else -count
+            signed[y, x] = count_double_pixel(log[y, x], base[y, x], positive[y, x], negative[y, x])
     return signed
 
 
@@ -84,17 +196,32 @@ def drop_refractory(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def advance_base(signed: Counts, base: Floats, positive: Floats, negative: Floats) -> Floats:
-    """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
-
-    v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.
-    """
+    """The memorised log intensity after the events."""
     result = np.empty_like(base)
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
-            rise = np.float32(max(signed[y, x], 0)) * np.float32(positive[y, x])
-            fall = np.float32(max(-signed[y, x], 0)) * np.float32(negative[y, x])
-            result[y, x] = base[y, x] + rise - fall
+            result[y, x] = advanced(base[y, x], signed[y, x], positive[y, x], negative[y, x])
     return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def shoot(
+    frame: Frame,
+    chances: Floats,
+    draws: Floats,
+    positive: Floats,
+    negative: Floats,
+    nominal: tuple[np.float32, np.float32],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Where shot noise makes ON and OFF events; `chances` by intensity, `draws` of [0, 1)."""
+    on, off = np.empty(frame.shape, np.bool_), np.empty(frame.shape, np.bool_)
+    for y in range(frame.shape[0]):
+        for x in range(frame.shape[1]):
+            chance = chances[frame[y, x]]
+            chance_on = shot_chance(chance, nominal[0], positive[y, x])
+            noise = shot(draws[y, x], chance_on, shot_chance(chance, nominal[1], negative[y, x]))
+            on[y, x], off[y, x] = noise > 0, noise < 0 or noise == 2
+    return on, off
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

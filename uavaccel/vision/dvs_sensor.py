@@ -97,18 +97,38 @@ class DvsSensor(NamedTuple):
     """None without hot pixels."""
 
 
-def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
-    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
+class Draws(NamedTuple):
+    """What is drawn once per pixel (H, W): of the standard normal distribution, float32, and `heat` of [0, 1).
+
+    `up` and `down` spread the thresholds, `leak_factor` is log-normal already; a pixel is hot whose `heat` is below the
+    share of hot ones.
+    """
+
+    up: NDArray[np.float32]
+    down: NDArray[np.float32]
+    leak_factor: NDArray[np.float32]
+    heat: NDArray[np.float64]
+
+
+def draw_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> Draws:
+    """The draws of a sensor of that seed."""
     rng = np.random.default_rng(seed)
-    positive = _draw_thresholds(parameters, parameters.positive_threshold, shape, rng)
-    negative = _draw_thresholds(parameters, parameters.negative_threshold, shape, rng)
+    even = np.zeros(shape, np.float32)  # thresholds without a spread are not drawn
+    up, down = (rng.standard_normal(shape, np.float32) if parameters.threshold_sigma else even for _ in "+-")
     spread = np.float32(math.log(10) * parameters.leak_rate_spread_decades)
     factor = np.exp(spread * rng.standard_normal(shape, np.float32))
-    sensor = sensor_from_maps(parameters, positive, negative, factor)
+    return Draws(up, down, factor, np.random.default_rng((seed, _HOT)).random(shape))
+
+
+def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
+    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
+    draws = draw_pixels(parameters, shape, seed)
+    positive = _thresholds(parameters.positive_threshold, parameters.threshold_sigma, draws.up)
+    negative = _thresholds(parameters.negative_threshold, parameters.threshold_sigma, draws.down)
+    sensor = sensor_from_maps(parameters, positive, negative, draws.leak_factor)
     if parameters.hot_share <= 0:
         return sensor
-    drawn = np.random.default_rng((seed, _HOT)).random(shape)
-    return sensor._replace(hot=drawn < parameters.hot_share)
+    return sensor._replace(hot=draws.heat < parameters.hot_share)
 
 
 def sensor_from_maps(
@@ -125,10 +145,7 @@ def sensor_from_maps(
     )
 
 
-def _draw_thresholds(
-    parameters: DvsParameters, nominal: float, shape: tuple[int, int], rng: np.random.Generator
-) -> Floats:
-    if parameters.threshold_sigma == 0:  # a plain number in v2e: rounded only where it meets a float32
-        return np.full(shape, nominal)
-    spread = np.float32(parameters.threshold_sigma) * rng.standard_normal(shape, np.float32)
-    return np.maximum(np.float32(nominal) + spread, MIN_THRESHOLD)
+def _thresholds(nominal: float, sigma: float, normal: NDArray[np.float32]) -> Floats:
+    if sigma == 0:  # a plain number in v2e: rounded only where it meets a float32
+        return np.full(normal.shape, nominal)
+    return np.maximum(np.float32(nominal) + np.float32(sigma) * normal, MIN_THRESHOLD)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.vision import noise
+
 Image = NDArray[np.uint8]
 _APART = 0x6E01  # of a game's noise from what else it draws
 
@@ -29,10 +31,10 @@ class ImageNoise:
         """
         if self.sigma == 0.0:
             return image
-        random = np.random.default_rng(
-            np.random.SeedSequence(self.seed, spawn_key=(time_ns - self.start_ns,))
+        moment = time_ns - self.start_ns
+        noisy = image + np.float32(self.sigma) * noise.normal(
+            image.shape, self.seed, moment, noise.READ_NOISE
         )
-        noisy = image + np.float32(self.sigma) * random.standard_normal(image.shape, np.float32)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 

@@ -56,7 +56,7 @@ class Api:
         self.scenery = Scenery(simulation, self.settings, render)
         self.notices = Notices(say)
         self.recorder = Recorder(self.scenery, recordings, say)
-        self._images = ImageApi(self.scenery, self._check_vehicle)
+        self._images = ImageApi(self.scenery, self._check_vehicle, self.notices)
         self._vehicles = VehicleApi(self.scenery, self.pilot_of)
         self._game = GameApi(simulation, self.recorder)
         self._wall_ns = 0

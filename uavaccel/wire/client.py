@@ -119,7 +119,7 @@ class Client:
         reply = self.call("uavaccelRecording")
         samples = np.frombuffer(reply["samples"], "<f8").reshape(-1, 14)
         commands = np.frombuffer(reply["commands"], "<i8").reshape(-1, 2)
-        return Recording(samples, commands, reply["tick_ns"], reply["dropped"])
+        return Recording(samples, commands, reply["tick_ns"], reply["dropped"], reply["commands_dropped"])
 
     def trace(self, enabled: bool) -> list[tuple[str, int, int]]:
         """Switch the server's trace on or off; returns its events so far: (event, wall ns, simulated ns)."""

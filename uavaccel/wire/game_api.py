@@ -76,6 +76,7 @@ class GameApi:
             "commands": recording.commands.astype("<i8").tobytes(),
             "tick_ns": recording.tick_ns,
             "dropped": recording.dropped,
+            "commands_dropped": recording.commands_dropped,
         }
 
     def trace(self, enabled: Any) -> list[list[Any]]:

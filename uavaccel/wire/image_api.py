@@ -22,15 +22,15 @@ from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import png
+from uavaccel.wire.notices import Notices
 from uavaccel.wire.pictures import Scene, known_type
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.steps import Steps
 
 MOST_IMAGES = 64  # of one call
-AT_ONCE, PIXELS_AT_ONCE = (
-    4,
-    1 << 18,
-)  # of more, each is drawn for itself, and the server looks after others between
+OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here
+AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
+PIXELS_AT_ONCE = 1 << 18  # and so of more pixels
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
 
@@ -47,10 +47,11 @@ class ImageRequest(NamedTuple):
 class ImageApi:
     """The image calls of one simulation."""
 
-    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
+    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None], notices: Notices) -> None:
         self.simulation = scenery.simulation
         self._scenery = scenery
         self._check_vehicle = check_vehicle
+        self._notices = notices
 
     # --- images -----------------------------------------------------------------------------------------------
 
@@ -117,6 +118,8 @@ class ImageApi:
         try:
             known_type(request.image_type)
         except ValueError as error:
+            if request.image_type in OPTICAL_FLOW:
+                self._notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
             return np.empty((0, 0), np.float32), str(error)
         pictures = self._scenery.pictures
         draw = pictures.floats if request.pixels_as_float else pictures.bgr
@@ -134,14 +137,15 @@ class ImageApi:
             self._scenery.forget()
 
     def collision(self) -> dict[str, Any]:
-        """Our own: tick in simulated ns, object and north position of the latched collision; empty without one."""
+        """Our own: when, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        if world.collision_tick is None:
+        touch = world.touches.first
+        if touch is None:
             return {}
         return {
-            "time_ns": self.simulation.time_of(world.collision_tick),
-            "object": world.collision_object,
-            "position_m": list(self.simulation.kinematics().position_m),
+            "time_ns": self.simulation.time_of(touch.tick),
+            "object": touch.object,
+            "position_m": list(world.lead.local(touch.position_m)),
         }
 
 

@@ -16,7 +16,7 @@ from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
 from uavaccel.wire.scenery import Scenery
-from uavaccel.wire.vehicles import standing
+from uavaccel.wire.vehicles import free_place, standing
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond them a tick's drag or turn is no small change
 KIND = "simpleflight"
@@ -43,7 +43,10 @@ class VehicleApi:
         return sorted(vehicle.name for vehicle in self._simulation.world.vehicles)
 
     def add(self, name: Any, kind: Any, pose: Any, pawn_path: Any = "") -> bool:
-        """simAddVehicle: one more SimpleFlight, level and idle; `pose` is NED from the player's start."""
+        """simAddVehicle: one more SimpleFlight, level and idle; `pose` is NED from the player's start.
+
+        Below the ground is on it, and where another vehicle is beside that: Unreal adjusts what it spawns.
+        """
         if str(kind).lower() != KIND:
             raise ValueError(f"vehicle type {kind!r} is not available; there is SimpleFlight")
         place, attitude = types.pose(pose)
@@ -51,7 +54,8 @@ class VehicleApi:
             raise ValueError("pose must be finite")
         if not isinstance(name, str):
             raise ValueError(f"vehicle_name must be a text, not {type(name).__name__}")
-        start = standing(place, euler_from_quaternion(attitude)[2])
+        there = [vehicle.place_m for vehicle in self._simulation.world.vehicles]
+        start = standing(free_place(place, there), euler_from_quaternion(attitude)[2])
         self._simulation.add_vehicles([Newcomer(name, *start)])
         return True
 

@@ -7,10 +7,11 @@ metres from the player's start, and each vehicle's own frame begins where it doe
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.bounds import check_name
+from uavaccel.sim.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import HERE, Newcomer, Start
 from uavaccel.sim.world import START_M
@@ -65,6 +66,17 @@ def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
         return Start(START_M), HERE
     place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
     return standing(place, math.radians(vehicle.yaw or 0.0))
+
+
+def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
+    """The place, on the ground where it is below, or the next one to its east at which no vehicle is.
+
+    NED from the player's start; `taken_m` are the vehicles' places in the world.
+    """
+    north, east, down = place_m[0], place_m[1], min(place_m[2], 0.0)
+    while any(math.dist((north, east, down + STANDING_M), other) < APART_M for other in taken_m):
+        east += APART_M
+    return north, east, down
 
 
 def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:

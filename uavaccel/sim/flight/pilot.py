@@ -38,7 +38,7 @@ class Command:
     reply: DeferredReply
     task: Task | None = None
     begin_tick: int = 0
-    goal_tick: int = 0  # at which the task has last set a goal
+    goal_tick: int | None = None  # at which the task has last set a goal, if it has
 
 
 class Pilot:
@@ -69,7 +69,7 @@ class Pilot:
     def start(self, task: Task, wall_ns: int) -> DeferredReply:
         """Let a task choose the goals; its first turn is now, and may already be the last."""
         tick = self._accept(LONGEST_TICKS, wall_ns)
-        command = self.command = Command(tick, DeferredReply(), task, tick, tick)
+        command = self.command = Command(tick, DeferredReply(), task, tick)
         self.turn(wall_ns)
         return command.reply
 
@@ -94,6 +94,8 @@ class Pilot:
             command.goal_tick = tick
             if self.api_control:
                 self._set(goal)
+        elif result is None:  # no goal in this turn: the goal timeout runs on
+            self._hold_after(command)
         if result is not None:
             self.end(result, wall_ns)
         else:
@@ -118,12 +120,17 @@ class Pilot:
         command, self.command = self.command, None
         if not completed or command.task is not None:
             self.log.cut_short(self.vehicle.tick)
-        if self.api_control:
-            self.vehicle.hold_from(self._last_goal(command) + self._profile.hover_after_ticks)
+        self._hold_after(command)
         self._simulation.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
 
-    def _last_goal(self, command: Command) -> int:
+    def _hold_after(self, command: Command) -> None:
+        """Let position hold set in a goal timeout after the command's last goal; one without any leaves it alone."""
+        last = self._last_goal(command)
+        if self.api_control and last is not None:
+            self.vehicle.hold_from(last + self._profile.hover_after_ticks)
+
+    def _last_goal(self, command: Command) -> int | None:
         if command.task is not None:
             return command.goal_tick
         return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
@@ -157,7 +164,7 @@ class Pilot:
         state["sticks"] = self.sticks
         if command is not None and command.task is not None:
             state |= state_of(command.task)
-            state |= {"begin_tick": command.begin_tick, "goal_tick": command.goal_tick}
+            state |= {"begin_tick": command.begin_tick, "goal_tick": optional(command.goal_tick)}
         return state
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -166,5 +173,5 @@ class Pilot:
         self.sticks = np.array(state["sticks"], float)
         self.command = None
         if end_tick is not None:
-            begin, last = int(state.get("begin_tick", 0)), int(state.get("goal_tick", 0))
+            begin, last = int(state.get("begin_tick", 0)), number_or_none(state.get("goal_tick", ()))
             self.command = Command(end_tick, DeferredReply(), task_of(state), begin, last)

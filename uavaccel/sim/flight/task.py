@@ -44,6 +44,8 @@ class Land:
     still: int = 0
 
     def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        if self.timeout_s <= 0:  # waitForFunction does not begin
+            return Turn(None, False)
         self.still = self.still + 1 if now.linear_velocity_m_s[2] <= AT_REST_M_S else 0
         goal = goals.velocity((0.0, 0.0, LANDING_M_S))
         if self.still > LANDED_LOOPS:

@@ -78,12 +78,15 @@ def _set_materials(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: Lane
 
 
 def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
+    sun = model.light("sun")
+    sun.dir, sun.ambient, sun.diffuse = sunlight(layout)
+
+
+def sunlight(layout: LaneLayout) -> tuple[NDArray[np.float64], float, float]:
+    """A lane's light: the direction in which the sun shines, MuJoCo's axes; the ambient and the diffuse level."""
     level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad
     direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(SUN_ELEVATION_RAD)]
-    sun = model.light("sun")
-    sun.dir = ned_to_mujoco(direction)
-    sun.diffuse = layout.light * DAYLIGHT
-    sun.ambient = layout.light * AMBIENT
+    return ned_to_mujoco(direction), layout.light * AMBIENT, layout.light * DAYLIGHT
 
 
 def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:

@@ -22,7 +22,7 @@ from uavaccel.sim.earth import (
     pressure_altitude_m,
 )
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
-from uavaccel.sim.sensors.noise import Drift, White
+from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
 from uavaccel.sim.sensors.state import Truth
 
 NO_FIX, FIX_2D, FIX_3D = 0, 2, 3
@@ -47,18 +47,21 @@ class BarometerReading(NamedTuple):
 
 
 class Barometer:
-    """The standard atmosphere's pressure, its drift as a Gauss-Markov process, and white noise."""
+    """The standard atmosphere's pressure, its drift since the last reset, and white noise.
+
+    The drift is a Gauss-Markov process as GaussianMarkov.hpp updates it: what it gains is of the order of the step
+    and not of its root, so that of `pressure_factor_sigma` next to nothing comes about.
+    """
 
     def __init__(self, settings: BarometerSettings, seed: int, name: str) -> None:
         self._white, self._sigma_pa = White(seed, name, 1), settings.uncorrelated_noise_sigma
-        drift = White(seed, f"{name} drift", 1)
-        self._drift = Drift(
-            drift, settings.pressure_factor_sigma, settings.pressure_factor_tau, at_rest=False
-        )
+        keep = math.exp(-1.0 / UPDATES_PER_S / settings.pressure_factor_tau)
+        gain = (1.0 - keep) * settings.pressure_factor_sigma
+        self._drift = Drift(seed, f"{name} drift", 1, keep, gain)
 
     def read(self, truth: Truth) -> BarometerReading:
         pressure = atmosphere(truth.place.altitude).pressure_pa
-        pressure *= 1.0 + float(self._drift.at(truth.time_s)[0])
+        pressure *= 1.0 + float(self._drift.at(truth.since_reset_s)[0])
         pressure += float(self._white.at(truth.sample)[0]) * self._sigma_pa
         return BarometerReading(pressure_altitude_m(pressure), pressure)
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from uavaccel.kinematics import Vector
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.earth import GRAVITY_M_S2
-from uavaccel.sim.sensors.noise import Drift, White
+from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
 from uavaccel.sim.sensors.state import Truth
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -54,8 +54,9 @@ class Imu:
         force_walk = settings.accel_bias_stability * 1e-6 * GRAVITY_M_S2
         force_walk /= math.sqrt(settings.accel_bias_stability_tau)
         self._white = White(seed, name, 6)
-        self._rate_bias = Drift(White(seed, f"{name} rate", 3), rate_walk, math.inf, at_rest=True)
-        self._force_bias = Drift(White(seed, f"{name} force", 3), force_walk, math.inf, at_rest=True)
+        step = 1.0 / math.sqrt(UPDATES_PER_S)  # of a random walk of 1 per root second
+        self._rate_bias = Drift(seed, f"{name} rate", 3, 1.0, rate_walk * step)
+        self._force_bias = Drift(seed, f"{name} force", 3, 1.0, force_walk * step)
 
     def read(self, truth: Truth) -> ImuReading:
         kinematics = truth.kinematics

@@ -8,6 +8,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+UPDATES_PER_S = 50  # of a drift: BarometerSimpleParams' update_frequency
+
 
 class White:
     """Independent standard normal numbers for each sample of a sensor."""
@@ -23,25 +25,37 @@ class White:
 
 
 class Drift:
-    """A first-order Gauss-Markov process of three axes or fewer, in steps of a second; for ever if `tau_s` is inf.
+    """What begins at 0 and in each step keeps `keep` of itself and gains `gain` times a normal number.
 
-    `sigma`: after a long time; of a random walk, of a second's step. It starts at `sigma` times a normal number where
-    `at_rest` is false, else at 0.
+    The steps are those of AirSim's barometer, UPDATES_PER_S. The process is of its time alone, whoever asked before.
     """
 
-    def __init__(self, white: White, sigma: float, tau_s: float, at_rest: bool) -> None:
-        self._white, self._sigma = white, sigma
-        self._keep = math.exp(-1.0 / tau_s)
-        self._step = 1.0 if math.isinf(tau_s) else math.sqrt(1.0 - self._keep**2)
-        self._first = white.at(0) * (0.0 if at_rest else sigma)
-        self._second, self._value = 0, self._first
+    def __init__(self, seed: int, sensor: str, size: int, keep: float, gain: float) -> None:
+        self._white, self._size = White(seed, sensor, UPDATES_PER_S * size), size
+        self._keep, self._gain = keep, gain
+        self._shares = gain * keep ** np.arange(UPDATES_PER_S - 1, -1, -1.0)[:, None]  # at a second's end
+        self._begin()
+
+    def _begin(self) -> None:
+        self._second, self._first = 0, np.zeros(self._size)
+        self._values: list[NDArray[np.float64]] = []  # of this second, once they are asked for
 
     def at(self, time_s: float) -> NDArray[np.float64]:
-        """The process at a time, 0 or more; it stays what it is within a second."""
-        if time_s < self._second:  # a saved state was gone back to
-            self._second, self._value = 0, self._first
-        while self._second + 1 <= time_s:
+        """(size,) at a time, 0 or more."""
+        second, update = divmod(math.floor(time_s * UPDATES_PER_S + 1e-6), UPDATES_PER_S)
+        if second < self._second:  # a reset, or a saved state was gone back to
+            self._begin()
+        while self._second < second:
+            gained = (self._shares * self._drawn()).sum(axis=0)
+            self._first = self._keep**UPDATES_PER_S * self._first + gained
             self._second += 1
-            step = self._white.at(self._second) * self._sigma * self._step
-            self._value = self._value * self._keep + step
-        return self._value
+            self._values = []
+        if not self._values:
+            self._values = [self._first]
+            for drawn in self._drawn():
+                self._values.append(self._keep * self._values[-1] + self._gain * drawn)
+        return self._values[update].copy()
+
+    def _drawn(self) -> NDArray[np.float64]:
+        """(UPDATES_PER_S, size) for the present second."""
+        return self._white.at(self._second).reshape(UPDATES_PER_S, self._size)

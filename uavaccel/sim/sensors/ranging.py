@@ -5,6 +5,7 @@ Sources: AirSim v1.8.1, DistanceSimple, LidarSimple, their Params, UnrealDistanc
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, NamedTuple
 
 import mujoco
@@ -113,17 +114,33 @@ class Lidar:
 def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
     """Unit vectors (n, 3) of a scan's rays in the sensor's frame, channel by channel from the upmost, turning right.
 
-    The scan begins at `start_deg`; rays outside of the horizontal field of view are left out.
+    Each channel takes the same azimuths, from `start_deg` on; rays outside of the horizontal field of view are left
+    out. None where less than half a point falls to a channel (UnrealLidarSensor::getPointCloud).
+    """
+    azimuths_deg = azimuths(settings, start_deg)
+    channels_deg = np.linspace(
+        settings.vertical_fov_upper, settings.vertical_fov_lower, settings.number_of_channels
+    )
+    pitch = np.radians(np.repeat(channels_deg, len(azimuths_deg)))
+    yaw = np.radians(np.tile(azimuths_deg, settings.number_of_channels))
+    return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)
+
+
+def azimuths(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
+    """Degrees (m,) from 0 to 360 of every channel's rays within the horizontal field of view, as they are cast.
+
+    A field of view whose ends are the same direction is the whole circle (VectorMath::isAngleBetweenAngles).
     """
     period_s = 1.0 / settings.update_frequency
-    count = min(round(settings.points_per_second * period_s), MOST_POINTS)
-    of_one = max(round(count / settings.number_of_channels), 1)
-    number = np.arange(count)
-    step_deg = settings.rotations_per_second * 360.0 * period_s / of_one
-    yaw_deg = (start_deg + step_deg * number) % 360.0
-    upper, lower = settings.vertical_fov_upper, settings.vertical_fov_lower
-    pitch_deg = np.linspace(upper, lower, settings.number_of_channels)[number % settings.number_of_channels]
+    points = min(_half_up(settings.points_per_second * period_s), MOST_POINTS)
+    of_one = _half_up(points / settings.number_of_channels)
+    turn_deg = settings.rotations_per_second * 360.0 * period_s
+    ray_deg = (start_deg + turn_deg * np.arange(of_one) / max(of_one, 1)) % 360.0
     first, last = settings.horizontal_fov_start % 360.0, settings.horizontal_fov_end % 360.0
-    inside = (yaw_deg - first) % 360.0 <= (last - first) % 360.0
-    yaw, pitch = np.radians(yaw_deg[inside]), np.radians(pitch_deg[inside])
-    return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)
+    after, before = ray_deg >= first, ray_deg <= last
+    return ray_deg[after & before if first < last else after | before]
+
+
+def _half_up(count: float) -> int:
+    """The nearest whole number, and of two the larger: FMath::RoundHalfFromZero of what is not negative."""
+    return math.floor(count + 0.5)

@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.ablation import report
 from uavaccel.suites.ablation.config import AblationConfig
 from uavaccel.suites.dp1 import cases as dp1_cases
 from uavaccel.suites.dp1.config import Dp1Config
@@ -82,9 +81,13 @@ class Ablation(Suite[AblationConfig, Case]):
         )
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.ablation import report
+
         return report.write_report(run)
 
     def overview(self, summary: Summary) -> SummaryTable:
+        from uavaccel.suites.ablation import report
+
         return SummaryTable(report.HEADER, report.table(summary))
 
 

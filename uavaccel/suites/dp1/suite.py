@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 from uavaccel.bench.traces import record_trace
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import report
 from uavaccel.suites.dp1.cases import Case, cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
@@ -53,6 +52,8 @@ class Dp1(Suite[Dp1Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
+        from uavaccel.suites.dp1 import report
+
         return report.write_report(run)
 
     def overview(self, summary: Summary) -> SummaryTable:

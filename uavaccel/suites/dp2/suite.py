@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from uavaccel.draw.film import Film
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp2 import film, report
+from uavaccel.suites.dp2 import film
 from uavaccel.suites.dp2.cases import Case, cases
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.flights import SCENE, fly_game
@@ -44,6 +44,8 @@ class Dp2(Suite[Dp2Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
+        from uavaccel.suites.dp2 import report
+
         return report.write_report(run)
 
     def overview(self, summary: Summary) -> SummaryTable:

@@ -14,10 +14,8 @@ from uavaccel.draw.film import Film
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent, policy_sha256
-from uavaccel.suites.evaluation import report
 from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
-from uavaccel.suites.evaluation.film import best_first, film_lane
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.summary import headline
 from uavaccel.suites.host_time import pace
@@ -81,13 +79,19 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return headline(summary)
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.evaluation import report
+
         return report.write_report(run)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.evaluation import report
+
         return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON))]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""
+        from uavaccel.suites.evaluation.film import best_first, film_lane
+
         row = choose_row(run, case, best_first(run.rows()))
         config = validate(EvaluateConfig, run.config(), str(run.path / "config.yaml"))
         return row["case"], film_lane(config, int(row["lane"]))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.paper import report
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.verdicts import training_run
 from uavaccel.suites.parts import fly_part, part_cost, part_suite
@@ -64,10 +63,16 @@ class Paper(Suite[PaperConfig, Case]):
         return Flown({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
 
     def headline(self, summary: Summary) -> str:
+        from uavaccel.suites.paper import report
+
         return report.headline(summary)
 
     def overview(self, summary: Summary) -> SummaryTable:
+        from uavaccel.suites.paper import report
+
         return SummaryTable(report.SHORT_HEADER, report.overview(summary))
 
     def report(self, run: RunDirectory) -> dict[str, Any]:
+        from uavaccel.suites.paper import report
+
         return report.write_report(run)

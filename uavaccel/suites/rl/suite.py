@@ -10,7 +10,6 @@ from pathlib import Path
 from uavaccel.records import RunDirectory
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_suite
-from uavaccel.suites.rl import report
 from uavaccel.suites.rl.cells import (
     Cell,
     Size,
@@ -68,16 +67,24 @@ class Rl(Suite[RlConfig, Cell]):
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
     def headline(self, summary: Summary) -> str:
+        from uavaccel.suites.rl import report
+
         return report.headline(summary)
 
     def overview(self, summary: Summary) -> SummaryTable:
+        from uavaccel.suites.rl import report
+
         return SummaryTable(report.SHORT_HEADER, report.overview(summary))
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.rl import report
+
         return report.write_report(run)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """One report of several runs' cells, in the first one's folder `together`."""
+        from uavaccel.suites.rl import report
+
         together = put_together(runs)
         report.write_report(together)
         return [together.path / "report.html"]

@@ -13,7 +13,6 @@ from uavaccel.suites.evaluation.as_part import fly_evaluation, won
 from uavaccel.suites.experiment import CommandName
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, part_cost, part_suite
-from uavaccel.suites.robustness import report
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
 
@@ -86,12 +85,18 @@ class Robustness(Suite[RobustnessConfig, Cell]):
         return won(rows[-1])
 
     def headline(self, summary: Summary) -> str:
+        from uavaccel.suites.robustness import report
+
         return report.headline(summary)
 
     def overview(self, summary: Summary) -> SummaryTable:
+        from uavaccel.suites.robustness import report
+
         return SummaryTable(report.header(summary), report.table(summary))
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.robustness import report
+
         return report.write_report(run)
 
 

@@ -15,7 +15,6 @@ from uavaccel.suites.experiment import timing_of
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_cost, part_suite
 from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
-from uavaccel.suites.sweep import report
 from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
 from uavaccel.suites.sweep.config import SweepConfig
 
@@ -75,12 +74,18 @@ class Sweep(Suite[SweepConfig, Case]):
         return won(rows[-1])
 
     def headline(self, summary: Summary) -> str:
+        from uavaccel.suites.sweep import report
+
         return report.headline(summary)
 
     def overview(self, summary: Summary) -> SummaryTable:
+        from uavaccel.suites.sweep import report
+
         return SummaryTable(report.HEADER, report.table(summary))
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.sweep import report
+
         return report.write_report(run)
 
 

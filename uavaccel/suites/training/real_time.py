@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from uavaccel.draw.style import command_name
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import OWN, baseline_class
@@ -24,6 +23,8 @@ def model_real_time(config: TrainConfig) -> dict[str, Any]:
 
     Pictures, DVS, decisions and learning are charged to its wall clock: the phases of the paper's Figure 9.
     """
+    from uavaccel.draw.style import command_name
+
     task = config.task
     learning_s = _gradient_steps(config) * config.learning_s
     environment = ObstacleLane(

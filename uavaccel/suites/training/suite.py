@@ -17,7 +17,6 @@ from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
-from uavaccel.suites.training import report
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import (
     CHECKPOINTS,
@@ -98,7 +97,11 @@ class Training(Suite[TrainConfig, Case]):
         return headline(summary)
 
     def report(self, run: RunDirectory) -> Summary:
+        from uavaccel.suites.training import report
+
         return report.write_report(run)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.training import report
+
         return report.compare_trainings(runs)

@@ -1,0 +1,99 @@
+"""What becomes of a flight when one of its processes is killed, stopped or interrupted: a line, and nothing is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import alive, command_line, descendants, left_after
+from uavaccel.fly.options import SCRATCH
+
+pytestmark = [pytest.mark.skipif(sys.platform != "linux", reason="/proc, signals"), pytest.mark.slow]
+
+ROOT = Path(__file__).parents[1]
+PATIENCE_S = 60.0
+SCRIPT = """
+import sys, time
+if "connected" in sys.argv:
+    import airsim
+    client = airsim.MultirotorClient()
+    print(client.ping(), flush=True)
+    time.sleep(3600)
+print("begun", flush=True)
+while True:
+    pass
+"""
+MARKS = {"script": "uavaccel.fly.process", "server": "uavaccel.cli.main"}
+
+
+def process_of(whole: subprocess.Popen[str], target: str) -> int:
+    """The number of one of a flight's processes; the server's session is its own."""
+    if target == "parent":
+        return whole.pid
+    return next(pid for pid in descendants(whole.pid) if MARKS[target] in command_line(pid))
+
+
+@pytest.mark.parametrize(("timing", "target", "kind", "line", "status"), [
+    ("virtual", "parent", "INT", "", 130),
+    ("virtual", "parent", "KILL", "the process that started this flight was killed", -9),
+    ("virtual", "script", "KILL", "the script's process was ended by SIGKILL", 137),
+    ("virtual", "script", "STOP", "the script's process was stopped", 137),
+    ("wall", "parent", "KILL", "the process that started this flight was killed", -9),
+    ("wall", "script", "SEGV", "the script's process was ended by SIGSEGV", 139),
+    ("wall", "server", "KILL", "the server's process was ended by SIGKILL; the script ends too", 1),
+    ("wall", "server", "STOP", "the server's process was stopped; the script ends too", 1),
+])  # fmt: skip
+def test_a_death_is_noticed_and_nothing_is_left(
+    tmp_path: Path, timing: str, target: str, kind: str, line: str, status: int
+) -> None:
+    script, temporary, said = tmp_path / "script.py", tmp_path / "tmp", tmp_path / "said.txt"
+    script.write_text(SCRIPT)
+    temporary.mkdir()
+    command = [sys.executable, "-m", "uavaccel", "fly", "--timing", timing, str(script)]
+    command += ["connected"] if timing == "wall" else []
+    with (
+        said.open("w") as errors,
+        subprocess.Popen(
+            command,
+            cwd=ROOT,
+            env={**os.environ, "TMPDIR": str(temporary)},
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            start_new_session=True,
+        ) as flight,
+    ):
+        assert flight.stdout is not None
+        assert flight.stdout.readline().strip() in ("begun", "True")
+        everybody = {flight.pid, *descendants(flight.pid)}
+        assert len(everybody) == (3 if timing == "wall" else 2)
+        os.kill(process_of(flight, target), getattr(signal, f"SIG{kind}"))
+        assert flight.wait(PATIENCE_S) == status
+        assert not left_after(everybody, PATIENCE_S), [command_line(pid) for pid in everybody if alive(pid)]
+        rest = flight.stdout.read()
+    lines = [text for text in said.read_text().splitlines() if "stopped; requested" not in text]
+    if line:
+        assert len(lines) == 1, lines
+        assert line in lines[0]
+    else:
+        assert rest.startswith("interrupted; "), (rest, lines)
+    assert not list(temporary.iterdir())
+
+
+def test_what_a_killed_flight_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        pass
+    left, others = (tmp_path / f"{SCRATCH}{pid}-x" for pid in (gone.pid, os.getpid()))
+    for folder in (left, others):
+        folder.mkdir()
+        (folder / "file").touch()
+    script = tmp_path / "script.py"
+    script.touch()
+    command = [sys.executable, "-m", "uavaccel", "fly", str(script)]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(tmp_path)}, check=True)
+    assert sorted(tmp_path.iterdir()) == sorted([others, script])

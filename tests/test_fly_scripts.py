@@ -1,0 +1,363 @@
+"""What a script of AirSim's time, or of ours, may use under `uavaccel fly`: each in a process, as its user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+class Folder:
+    """A folder with a script, and a home without settings."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.home = path, path / "home"
+        self.home.mkdir()
+
+    def write(self, text: str, name: str = "script.py") -> Path:
+        (self.path / name).write_text(textwrap.dedent(text))
+        return self.path / name
+
+    def fly(self, text: str, *options: str) -> subprocess.CompletedProcess[str]:
+        """Fly a script's text; `options` before it, and "--" between them and its own arguments."""
+        own = options.index("--") if "--" in options else len(options)
+        script = self.write(text)
+        command = [sys.executable, "-m", "uavaccel", "fly", *options[:own], str(script), *options[own + 1 :]]
+        environment = {**os.environ, "HOME": str(self.home)}
+        return subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False
+        )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    return Folder(tmp_path)
+
+
+# --- the simulated clock -------------------------------------------------------------------------------------------
+
+SLEEPS = """
+    import airsim, asyncio
+    client = airsim.MultirotorClient()
+    client.enableApiControl(True)
+
+    async def fly():
+        client.moveByVelocityAsync(2, 0, 0, 9)
+        begun = client.getMultirotorState().timestamp
+        for _ in range(10):
+            await asyncio.sleep(0.5)
+        print(client.getMultirotorState().timestamp - begun)
+
+    asyncio.run(fly())
+"""
+
+EXECUTORS = """
+    import asyncio, concurrent.futures, sched, threading, time
+    from multiprocessing.pool import ThreadPool
+
+    def since(begun):
+        return round(time.monotonic() - begun, 3)
+
+    def waits(seconds):
+        time.sleep(seconds)
+        return round(seconds, 1)
+
+    async def tasks():
+        loop, begun = asyncio.get_running_loop(), time.monotonic()
+        loop.call_later(0.7, lambda: print("later", since(begun)))
+        try:
+            await asyncio.wait_for(asyncio.sleep(10), 2)
+        except asyncio.TimeoutError:
+            print("wait_for", since(begun))
+        print("to_thread", await asyncio.to_thread(waits, 1.5), since(begun))
+        done = loop.run_in_executor(None, waits, 1)
+        while not done.done():
+            await asyncio.sleep(0.1)
+        print("run_in_executor", since(begun))
+        end = loop.time() + 0.01
+        while loop.time() < end:
+            await asyncio.sleep(0)
+
+    asyncio.run(tasks())
+    begun = time.monotonic()
+    for scheduler in (sched.scheduler(), sched.scheduler(time.time, time.sleep)):
+        scheduler.enter(2, 1, lambda: print("sched", since(begun)))
+        scheduler.run()
+    with concurrent.futures.ThreadPoolExecutor(3) as pool:
+        futures = [pool.submit(waits, seconds) for seconds in (0.9, 0.3, 0.6)]
+        print("submit", [future.result() for future in concurrent.futures.as_completed(futures)], since(begun))
+        print("map", list(pool.map(waits, (0.2, 0.1))), since(begun))
+    with ThreadPool(2) as pool:
+        print("ThreadPool", pool.map(waits, (1, 0.5, 0.2)), since(begun))
+    barrier = threading.Barrier(2)
+    threading.Timer(1, barrier.wait).start()
+    barrier.wait()
+    print("Barrier", since(begun))
+    from joblib import Parallel, delayed  # a library's threads keep the machine's time
+    print("joblib", Parallel(n_jobs=2, backend="threading")(delayed(abs)(-number) for number in range(3)))
+    concurrent.futures.ThreadPoolExecutor().submit(lambda: (time.sleep(1), print("left", since(begun))))
+"""
+
+
+@pytest.mark.slow
+def test_asyncio_sleeps_on_the_simulated_clock(folder: Folder) -> None:
+    done = folder.fly(SLEEPS, "--timing", "lockstep")
+    assert done.stdout.splitlines()[0] == "5000000000", done.stderr
+
+
+def test_executors_loops_and_schedulers_follow_the_simulated_clock(folder: Folder) -> None:
+    done = folder.fly(EXECUTORS)
+    assert done.stdout.splitlines()[:-1] == [
+        "later 0.7", "wait_for 2.0", "to_thread 1.5 3.5", "run_in_executor 4.5",
+        "sched 2.0", "sched 4.0", "submit [0.3, 0.6, 0.9] 4.9", "map [0.2, 0.1] 5.1",
+        "ThreadPool [1, 0.5, 0.2] 6.1", "Barrier 7.1", "joblib [0, 1, 2]", "left 8.1",
+    ], done.stderr  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_loop_that_polls_thinks_and_says_so(folder: Folder) -> None:
+    text = """
+        import airsim
+        client = airsim.MultirotorClient()
+        polls, begun = 0, client.getMultirotorState().timestamp
+        while client.getMultirotorState().timestamp < begun + 2_000_000_000:
+            polls += 1
+        print("polls", polls)
+    """
+    done = folder.fly(text, "--check")
+    polls, how = done.stdout.splitlines()[:2]
+    assert 1000 < int(polls.split()[1]) < 2001, done.stderr
+    assert "1 ms of thinking before each" in how
+    assert done.stdout.splitlines()[2].startswith("checked: ")
+    own = folder.fly(text, "--think", "0.1").stdout.splitlines()
+    assert own[0] == "polls 19"
+    assert "100 ms of thinking before each" in own[1]
+    none = folder.fly(text, "--think", "0").stdout.splitlines()
+    assert int(none[0].split()[1]) > 5000
+    assert "thinking" not in none[1]
+
+
+# --- processes -----------------------------------------------------------------------------------------------------
+
+CHILDREN = """
+    import airsim, concurrent.futures, multiprocessing, subprocess, sys
+
+    def squares(number):
+        return number * number
+
+    def flies(number):
+        return airsim.MultirotorClient().getMultirotorState().timestamp > 0
+
+    if __name__ == "__main__":
+        client = airsim.MultirotorClient()
+        kind = multiprocessing.get_context(sys.argv[1])
+        with kind.Pool(2) as pool:
+            print(pool.map(squares, range(3)))
+        child = subprocess.run([sys.executable, "child.py"], cwd=sys.argv[2], capture_output=True, text=True)
+        print(child.returncode, child.stdout.strip() + child.stderr.strip(), flush=True)
+        process = kind.Process(target=flies, args=(1,))
+        process.start()
+        process.join()
+        print(process.exitcode, flush=True)
+        with concurrent.futures.ProcessPoolExecutor(1, kind) as pool:
+            print(pool.submit(flies, 1).result())
+"""
+CHILD = """
+    import airsim.types
+    client = airsim.MultirotorClient()
+    print(client.ping())
+"""
+REFUSED = "it cannot share a simulated clock: fly the script with --timing wall"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["fork", "spawn"])
+def test_processes_of_a_script_share_the_server_and_no_simulated_clock(folder: Folder, kind: str) -> None:
+    folder.write(CHILD, "child.py")
+    shared = folder.fly(CHILDREN, "--timing", "wall", "--", kind, str(folder.path))
+    assert shared.stdout.splitlines()[:-1] == ["[0, 1, 4]", "0 True", "0", "True"], shared.stderr
+    done = folder.fly(CHILDREN, "--", kind, str(folder.path))
+    squares, child, process = done.stdout.splitlines()
+    assert (squares, process, done.returncode) == ("[0, 1, 4]", "1", 1)
+    assert child.startswith("1 uavaccel: error: a process that the script has started calls")
+    assert child.endswith(REFUSED)
+    lines = done.stderr.splitlines()
+    assert sum(line.endswith(REFUSED) for line in lines) == 2  # of the process, and of the pool's
+    assert "Traceback" not in done.stderr
+
+
+# --- how a flight ends ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_check_tells_a_scripts_own_status_from_flights_that_differ(folder: Folder) -> None:
+    done = folder.fly("import airsim, sys\nairsim.MultirotorClient().ping()\nsys.exit(3)\n", "--check")
+    assert done.returncode == 3
+    assert done.stdout.splitlines()[-1].startswith(
+        "checked: flown twice, 1 calls and the trajectory are equal"
+    )
+    text = """
+        import airsim, os
+        client = airsim.MultirotorClient()
+        client.simSetObjectPose("none", airsim.Pose(airsim.Vector3r(os.getpid())))
+    """
+    done = folder.fly(text, "--check")
+    assert done.returncode == 1
+    assert "uavaccel: the flights differ at call 1" in done.stderr
+    assert "checked" not in done.stdout
+
+
+def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None:
+    text = """
+        import os, pathlib, signal
+        flown = pathlib.Path(__file__).with_name("flown")
+        if flown.exists() or "now" in os.environ:
+            os.kill(os.getpid(), signal.SIGINT)
+        flown.touch()
+    """
+    done = folder.fly(text, "--check")  # the second flight is interrupted
+    assert done.returncode == 130
+    assert done.stdout.splitlines()[-1] == "not checked: the second flight did not come to its end"
+    assert "differ" not in done.stderr
+    done = folder.fly(text, "--check")  # the first one is
+    assert (done.returncode, len(done.stdout.splitlines())) == (130, 1)
+
+
+# --- what scripts import -------------------------------------------------------------------------------------------
+
+
+def test_tracebacks_of_failed_imports_are_the_scripts_own(folder: Folder) -> None:
+    folder.write("import nothing_of_that_name\n", "broken.py")
+    text = """
+        import threading, traceback
+        try:
+            import nothing_at_all
+        except ImportError:
+            traceback.print_exc()
+        def work():
+            import broken
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        import broken
+    """
+    done = folder.fly(text)
+    assert done.returncode == 1
+    assert done.stderr.count("No module named 'nothing_of_that_name'") == 2
+    assert done.stderr.count("No module named 'nothing_at_all'") == 1
+    assert "uavaccel" not in done.stderr
+
+
+def test_keys_are_never_pressed_where_nothing_reads_them(folder: Folder) -> None:
+    text = """
+        import keyboard, pygame, msvcrt, time
+        from pygame.locals import *
+        from pynput import keyboard as keys
+
+        begun = time.time()
+        pygame.init()
+        screen, clock = pygame.display.set_mode((640, 480)), pygame.time.Clock()
+        for _ in range(30):
+            for event in pygame.event.get():
+                running = event.type != pygame.QUIT
+            held = pygame.key.get_pressed()
+            assert not (held[K_w] or held[pygame.K_UP] or keyboard.is_pressed("w") or msvcrt.kbhit())
+            screen.fill((0, 0, 0))
+            pygame.display.flip()
+            clock.tick(30)
+        print(round(time.time() - begun, 2), pygame.time.get_ticks())
+
+        class Sprite(pygame.sprite.Sprite):
+            pass
+
+        def pressed(key):
+            return key != keys.Key.esc
+
+        with keys.Listener(on_press=pressed) as listener:
+            listener.join()
+        keyboard.wait("esc")
+        print(pygame.K_UP != pygame.K_DOWN)
+    """
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[:2] == ["1.0 1000", "True"], done.stderr
+    named = [line.split()[1] for line in done.stderr.splitlines()]
+    assert sorted(named) == ["keyboard", "msvcrt", "pygame", "pynput"]
+    assert done.stderr.count("no key is ever pressed") == 4
+
+
+@pytest.mark.slow
+def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
+    text = """
+        from AirSimClient import *
+        import airsim, time
+        client = MultirotorClient()
+        client.confirmConnection()
+        client.enableApiControl(True)
+        client.armDisarm(True)
+        assert client.getLandedState() == LandedState.Flying
+        assert client.moveToPosition(3, 0, -9, 2) and client.getPosition().x_val > 2.4
+        begun = client.timestampNow()
+        client.moveByVelocity(1, 0, 0, 5)
+        time.sleep(2)
+        print(client.timestampNow() - begun < 2.1e9, 0.5 < client.getVelocity().x_val < 1.1)
+        depth, scene = client.simGetImages([
+            ImageRequest(0, AirSimImageType.DepthPlanner, True), ImageRequest(1, AirSimImageType.Scene)])
+        print(AirSimClientBase.getPfmArray(depth).shape, airsim.ImageType.DepthPlanner, scene.width)
+        client.setCameraOrientation(0, AirSimClientBase.toQuaternion(0.2, 0, 0))
+        pitch, roll, yaw = client.toEulerianAngle(client.getCameraInfo(0).pose.orientation)
+        print(0.1 < pitch < 0.3, client.getCollisionInfo().has_collided)
+        before = client.timestampNow()
+        print(client.moveOnPath([Vector3r(9, 0, -9)], 2, 0), client.timestampNow() - before < 10_000_000)
+    """
+    done = folder.fly(text)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-5:-1] == ["True True", "(144, 256) 1 256", "True False", "True True"]
+
+
+# --- settings, ClockSpeed ------------------------------------------------------------------------------------------
+
+
+def test_settings_are_found_and_named(folder: Folder) -> None:
+    text = "import airsim, json\nprint(json.loads(airsim.MultirotorClient().getSettingsString())['ClockSpeed'])\n"
+    documents = folder.home / "Documents" / "AirSim"
+    documents.mkdir(parents=True)
+    (documents / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": 3}))
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[0].startswith(f"settings: {documents / 'settings.json'} (--no-settings")
+    assert done.stdout.splitlines()[1] == "3.0"
+    beside = folder.path / "settings.json"
+    beside.write_text(json.dumps({"SettingsVersion": 1.2, "SimMode": "Car"}))
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[0].startswith(f"settings: {beside} ")
+    assert done.stdout.splitlines()[1] == "1.0"
+    assert f"uavaccel: warning: {beside}: " in done.stderr
+    assert done.stderr.rstrip().endswith("flown without")
+    beside.write_text(json.dumps({"editor.fontSize": 12}))  # of another program
+    assert folder.fly(text, "--no-settings").stdout.splitlines()[0] == "1.0"
+
+
+@pytest.mark.slow
+def test_clock_speeds_say_that_sleeps_stretch(folder: Folder) -> None:
+    text = """
+        import airsim, time
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+        client.moveByVelocityAsync(1, 0, 0, 99)
+        time.sleep(1)
+    """
+    line = "the script sleeps while the clock runs: its sleeps are wall time"
+    assert folder.fly(text, "--clock", "1,4").stdout.splitlines()[-1].startswith(line)
+    assert line not in folder.fly(text.replace("time.sleep(1)", ""), "--clock", "1,4").stdout
+
+
+def test_a_script_that_flies_nothing_loads_nothing_heavy(folder: Folder) -> None:
+    text = "import sys\nprint(sorted({'cv2', 'mujoco', 'numba', 'scipy', 'torch'} & {*sys.modules}))\n"
+    done = folder.fly(text)
+    assert done.stdout.splitlines() == ["[]", "no client connected, nothing was flown"]

@@ -1,0 +1,122 @@
+"""Games for lanes over arrays: what a task draws for each, in the order in which `FlightEnv` draws it, as rows of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.envs.checks import known_options
+from uavaccel.envs.flight_env import CONDITIONS
+from uavaccel.envs.task import Course, Task
+from uavaccel.kernels.bodies import Surroundings, read_surroundings
+from uavaccel.kernels.events import camera_row
+from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.lanes import Games
+from uavaccel.kernels.looks import fill_scene, read_looks
+from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.world import World
+from uavaccel.vision.image_noise import noise_seed
+from uavaccel.wire.image_api import lane_layout
+
+
+class Drawn(NamedTuple):
+    """A game before it begins."""
+
+    course: Course
+    task: Any
+    """The task under the game's conditions."""
+    layout: LaneLayout | None
+    latencies: np.random.SeedSequence
+
+
+class GameMaker:
+    """Draws a task's games and writes them into rows of `Games`."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self._world = World(task.scene, PROFILES[task.profile])
+        self.surroundings: Surroundings = read_surroundings(self._world.model)
+        self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
+        self.usual = self._world.parameters.copy()
+        self._start = lru_cache(maxsize=64)(self._settled)
+
+    def draw(
+        self, random: np.random.Generator, games: int, options: Mapping[str, Any] | None = None
+    ) -> Drawn:
+        """The game after so many of an environment whose generator this is. Raises UserError for wrong options."""
+        course = self.task.draw(random, known_options(options or {}, self.task.reset_options))
+        latencies = np.random.SeedSequence(int(random.integers(2**63)))
+        conditions = self.task.draw_conditions(random, games)
+        task = self.task.under(conditions)
+        told = {**course, CONDITIONS: conditions} if conditions else course
+        layout = task.layout(course)
+        return Drawn(told, task, None if layout is None else lane_layout(layout), latencies)
+
+    def write(self, drawn: Drawn, games: Games, row: int) -> None:
+        """Fill a game's row, but for the accelerations of its start (kernels/lanes.look)."""
+        task, layout = drawn.task, drawn.layout
+        ratios = (1.0, 1.0) if layout is None else (layout.mass_ratio, layout.thrust_ratio)
+        parameters, start, body = self._start(task.altitude_m, *ratios)
+        games.parameters[row], games.start[row], games.body[row] = parameters, start, body
+        games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
+        games.counts[row] = self.surroundings.put(layout, games.solids[row])
+        if self.looks is not None and layout is not None:
+            fill_scene(self.looks, games.scenes, row, layout)
+        games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
+        seed = noise_seed(drawn.latencies)
+        games.seeds[row] = seed, task.events_seed(seed)
+        games.commands[row] = task.speed_m_s, np.nan if task.held_z_m is None else task.held_z_m
+
+    def _settled(
+        self, altitude_m: float, mass_ratio: float, thrust_ratio: float
+    ) -> tuple[np.void, np.void, NDArray[np.float64]]:
+        """Parameters, record and body (BODY_FIELDS,) of a settled hover. Raises UserError where nothing can hover."""
+        world = self._world
+        world.lead.set_airframe(mass_ratio, thrust_ratio)
+        world.reset((0.0, 0.0, -altitude_m))
+        data = world.data
+        body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
+        return world.parameters.copy(), world.state.copy(), body
+
+    def name_of(self, solid: int, layout: LaneLayout | None) -> str:
+        """What a game's solid is called."""
+        return self.surroundings.name_of(solid, 0 if layout is None else len(layout))
+
+
+def stacked(courses: Sequence[Course]) -> dict[str, Any]:
+    """Courses of many games as one of arrays: a list of numbers becomes a list of arrays (n,), and so on."""
+    names = [name for name in courses[0] if name != CONDITIONS]
+    return {name: _components(np.array([course[name] for course in courses])) for name in names}
+
+
+def _components(values: NDArray[Any]) -> Any:
+    """(n, a, b) as a list of a lists of b arrays (n,)."""
+    if values.ndim == 1:
+        return values
+    return [_components(values[:, each]) for each in range(values.shape[1])]
+
+
+def put_course(course: Any, lane: int, value: Any) -> None:
+    """Let a lane's part of a course of arrays be that of a game of its own."""
+    if isinstance(course, Mapping):
+        for name in course:
+            put_course(course[name], lane, value[name]) if isinstance(course[name], list) else course[
+                name
+            ].__setitem__(lane, value[name])
+    else:
+        for part, each in zip(course, value, strict=True):
+            put_course(part, lane, each) if isinstance(part, list) else part.__setitem__(lane, each)
+
+
+def one_course(course: Any, lane: int) -> Any:
+    """A lane's part of a course of arrays, as plain numbers."""
+    if isinstance(course, Mapping):
+        return {name: one_course(each, lane) for name, each in course.items()}
+    if isinstance(course, list):
+        return [one_course(each, lane) for each in course]
+    return course[lane].item()

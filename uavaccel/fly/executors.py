@@ -1,0 +1,119 @@
+"""Python's own pools of threads, event loops and scheduler, on a simulated clock.
+
+`concurrent.futures` and `asyncio` make threads, locks and queues by the modules `threading`, `queue` and `time` that
+they have imported. Here they find others, which give a script what takes turns (uavaccel.fly.threads), and everybody
+else, such as a library that has pools of its own, Python's.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+from uavaccel.fly.event_loop import loops_taking_turns
+from uavaccel.fly.modules import called_by_a_script
+from uavaccel.fly.patches import Patches
+from uavaccel.fly.script import Enough
+from uavaccel.fly.threads import ThreadKinds, changed
+from uavaccel.fly.turns import Turns
+
+POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
+
+
+def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
+    """Let pools, event loops and schedulers that a script makes take turns.
+
+    `clock` is the script's module `time`.
+    """
+    sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+    stand_ins = {module: dispatching(module, own, turns) for module, own in kinds.own.items()}
+    stand_ins[sys.modules["time"]] = dispatching(
+        sys.modules["time"], {name: getattr(clock, name) for name in ("monotonic", "sleep", "time")}, turns
+    )
+
+    def change(module: ModuleType) -> None:
+        for original, stand_in in stand_ins.items():
+            if vars(module).get(original.__name__) is original:
+                patches.set(module, original.__name__, stand_in)
+
+    def change_thread_pool(module: Any) -> None:
+        patches.set(module, "ThreadPool", _thread_pool(module.ThreadPool, turns))
+
+    def change_scheduler(module: Any) -> None:
+        patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
+
+    for name in ("concurrent.futures._base", "asyncio.log"):
+        patches.when_imported(name, lambda module: _leave_ends_unsaid(module, patches))
+    for name in POOLS:
+        patches.when_imported(name, change)
+    patches.when_imported("concurrent.futures.process", lambda module: _wait_for_the_machine(module, patches))
+    patches.when_imported("multiprocessing.pool", change_thread_pool)
+    patches.when_imported("sched", change_scheduler)
+    patches.when_imported("asyncio.base_events", change)  # its loops read the clock by their own `time`
+    patches.when_imported(
+        "asyncio.selector_events", lambda module: loops_taking_turns(module, patches, turns, now_s)
+    )
+
+
+def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> ModuleType:
+    """A copy of a module some of whose names mean `own` for a script."""
+
+    def chosen(name: str, kind: Any) -> Callable[..., Any]:
+        original = getattr(module, name)
+        return lambda *arguments, **options: (kind if _of_a_script(turns) else original)(
+            *arguments, **options
+        )
+
+    return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
+
+
+def _leave_ends_unsaid(module: Any, patches: Patches) -> None:
+    """A pool, or an event loop, whose worker a flight's end reaches has nothing to log."""
+    logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
+    logger.addFilter(_is_no_end)
+    patches.undo(lambda: logger.removeFilter(_is_no_end))
+
+
+def _is_no_end(record: Any) -> bool:
+    """Whether a logger's record is of anything but a flight's end."""
+    return not (record.exc_info and isinstance(record.exc_info[1], Enough))
+
+
+def _of_a_script(turns: Turns) -> bool:
+    return turns.is_mine() and called_by_a_script()
+
+
+def _wait_for_the_machine(module: Any, patches: Patches) -> None:
+    """Processes compute in the machine's time: their futures are waited for in it."""
+    condition = threading.Condition
+
+    class Future(module._base.Future):
+        def __init__(self) -> None:
+            super().__init__()
+            self._condition = condition()
+
+    patches.set(module, "_base", changed(module._base, {"Future": Future}))
+
+
+def _thread_pool(original: type, turns: Turns) -> type:
+    """multiprocessing's ThreadPool, which for a script is ours."""
+
+    def new(cls: type, *arguments: Any, **options: Any) -> Any:
+        if not _of_a_script(turns):
+            return object.__new__(cls)
+        from uavaccel.fly.thread_pool import ThreadPool
+
+        return ThreadPool(*arguments, **options)
+
+    return type(original.__name__, (original,), {"__new__": new})
+
+
+def end_pools() -> None:
+    """What Python does to executors that nobody has shut down, before it waits for threads: it lets them finish."""
+    pools: Any = sys.modules.get("concurrent.futures.thread")
+    if pools is not None:
+        pools._python_exit()
+        pools._shutdown = False

@@ -1,0 +1,192 @@
+"""Stand-ins for what reads keys, where it is not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
+
+No key is ever pressed. Who waits for one gets Enter after a moment, as `airsim.wait_key` and `input` do here.
+"""
+
+from __future__ import annotations
+
+import string
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+from uavaccel.fly.modules import called_by_a_script
+
+ROOTS = ("keyboard", "pynput", "pygame", "msvcrt")
+KEY_S = 0.1  # of the script's time, until who waits for a key gets it
+Sleep = Callable[[float], object]
+Now = Callable[[], float]
+PARTS = {
+    "pygame": ("display", "event", "joystick", "key", "locals", "mouse", "time"),
+    "pynput": ("keyboard", "mouse"),
+}
+"""Modules of theirs that are there without being imported."""
+CONSTANTS = (
+    *(f"K_{key}" for key in string.ascii_lowercase + string.digits),
+    *(
+        f"K_{key}"
+        for key in ("UP", "DOWN", "LEFT", "RIGHT", "SPACE", "RETURN", "ESCAPE", "TAB", "LSHIFT", "LCTRL")
+    ),
+    *("QUIT", "KEYDOWN", "KEYUP", "MOUSEBUTTONDOWN", "MOUSEBUTTONUP", "MOUSEMOTION", "JOYAXISMOTION"),
+    *("JOYBUTTONDOWN", "JOYBUTTONUP", "RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
+)
+"""What `from pygame.locals import *` brings."""
+
+
+class _OfNothing(type):
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Nothing()
+
+
+class Nothing(metaclass=_OfNothing):
+    """Whatever else a script asks such a module for: it can be called, read, drawn on, and does nothing."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        pass
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return Nothing()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Nothing()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        pass
+
+    def __getitem__(self, key: Any) -> Any:
+        return False
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def __int__(self) -> int:
+        return 0
+
+    __index__ = __int__
+
+    def __float__(self) -> float:
+        return 0.0
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+
+class Silent(ModuleType):
+    """A module whose other names mean nothing; its constants, in capitals, are numbers of their own."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name.isupper() or name.startswith("K_"):
+            value: Any = _number_of(name)
+        else:
+            value = Nothing if name[:1].isupper() else Nothing()
+        setattr(self, name, value)
+        return value
+
+
+class Clock:
+    """pygame.time.Clock: `tick` waits until a frame of so many per second is over."""
+
+    def __init__(self, sleep: Sleep, now_s: Now) -> None:
+        self._sleep, self._now_s, self._ticked_s = sleep, now_s, now_s()
+
+    def tick(self, framerate: float = 0) -> int:
+        """Milliseconds since the last one."""
+        over_s = self._ticked_s + (1 / framerate if framerate else 0.0)
+        self._sleep(max(0.0, over_s - self._now_s()))
+        before_s, self._ticked_s = self._ticked_s, self._now_s()
+        return round(1000 * (self._ticked_s - before_s))
+
+    tick_busy_loop = tick
+
+    def get_fps(self) -> float:
+        return 0.0
+
+
+@contextmanager
+def key_modules(sleep: Sleep, now_s: Now) -> Iterator[None]:
+    """Let scripts' imports that find nothing else find them, on the script's clock."""
+    finder = _Finder(sleep, now_s)
+    sys.meta_path.append(finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+        for name in [name for name, module in sys.modules.items() if isinstance(module, Silent)]:
+            del sys.modules[name]
+
+
+class _Finder(Loader, MetaPathFinder):
+    """For scripts alone: a library that looks whether there is one may go on without."""
+
+    def __init__(self, sleep: Sleep, now_s: Now) -> None:
+        self._clock = sleep, now_s
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if name.partition(".")[0] not in ROOTS or not called_by_a_script({"importlib", "_frozen_importlib"}):
+            return None
+        return ModuleSpec(name, self, is_package=True)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        return Silent(spec.name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        root, _, part = module.__name__.partition(".")
+        if not part:
+            line = f"{root} is not installed: a stand-in takes its place, and no key is ever pressed"
+            print(f"uavaccel: {line}", file=sys.stderr, flush=True)
+        vars(module).update(_names(module.__name__, *self._clock))
+        for name in PARTS.get(module.__name__, ()):
+            part_of_it = sys.modules[f"{module.__name__}.{name}"] = Silent(f"{module.__name__}.{name}")
+            vars(part_of_it).update(_names(part_of_it.__name__, *self._clock))
+            setattr(module, name, part_of_it)
+
+
+def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, Any]:
+    """What of a module is more than nothing."""
+
+    def read(value: Any) -> Callable[..., Any]:
+        return lambda *arguments, **options: (sleep(KEY_S), value)[1]
+
+    def wait_ms(milliseconds: float) -> None:
+        sleep(milliseconds / 1000)
+
+    no: Callable[..., bool] = lambda *arguments, **options: False  # noqa: E731
+    begun_s = now_s()
+    names: dict[str, dict[str, Any]] = {
+        "keyboard": {"is_pressed": no, "wait": read(None), "read_key": read("enter"), "record": read([])},
+        "msvcrt": {"kbhit": no, "getch": read(b"\r"), "getche": read(b"\r"), "getwch": read("\r")},
+        "pygame": {"init": lambda: (0, 0), "error": type("error", (RuntimeError,), {})},
+        "pygame.event": {"get": lambda *kinds, **options: [], "wait": read(Nothing())},
+        "pygame.key": {"get_pressed": Nothing, "get_mods": lambda: 0},
+        "pygame.joystick": {"get_count": lambda: 0, "get_init": no},
+        "pygame.locals": {name: _number_of(name) for name in CONSTANTS},
+        "pygame.time": {
+            "Clock": lambda: Clock(sleep, now_s),
+            "get_ticks": lambda: round(1000 * (now_s() - begun_s)),
+            "wait": wait_ms,
+            "delay": wait_ms,
+        },
+    }
+    return names.get(module, {})
+
+
+def _number_of(name: str) -> int:
+    """The same in every process, and hardly another constant's."""
+    return 256 + zlib.crc32(name.encode()) % (1 << 30)

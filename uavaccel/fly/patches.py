@@ -1,0 +1,81 @@
+"""Changes to modules for as long as a script flies, each made when that module is first imported.
+
+So a script pays for the modules that it uses, and for no others.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any, Self
+
+Act = Callable[[ModuleType], None]
+
+
+class Patches:
+    """What is changed in a `with` block of it, and taken back after."""
+
+    def __init__(self) -> None:
+        self._undo = ExitStack()
+        self._finder = _Finder()
+
+    def __enter__(self) -> Self:
+        sys.meta_path.insert(0, self._finder)
+        self._undo.callback(sys.meta_path.remove, self._finder)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._undo.close()
+
+    def set(self, owner: Any, name: str, value: Any) -> None:
+        """Let an attribute be another one."""
+        missing = object()
+        before = getattr(owner, "__dict__", {}).get(name, missing)  # a method of a class as it stands there
+        if before is missing and not isinstance(
+            owner, ModuleType
+        ):  # one of those may warn of names it has not
+            before = getattr(owner, name, missing)
+        setattr(owner, name, value)
+        if before is missing:
+            self._undo.callback(delattr, owner, name)
+        else:
+            self._undo.callback(setattr, owner, name, before)
+
+    def undo(self, act: Callable[[], object]) -> None:
+        """Do something when the block is left."""
+        self._undo.callback(act)
+
+    def when_imported(self, name: str, act: Act) -> None:
+        """Change a module by `act(module)`, now if it has been imported, else when it is."""
+        if name in sys.modules:
+            act(sys.modules[name])
+        else:
+            self._finder.acts.setdefault(name, []).append(act)
+
+
+class _Finder(MetaPathFinder):
+    """Finds what the others find, and acts on it once it is there."""
+
+    def __init__(self) -> None:
+        self.acts: dict[str, list[Act]] = {}
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if name not in self.acts:
+            return None
+        others = (finder for finder in sys.meta_path if finder is not self)
+        found = next((spec for finder in others if (spec := finder.find_spec(name, path, target))), None)
+        loader: Any = None if found is None else found.loader
+        if hasattr(loader, "exec_module") and hasattr(loader, "__dict__"):
+            execute, acts = loader.exec_module, self.acts.pop(name)
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                for act in acts:
+                    act(module)
+
+            loader.exec_module = exec_module
+        return found

@@ -1,0 +1,445 @@
+"""Lanes on the CPU: commands flown and seen lane by lane, in threads that share nothing but what they read."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
+
+from uavaccel.kernels import events
+from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
+from uavaccel.kernels.lanes import (
+    EVENT_SEED,
+    PICTURE_SEED,
+    Flights,
+    Games,
+    begin,
+    command,
+    fly,
+    look,
+    touched,
+)
+from uavaccel.kernels.project import project
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.sim.hotloop import sources
+from uavaccel.vision import dvs_kernels as dvs
+from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
+from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
+from uavaccel.vision.observation import BLOCK_SIDE
+
+STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
+SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
+NS = 1e-9
+SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
+
+
+@njit(nogil=True)
+def _look_at_starts(games: Games, rows: Any) -> None:
+    """Finish the starts of games: the accelerations in their wind."""
+    for game in rows:
+        look(games.parameters[game], games.start[game], games.body[game])
+
+
+@njit(nogil=True)
+def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
+    """Thresholds (144, 256) of a lane's pixels."""
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
+
+
+@njit(nogil=True)
+def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
+    """The same after a low-pass."""
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
+
+
+@njit(nogil=True, error_model="numpy")
+def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
+    """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
+    drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
+    fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
+    for value in range(len(picture)):
+        picture[value] = events.noisy(picture[value], deviation, drawn[value])
+
+
+@njit(nogil=True, error_model="numpy")
+def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: int, dt_s: float) -> Any:
+    """The memorised intensities (144, 256) after heat and leak over a frame."""
+    if camera[events.HOT] > 0.0:
+        base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
+    if camera[events.LEAK] > 0.0:
+        normal = np.empty((ROWS, COLUMNS), np.float32)
+        fill_normal(normal.ravel(), np.uint64(seed), np.uint64(index), LEAK_JITTER)
+        rate_hz, jitter = np.float32(camera[events.LEAK]), np.float32(camera[events.JITTER])
+        base = dvs.leak(base, positive, np.float32(dt_s), rate_hz, sensor.leak_factor, jitter, normal)
+    return base
+
+
+@njit(nogil=True, error_model="numpy")
+def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time_s: float) -> Any:
+    """Signed counts without those within the refractory period."""
+    most = max(1, signed.max(), -signed.min())
+    if camera[events.REFRACTORY] <= (time_s - before_s) / most:
+        return signed
+    stamps_s = np.empty(most, np.float32)
+    for number in range(most):
+        stamps_s[number] = events.stamp(before_s, time_s, most, number)
+    kept, last = dvs.drop_refractory(signed, stamps_s, last_s, np.float32(camera[events.REFRACTORY]))
+    last_s[:] = last
+    return kept
+
+
+@njit(nogil=True, error_model="numpy")
+def gather(signed: Any, gathered: Any) -> None:
+    """Add signed counts (144, 256) to their blocks' (36, 64)."""
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
+
+
+@njit(nogil=True, error_model="numpy")
+def shoot(
+    picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
+) -> None:
+    """Add a frame's shot noise; `maps` are the thresholds, `noise` seed, frame and its time in s."""
+    seed, index, dt_s = noise
+    draws = np.empty((ROWS, COLUMNS), np.float32)
+    fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
+    chances = camera[events.SHOT] / 2 * dt_s * sensor.dimming
+    nominal = np.float32(camera[events.POSITIVE]), np.float32(camera[events.NEGATIVE])
+    on, off = dvs.shoot(picture, chances, draws, maps[0], maps[1], nominal)
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            if on[y, x] or off[y, x]:
+                base[y, x] = log[y, x]
+                gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += np.int32(on[y, x]) - np.int32(off[y, x])
+
+
+@njit(nogil=True, error_model="numpy")
+def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+    """A game's first frame makes no events."""
+    pixels.base[lane] = dvs.look_up(picture, sensor.logs)
+    start_clock(lane, pixels, camera)
+
+
+@njit(nogil=True, error_model="numpy")
+def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+    """The same of a sensor with a low-pass."""
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            log = np.float64(sensor.logs[picture[y, x]])
+            pixels.base[lane, y, x] = pixels.filtered[lane, y, x] = log
+    start_clock(lane, pixels, camera)
+
+
+@njit(nogil=True)
+def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
+    """No frames seen, no events gathered."""
+    pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
+    if pixels.last_s.size:
+        pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
+
+
+@njit(nogil=True, error_model="numpy")
+def see_single(
+    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
+) -> None:
+    """A lane's event camera sees a frame (144, 256)."""
+    before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
+    positive, negative = np.empty((ROWS, COLUMNS), np.float32), np.empty((ROWS, COLUMNS), np.float32)
+    spread(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
+    spread(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
+    log = dvs.look_up(picture, sensor.logs)
+    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
+    signed = dvs.count_single(log, base, positive, negative)
+    if pixels.last_s.size:
+        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
+    base = dvs.advance_base(signed, base, positive, negative)
+    gather(signed, pixels.gathered[lane])
+    if camera[events.SHOT] > 0.0:
+        noise = seed, index, time_s - before_s
+        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
+    pixels.base[lane] = base
+    pixels.clock[lane], pixels.time_s[lane] = index, time_s
+
+
+@njit(nogil=True, error_model="numpy")
+def see_double(
+    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
+) -> None:
+    """The same of a sensor with a low-pass, in double precision."""
+    before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
+    positive, negative = np.empty((ROWS, COLUMNS), np.float64), np.empty((ROWS, COLUMNS), np.float64)
+    spread_wide(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
+    spread_wide(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
+    weights = np.minimum(sensor.weights * ((time_s - before_s) / camera[events.TAU]), 1.0)
+    log = dvs.low_pass(picture, pixels.filtered[lane], sensor.logs, weights)
+    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
+    signed = dvs.count_double(log, base, positive, negative)
+    if pixels.last_s.size:
+        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
+    base = dvs.advance_base(signed, base, positive, negative)
+    gather(signed, pixels.gathered[lane])
+    if camera[events.SHOT] > 0.0:
+        noise = seed, index, time_s - before_s
+        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
+    pixels.base[lane], pixels.filtered[lane] = base, log
+    pixels.clock[lane], pixels.time_s[lane] = index, time_s
+
+
+@njit(nogil=True, error_model="numpy")
+def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
+    """Simulated time since the game's start."""
+    return now.state[lane].tick * tick_ns
+
+
+@njit(nogil=True, error_model="numpy")
+def draw_gray(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
+) -> None:
+    """What a lane's front camera sees, grey (144, 256), with the camera's noise."""
+    state, game = now.state[lane], now.game[lane]
+    project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
+    draw_channels(looks, desk, False)
+    channels = desk.channels
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            picture[y, x] = channels[0, x, y]
+    if games.cameras[game, events.READ] > 0.0:
+        seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
+        add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
+
+
+@njit(nogil=True, error_model="numpy")
+def draw_colour(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
+) -> None:
+    """Red, green and blue (3, 36, 64): means of blocks of 4 x 4 pixels."""
+    state, game = now.state[lane], now.game[lane]
+    project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
+    draw_channels(looks, desk, True)
+    picture, channels = np.empty((ROWS, COLUMNS, 3), np.uint8), desk.channels
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            for channel in range(3):
+                picture[y, x, channel] = channels[channel, x, y]
+    if games.cameras[game, events.READ] > 0.0:
+        seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
+        add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
+    for channel in range(3):
+        for y in range(frame.shape[1]):
+            for x in range(frame.shape[2]):
+                total = 0
+                for row in range(BLOCK_SIDE):
+                    for column in range(BLOCK_SIDE):
+                        total += int(picture[BLOCK_SIDE * y + row, BLOCK_SIDE * x + column, channel])
+                frame[channel, y, x] = int(np.rint(total / BLOCK_SIDE**2))
+
+
+@njit(nogil=True, error_model="numpy")
+def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, frame: Any) -> None:
+    """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
+    state, game = now.state[lane], now.game[lane]
+    project(looks, games.scenes, game, state.position, state.quaternion, False, desk.faces)
+    depths = np.empty((ROWS, COLUMNS), np.float32)
+    draw_depths(desk, depths)
+    for y in range(frame.shape[1]):
+        for x in range(frame.shape[2]):
+            total = np.float32(0.0)
+            for row in range(BLOCK_SIDE):
+                for column in range(BLOCK_SIDE):
+                    total += min(depths[BLOCK_SIDE * y + row, BLOCK_SIDE * x + column], SEEN_FAR_M)
+            frame[0, y, x] = int(np.rint(total / np.float32(BLOCK_SIDE**2) * np.float32(255.0 / 50.0)))
+
+
+class Command(NamedTuple):
+    """How a command is flown and seen, the same for all lanes."""
+
+    slices: Any
+    """Ticks (S,) of its samples."""
+    event_ticks: int
+    """Ticks from one of the event camera's frames to the next; 0: it sees the samples alone."""
+    tick_ns: int
+    hull: Any
+    """(3,) (kernels/flight)."""
+
+
+def see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
+    """`see_single` or `see_double`, as the sensor's memory is."""
+
+
+def start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
+    """`start_single` or `start_double`, as the sensor's memory is."""
+
+
+@overload(see)
+def _see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
+    of_type = see_single if pixels[0].dtype == types.float32 else see_double
+    return lambda lane, picture, time_s, pixels, sensor, camera, seed: of_type(
+        lane, picture, time_s, pixels, sensor, camera, seed
+    )
+
+
+@overload(start)
+def _start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
+    of_type = start_single if pixels[0].dtype == types.float32 else start_double
+    return lambda lane, picture, pixels, sensor, camera: of_type(lane, picture, pixels, sensor, camera)
+
+
+class View(NamedTuple):
+    """What lanes are seen with."""
+
+    kind: int
+    looks: Any
+    sensor: Any
+    pixels: Any
+
+
+@njit(nogil=True, error_model="numpy")
+def look_at_events(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+) -> None:
+    """A lane's event camera sees what is in front of it."""
+    game = now.game[lane]
+    draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
+    time_s = moment_ns(lane, now, plan.tick_ns) * NS
+    see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
+
+
+@njit(nogil=True, error_model="numpy")
+def _begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
+    """Let lanes begin the games of these rows."""
+    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    for place in range(len(lanes)):
+        lane, game = lanes[place], rows[place]
+        begin(lane, game, games, now)
+        if view.kind == DVS:
+            draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
+            start(lane, picture, view.pixels, view.sensor, games.cameras[game])
+
+
+@njit(nogil=True, error_model="numpy")
+def fly_sample(
+    lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+) -> bool:
+    """Fly to a sample, the event camera looking on; whether it has seen the sample's own moment."""
+    left = ticks
+    while plan.event_ticks > 0 and view.kind == DVS:
+        due = plan.event_ticks - now.state[lane].tick % plan.event_ticks
+        if due > left or touched(lane, now):
+            break
+        fly(lane, due, games, now, plan.hull)
+        left -= due
+        if not touched(lane, now):
+            look_at_events(lane, view, games, now, plan, desk, picture)
+    fly(lane, left, games, now, plan.hull)
+    return plan.event_ticks > 0 and left == 0
+
+
+@njit(nogil=True)
+def take_state(lane: int, now: Flights, sample: Any) -> None:
+    """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
+    state = now.state[lane]
+    for axis in range(3):
+        sample[axis] = state.position[axis]
+        sample[7 + axis] = state.velocity[axis]
+        sample[10 + axis] = state.rate[axis]
+    for part in range(4):
+        sample[3 + part] = state.quaternion[part]
+
+
+@njit(nogil=True, error_model="numpy")
+def _fly_lanes(
+    lanes: Any,
+    directions: Any,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    frames: Any,
+    samples: Any,
+) -> None:
+    """Fly a command each: frames (L, S, ...) of the samples before a touch, states (L, S, SAMPLE_FIELDS) of all."""
+    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    for lane in lanes:
+        command(lane, directions, games, now)
+        for sample in range(len(plan.slices)):
+            seen = fly_sample(lane, plan.slices[sample], view, games, now, plan, desk, picture)
+            take_state(lane, now, samples[lane, sample])
+            if touched(lane, now) or view.kind == STATE:
+                continue
+            if view.kind == COLOUR:
+                draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, sample])
+            elif view.kind == DEPTH:
+                draw_depth(lane, view.looks, games, now, desk, frames[lane, sample])
+            else:
+                if not seen:
+                    look_at_events(lane, view, games, now, plan, desk, picture)
+                take_events(lane, view.pixels, frames[lane, sample])
+
+
+@njit(nogil=True)
+def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
+    """The events since they were last taken, as a frame (1, 36, 64)."""
+    for y in range(frame.shape[1]):
+        for x in range(frame.shape[2]):
+            frame[0, y, x] = events.level_of(pixels.gathered[lane, y, x])
+            pixels.gathered[lane, y, x] = 0
+
+
+@njit(nogil=True, error_model="numpy")
+def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
+    """Frames (L, 1, ...) of the present moment, in colour or of depth."""
+    desk = make_desk()
+    for lane in lanes:
+        if view.kind == COLOUR:
+            draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, 0])
+        elif view.kind == DEPTH:
+            draw_depth(lane, view.looks, games, now, desk, frames[lane, 0])
+
+
+class EntryPoints(NamedTuple):
+    """Machine code, called without the GIL."""
+
+    look_at_starts: Any
+    begin: Any
+    fly: Any
+    show: Any
+
+
+def _compile(stamp: int) -> EntryPoints:
+    """The entry points, from numba's cache if they are there.
+
+    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
+    """
+    entry_point = njit(nogil=True, cache=True)
+
+    @entry_point
+    def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
+        if stamp:
+            _look_at_starts(games, rows)
+
+    @entry_point
+    def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
+        if stamp:
+            _begin_lanes(lanes, rows, view, games, now, plan)
+
+    @entry_point
+    def fly_lanes(lanes, directions, view, games, now, plan, frames, samples):  # type: ignore[no-untyped-def]
+        if stamp:
+            _fly_lanes(lanes, directions, view, games, now, plan, frames, samples)
+
+    @entry_point
+    def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]
+        if stamp:
+            _show_lanes(lanes, view, games, now, plan, frames)
+
+    return EntryPoints(look_at_starts, begin_lanes, fly_lanes, show_lanes)
+
+
+CPU = _compile(sources(__name__))

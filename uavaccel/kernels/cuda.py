@@ -1,0 +1,361 @@
+"""Lanes on one GPU: the same functions as CUDA kernels, through numba-cuda.
+
+A thread flies a lane, and a thread draws and sees a block of 4 x 4 pixels. Everything stays on the device; kernels are
+launched on PyTorch's stream, so that a round of them can be recorded as a CUDA graph. numba-cuda has no switch for
+fused multiply-adds: flights differ from the CPU's in their last bits, events do not (vision/rounding).
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch as th
+from numba import cuda, types
+from numba.core.errors import NumbaPerformanceWarning
+from numba.cuda import libdevice
+from numba.cuda.extending import overload
+from numba.np.numpy_support import from_dtype
+
+from uavaccel.kernels import events, lanes
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
+from uavaccel.kernels.flight import fly_ticks
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
+from uavaccel.kernels.faces import begin as begin_faces
+from uavaccel.kernels.faces import view_of
+from uavaccel.kernels.project import project_solid
+from uavaccel.kernels.rays import colour_of, covers, linear, luma, touches
+from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.vision.noise import READ_NOISE, normal_block
+from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.rounding import times
+
+PIXELS = at.ROWS * at.COLUMNS
+WARP, WHOLE_WARP = 32, 0xFFFFFFFF
+TILE_ROWS, TILE_COLUMNS = 4, 8  # the pixels of a warp
+TILES_ACROSS = at.COLUMNS // TILE_COLUMNS
+TILES = PIXELS // WARP
+BLOCK_STEPS = (1, 2, 8, 16)  # between the threads of a block of 4 x 4 pixels
+FLYING_THREADS, SEEING_THREADS = 32, 256  # of a block of CUDA's
+BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
+SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
+RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
+PARAMETERS, FLIGHT = RECORDS[PARAMETERS_DTYPE], RECORDS[FLIGHT_DTYPE]
+
+
+@overload(times)
+def _times(a, b):  # type: ignore[no-untyped-def]
+    if a == types.float32 and b == types.float32:
+        return lambda a, b: libdevice.fmul_rn(a, b)
+    return lambda a, b: libdevice.dmul_rn(a, b)
+
+
+for _function, _chosen in events.BY_TYPE:
+    overload(_function)(_chosen)
+
+
+class Plan(NamedTuple):
+    """What all lanes have in common: a command's, and what they are seen with."""
+
+    hull: Any
+    texels: Any
+    textures: Any
+    looks: Any
+    sensor: Any
+
+
+def begin_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
+    """Let each lane that is `renewed` (L,) begin the game of its row."""
+    lane = cuda.grid(1)
+    if lane < len(renewed) and renewed[lane] != 0:
+        game = rows[lane]
+        lanes.begin(lane, game, games, now)
+        lanes.look(games.parameters[game], now.state[lane], now.body[lane])
+
+
+def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
+    """Let each lane that is `going` (L,) take its direction (L, 3)."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0:
+        lanes.command(lane, directions, games, now)
+
+
+def flying(usual: Any) -> Any:
+    """The kernel that flies, for vehicles whose parameters are the `usual` ones but for mass, inertia and thrust.
+
+    What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
+    """
+    tick_s, gravity, arm, keep = (float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep"))
+    drag, slow = tuple(map(float, usual["drag_factor_m2"])), float(usual["drag_min_velocity_m_s"])
+    ground, sea = float(usual["ground_altitude_m"]), float(usual["sea_density_kg_m3"])
+    place_gain, speed_gain = tuple(map(float, usual["position_gain"])), tuple(map(float, usual["velocity_gain"]))
+    angle_gain, rate_gain = tuple(map(float, usual["angle_gain"])), tuple(map(float, usual["rate_gain"]))
+    gather, remember = float(usual["z_integral_gain"]), float(usual["z_integral_keep"])
+    fastest, steepest = float(usual["velocity_limit_m_s"]), float(usual["tilt_limit_rad"])
+    turning, least, least_mixed = (
+        float(usual[name]) for name in ("rate_limit_rad_s", "min_throttle", "min_mixed_throttle")
+    )
+
+    def fly_lanes(going, ticks, games, now, hull):  # type: ignore[no-untyped-def]
+        """Fly so many ticks, (L,), from copies in registers: a lane's ticks wait for nothing but one another."""
+        lane = cuda.grid(1)
+        if lane >= len(going) or going[lane] == 0 or ticks[lane] == 0:
+            return
+        game = now.game[lane]
+        own, state = cuda.local.array(1, PARAMETERS), cuda.local.array(1, FLIGHT)
+        pose, motion = cuda.local.array(7, types.float64), cuda.local.array(6, types.float64)
+        force, acceleration = cuda.local.array(6, types.float64), cuda.local.array(6, types.float64)
+        own[0], state[0] = games.parameters[game], now.state[lane]
+        own[0].full_pid = 0
+        own[0].tick_s, own[0].gravity_m_s2, own[0].rotor_arm_m, own[0].rotor_keep = tick_s, gravity, arm, keep
+        own[0].drag_min_velocity_m_s, own[0].ground_altitude_m, own[0].sea_density_kg_m3 = slow, ground, sea
+        own[0].z_integral_gain, own[0].z_integral_keep = gather, remember
+        own[0].velocity_limit_m_s, own[0].tilt_limit_rad = fastest, steepest
+        own[0].rate_limit_rad_s, own[0].min_throttle, own[0].min_mixed_throttle = turning, least, least_mixed
+        for axis in range(3):
+            own[0].drag_factor_m2[axis], own[0].position_gain[axis] = drag[axis], place_gain[axis]
+            own[0].velocity_gain[axis], own[0].angle_gain[axis] = speed_gain[axis], angle_gain[axis]
+            own[0].rate_gain[axis] = rate_gain[axis]
+        body = now.body[lane]
+        for field in range(7):
+            pose[field] = body[lanes.POSE + field]
+        for field in range(6):
+            motion[field], force[field] = body[lanes.MOTION + field], body[lanes.FORCE + field]
+            acceleration[field] = body[lanes.ACCELERATION + field]
+        parts = (pose, motion, force, acceleration)
+        solids, count = games.solids[game], games.counts[game]
+        fly_ticks(own[0], state[0], parts, solids, count, hull, now.watch[lane], ticks[lane], False)
+        now.state[lane] = state[0]
+        for field in range(7):
+            body[lanes.POSE + field] = pose[field]
+        for field in range(6):
+            body[lanes.MOTION + field], body[lanes.FORCE + field] = motion[field], force[field]
+            body[lanes.ACCELERATION + field] = acceleration[field]
+
+    return fly_lanes
+
+
+def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-untyped-def]
+    """Project what each lane that is `going` sees: faces (L, SLOTS, FIELDS), a thread and slots of its own a solid."""
+    thread = cuda.grid(1)
+    lane, solid = thread // WARP, thread % WARP
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, game = now.state[lane], now.game[lane]
+    solids, count = games.scenes.solids[game], games.scenes.counts[game]
+    view = view_of(looks.camera, state.position, state.quaternion)
+    if solid == 0:
+        begin_faces(looks.camera, view, faces[lane])
+        faces[lane, 0, at.COUNT] = np.float32(first_slot(solids, count))
+    while solid < count:
+        first, beyond = first_slot(solids, solid), first_slot(solids, solid + 1)
+        for slot in range(first, beyond):
+            faces[lane, slot, at.NEAREST_W] = np.float32(0.0)
+        project_solid(looks, games.scenes, game, solid, view, sky, faces[lane], first)
+        solid += WARP
+
+
+@cuda.jit(device=True)
+def first_slot(solids, solid):  # type: ignore[no-untyped-def]
+    """Where a solid's faces begin: as many before as the solids before it have at most."""
+    slot = 1
+    for before in range(solid):
+        slot += CYLINDER_SLOTS if solids[before, at.KIND] == at.CYLINDER else BOX_SLOTS
+    return slot
+
+
+@cuda.jit(device=True)
+def face_at(faces, y, x):  # type: ignore[no-untyped-def]
+    """The face that a thread's pixel shows, 0 for the sky (rays.nearest_face).
+
+    The threads of a warp have the pixels of a tile: each asks of other faces whether the tile may show them.
+    """
+    place, column, row = cuda.laneid, np.float32(x), np.float32(y)
+    left, top = np.float32(x - place % TILE_COLUMNS), np.float32(y - place // TILE_COLUMNS)
+    right, bottom = left + np.float32(TILE_COLUMNS - 1), top + np.float32(TILE_ROWS - 1)
+    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+    total = int(faces[0, at.COUNT])
+    for first in range(1, total, WARP):
+        face = first + place
+        found = face < total and touches(faces, face, top, bottom, left, right)
+        those = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
+        while those != 0:
+            face = first + cuda.ffs(those) - 1
+            those &= those - 1
+            w = linear(faces, face, at.W, column, row)
+            if w > best and w <= near and covers(faces, face, column, row):
+                best, shown = w, face
+    return shown
+
+
+@cuda.jit(device=True)
+def grey_at(faces, plan, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
+    """Luma of a pixel, as a noisy camera reads it."""
+    face = face_at(faces, y, x)
+    red, green, blue = colour_of(faces, face, plan.texels, plan.textures, y, x)
+    level = int(luma(red, green, blue))
+    if camera[events.READ] > 0.0:
+        return noisy_at(level, camera, seeds, moment_ns, y * at.COLUMNS + x)
+    return level
+
+
+@cuda.jit(device=True)
+def noisy_at(level, camera, seeds, moment_ns, value):  # type: ignore[no-untyped-def]
+    """A grey level as a noisy camera reads it; `value` is its number in the picture."""
+    seed, moment = np.uint64(seeds[PICTURE_SEED]), np.uint64(moment_ns)
+    drawn = normal_block(seed, moment, READ_NOISE, value // BLOCK_SIDE)
+    return events.noisy(level, np.float32(camera[events.READ]), drawn[value % BLOCK_SIDE])
+
+
+@cuda.jit(device=True)
+def pixel_of(thread):  # type: ignore[no-untyped-def]
+    """Lane, row and column of a thread's pixel: a warp has a tile of 4 rows of 8."""
+    tile, place = thread // WARP, thread % WARP
+    lane, tile = tile // TILES, tile % TILES
+    y = TILE_ROWS * (tile // TILES_ACROSS) + place // TILE_COLUMNS
+    return lane, y, TILE_COLUMNS * (tile % TILES_ACROSS) + place % TILE_COLUMNS
+
+
+@cuda.jit(device=True)
+def block_sum(value):  # type: ignore[no-untyped-def]
+    """The sum over a block of 4 x 4 pixels, half a tile."""
+    for step in BLOCK_STEPS:
+        value += cuda.shfl_xor_sync(WHOLE_WARP, value, step)
+    return value
+
+
+def start_events(going, faces, plan, games, now, pixels):  # type: ignore[no-untyped-def]
+    """Show each lane that is `going` its first picture, which makes no events."""
+    lane, y, x = pixel_of(cuda.grid(1))
+    if lane >= len(going) or going[lane] == 0:
+        return
+    game = now.game[lane]
+    level = grey_at(faces[lane], plan, games.cameras[game], games.seeds[game], 0, y, x)
+    log = plan.sensor.logs[level]
+    pixels.base[lane, y, x] = log
+    if pixels.filtered.size:
+        pixels.filtered[lane, y, x] = log
+    if pixels.last_s.size:
+        pixels.last_s[lane, y, x] = -np.float32(games.cameras[game, events.REFRACTORY])
+    if y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0:
+        pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] = 0
+    if y == 0 and x == 0:
+        pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
+
+
+def see_events(going, tick_ns, take, faces, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+    """Let the event cameras see a picture; where `take`, their events since the last time are a frame (L, 36, 64)."""
+    lane, y, x = pixel_of(cuda.grid(1))
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, game = now.state[lane], now.game[lane]
+    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
+    if state.collision_tick != NEVER:
+        if take != 0 and first:
+            frames[lane, down, across] = NEUTRAL_LEVEL
+        return
+    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
+    dt_s = moment_ns * NS - pixels.time_s[lane]
+    filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
+    level = grey_at(faces[lane], plan, camera, seeds, moment_ns, y, x)
+    block, place = (y * at.COLUMNS + x) // BLOCK_SIDE, x % BLOCK_SIDE
+    normals, draws = events.drawn(camera, seeds[EVENT_SEED], pixels.clock[lane] + 1, block)
+    draw = normals[place], draws[place]
+    signed = events.see_pixel(level, camera, plan.sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+    total = block_sum(np.int32(signed))
+    if first:
+        total += pixels.gathered[lane, down, across]
+        if take != 0:
+            frames[lane, down, across] = events.level_of(total)
+            total = 0
+        pixels.gathered[lane, down, across] = total
+
+
+def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
+    """After `see_events`, once all blocks are done: the clock of each lane's camera."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
+        pixels.clock[lane] += 1
+        pixels.time_s[lane] = now.state[lane].tick * tick_ns * NS
+
+
+def show_lanes(going, kind, tick_ns, faces, plan, games, now, frames):  # type: ignore[no-untyped-def]
+    """Frames (L, channels, 36, 64) in colour or of depth: means of blocks of 4 x 4 pixels; blank after a touch."""
+    lane, y, x = pixel_of(cuda.grid(1))
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, game, number = now.state[lane], now.game[lane], BLOCK_SIDE**2
+    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
+    free, face = state.collision_tick == NEVER, face_at(faces[lane], y, x)
+    if kind == DEPTH:
+        w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
+        total = block_sum(min(np.float32(1.0) / w, SEEN_FAR_M))
+        if first:
+            shade = int(round(total / np.float32(number) * np.float32(255.0 / 50.0)))
+            frames[lane, 0, down, across] = shade if free else 0
+        return
+    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
+    colour = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
+    for channel in range(3):
+        level = int(colour[channel])
+        if camera[events.READ] > 0.0:
+            level = noisy_at(level, camera, seeds, moment_ns, 3 * (y * at.COLUMNS + x) + channel)
+        mean = int(round(block_sum(np.int32(level)) / number))
+        if first:
+            frames[lane, channel, down, across] = mean if free else 0
+
+
+class Kernels(NamedTuple):
+    """What can be launched: each takes the arrays that its function has, one thread a lane or a block of pixels."""
+
+    begin: Any
+    command: Any
+    fly: Any
+    project: Any
+    start: Any
+    see: Any
+    note: Any
+    show: Any
+
+
+def compiled(usual: Any) -> Kernels:
+    """The kernels, from numba's cache if they are there, for vehicles of `usual` parameters, a record."""
+    warnings.filterwarnings("ignore", category=NumbaPerformanceWarning)  # few lanes leave a GPU idle: so be it
+    functions = (
+        begin_lanes,
+        command_lanes,
+        flying(usual),
+        project_lanes,
+        start_events,
+        see_events,
+        note_seen,
+        show_lanes,
+    )
+    return Kernels(*(cuda.jit(function, cache=True) for function in functions))
+
+
+def stream() -> Any:
+    """PyTorch's present stream, as numba launches on it."""
+    return cuda.external_stream(th.cuda.current_stream().cuda_stream)
+
+
+def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:
+    """A tensor's memory as an array of numba's; rows (n, bytes) of uint8 as n records of `dtype`."""
+    array = cuda.as_cuda_array(tensor, sync=False)
+    return array if dtype is None else array.view(dtype).reshape(tensor.shape[0])
+
+
+def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
+    """A NamedTuple of arrays, nested ones too, copied to the device: of tensors, and of the same memory for numba."""
+    if not isinstance(arrays, np.ndarray):
+        pairs = [on_device(each, device) for each in arrays]
+        return type(arrays)(*(pair[0] for pair in pairs)), type(arrays)(*(pair[1] for pair in pairs))
+    if arrays.dtype.names:
+        rows = np.ascontiguousarray(arrays).view(np.uint8).reshape(len(arrays), arrays.dtype.itemsize)
+        tensor = th.from_numpy(rows.copy()).to(device)
+        return tensor, shared(tensor, arrays.dtype)
+    plain = arrays.view(np.int32) if arrays.dtype == np.uint32 else arrays
+    tensor = th.from_numpy(np.ascontiguousarray(plain)).to(device)
+    return tensor, shared(tensor).view(np.uint32) if arrays.dtype == np.uint32 else shared(tensor)

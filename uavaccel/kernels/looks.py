@@ -1,0 +1,206 @@
+"""Reads from a MuJoCo model what its lane looks like, as OpenGL is given it, and lays lanes out for drawing.
+
+Textures with the mipmaps that glGenerateMipmap makes, materials, camera, sky, walls and ground are the model's;
+where obstacles stand, what they wear and how the sun shines is the layout's, as sim/lane/scene.py puts it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
+from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunlight
+from uavaccel.sim.scene import DRONE_GROUP
+from uavaccel.sim.view import HEIGHT, WIDTH, far_m
+
+Levels = list[NDArray[np.uint8]]
+KINDS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): at.BOX,
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): at.CYLINDER,
+    int(mujoco.mjtGeom.mjGEOM_PLANE): at.PLANE,
+}
+WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
+
+
+def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
+    """What every lane of this model looks like. Raises UserError, one line, where it cannot be drawn here."""
+    obstacles = obstacle_geoms(model)
+    if not len(obstacles):
+        raise UserError(
+            "simulator: kernels draws the obstacle lane alone; other scenes need simulator: mujoco"
+        )
+    _check(model, obstacles)
+    texels, textures, of_texture = _textures(model)
+    materials = np.zeros((model.nmat, 8), np.float32)
+    for index in range(model.nmat):
+        materials[index] = _material(model, index, of_texture)
+    fixed = [_solid(model, geom) for geom in _visible(model) if geom not in obstacles]
+    wearing = np.zeros((3, 4), np.int32)
+    for row, (kind, names) in zip(wearing, WORN, strict=True):
+        row[: len(names)] = [model.material(f"{kind}_{name}").id for name in names]
+    return Looks(texels, textures, materials, _camera(model, camera), np.array(fixed, np.float32), wearing)
+
+
+def empty_scenes(lanes: int) -> Scenes:
+    """Room for as many lanes; of each, `fill_scenes` has to be called before it is drawn."""
+    solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
+    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
+
+
+def fill_scene(looks: Looks, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
+    """Lay out one lane. Raises UserError for a scenery other than the plain one."""
+    fill_scenes(looks, scenes, [lane], [layout])
+
+
+def fill_scenes(looks: Looks, scenes: Scenes, lanes: Sequence[int], layouts: Sequence[LaneLayout]) -> None:
+    """Lay out several lanes. Raises UserError for a scenery other than the plain one."""
+    for lane, layout in zip(lanes, layouts, strict=True):
+        if layout.scenery != PLAIN:
+            raise UserError(
+                f"scenery: simulator: kernels draws {PLAIN!r} alone; {layout.scenery!r} needs simulator: mujoco"
+            )
+        count, solids = len(layout), scenes.solids[lane]
+        posts, fixed = solids[:count], solids[count : count + len(looks.fixed)]
+        posts[:, 0], posts[:, 1], posts[:, 2] = layout.x_m, -layout.y_m, OBSTACLE_HALF_HEIGHT_M
+        posts[:, 3] = posts[:, 4] = layout.half_width_m
+        posts[:, 5], posts[:, at.KIND] = OBSTACLE_HALF_HEIGHT_M, layout.round  # BOX, CYLINDER
+        posts[:, at.MATERIAL] = looks.wearing[0, layout.texture]
+        fixed[:] = looks.fixed
+        plane = looks.fixed[:, at.KIND] == at.PLANE
+        fixed[:, at.MATERIAL] = np.where(
+            plane, looks.wearing[2, layout.ground_texture], looks.wearing[1, layout.wall_texture]
+        )
+        scenes.counts[lane] = count + len(looks.fixed)
+        direction, ambient, diffuse = sunlight(layout)
+        scenes.lights[lane, :3], scenes.lights[lane, 3:6] = ambient, diffuse
+        scenes.lights[lane, 6:] = -direction
+
+
+def _visible(model: mujoco.MjModel) -> list[int]:
+    """Geoms that the drone's camera may see."""
+    return [geom for geom in range(model.ngeom) if model.geom_group[geom] not in (DRONE_GROUP, 3)]
+
+
+def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
+    """Raise UserError for the first thing in a model that this does not draw as OpenGL would."""
+    for geom in _visible(model):
+        name, kind = model.geom(geom).name, int(model.geom_type[geom])
+        turned = not np.allclose(model.geom_quat[geom], (1, 0, 0, 0)) or model.geom_bodyid[geom] != 0
+        if geom not in obstacles and (kind not in KINDS or turned):
+            raise UserError(
+                f"geom {name!r}: simulator: kernels draws upright boxes, cylinders and planes of the world"
+            )
+    suns = [light for light in range(model.nlight) if model.light_active[light]]
+    headlight = model.vis.headlight
+    if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
+        raise UserError("simulator: kernels draws with one directional light, the sun")
+    if headlight.active and np.any([headlight.ambient, headlight.diffuse, headlight.specular]):
+        raise UserError("simulator: kernels draws without a headlight: let it be black")
+    if (
+        np.any(model.light_specular[suns])
+        or np.any(model.mat_reflectance)
+        or model.vis.quality.numslices != at.SLICES
+    ):
+        raise UserError(f"simulator: kernels draws without gloss, and cylinders with {at.SLICES} slices")
+
+
+def _solid(model: mujoco.MjModel, geom: int) -> list[float]:
+    return [
+        *model.geom_pos[geom],
+        *model.geom_size[geom],
+        KINDS[int(model.geom_type[geom])],
+        model.geom_matid[geom],
+    ]
+
+
+def _material(model: mujoco.MjModel, index: int, of_texture: dict[int, int]) -> list[float]:
+    texture = int(model.mat_texid[index, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture not in of_texture:
+        raise UserError(
+            f"material {model.material(index).name!r}: simulator: kernels draws 2d textures alone"
+        )
+    return [
+        *model.mat_rgba[index, :3],
+        of_texture[texture],
+        *model.mat_texrepeat[index],
+        model.mat_texuniform[index],
+        model.mat_emission[index],
+    ]
+
+
+def _camera(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
+    camera = model.camera(name).id
+    high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
+    near = float(model.vis.map.znear * model.stat.extent)
+    place, axes = model.cam_pos[camera], model.cam_mat0[camera]
+    return np.array([*place, *axes, high * WIDTH / HEIGHT, high, near, far_m(model)], np.float64)
+
+
+def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:
+    """Texels, the rows of Looks.textures, and the row of each 2d texture."""
+    texels: list[NDArray[np.uint32]] = []
+    rows: list[tuple[int, int]] = []
+    of_texture: dict[int, int] = {}
+    base = 0
+    skies = [
+        texture
+        for texture in range(model.ntex)
+        if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    ]
+    flat = [
+        texture for texture in range(model.ntex) if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D
+    ]
+    if not skies:
+        raise UserError("simulator: kernels draws scenes with a sky: give the model a skybox texture")
+    for texture in [skies[0], *flat]:
+        data = _texture_data(model, texture)
+        width = data.shape[1]
+        if texture != skies[0]:
+            of_texture[texture] = len(rows)
+            data = np.concatenate([_padded(level, width) for level in mipmaps(data)])
+        rows.append((base, width.bit_length() - 1))
+        packed = data.astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
+        texels.append(packed.ravel())
+        base += packed.size
+    return np.concatenate(texels).astype(np.uint32), np.array(rows, np.int32), of_texture
+
+
+def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
+    """A texture as it is uploaded, (height, width, 3)."""
+    height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
+    address, name = int(model.tex_adr[texture]), model.texture(texture).name
+    sky = model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    shape = (width, height // 6 if sky else height)
+    if (
+        model.tex_nchannel[texture] != 3
+        or model.tex_colorspace[texture] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
+    ):
+        raise UserError(f"texture {name!r}: simulator: kernels draws linear red, green and blue")
+    if width & (width - 1) or shape[0] != shape[1]:
+        raise UserError(f"texture {name!r}: simulator: kernels draws squares with sides of a power of two")
+    return np.asarray(model.tex_data[address : address + 3 * width * height]).reshape(height, width, 3)
+
+
+def mipmaps(data: NDArray[np.uint8]) -> Levels:
+    """All levels of a texture (height, width, 3) of powers of two: neighbours averaged across, then down."""
+    levels = [data]
+    while max(levels[-1].shape[:2]) > 1:
+        level: Any = levels[-1].astype(np.uint16)
+        if level.shape[1] > 1:
+            level = (level[:, 0::2] + level[:, 1::2] + 1) >> 1
+        if level.shape[0] > 1:
+            level = (level[0::2] + level[1::2] + 1) >> 1
+        levels.append(level.astype(np.uint8))
+    return levels
+
+
+def _padded(level: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    return np.pad(level, ((0, 0), (0, width - level.shape[1]), (0, 0)))

@@ -1,0 +1,205 @@
+"""The faces of a lane's boxes, cylinders and planes that turn towards the camera, with their textures and their light.
+
+`project` is the whole of it; on a GPU a thread per solid may call `project_solid`, each with rows of its own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.faces import (
+    APOTHEM,
+    HALF_SIDE,
+    SKY_SHARE,
+    Floats,
+    Vector,
+    View,
+    X,
+    Y,
+    Z,
+    begin,
+    dot,
+    plus,
+    put_face,
+    put_light,
+    put_prism,
+    put_texture,
+    view_of,
+)
+from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.rays import Faces
+
+
+@njit(error_model="numpy")
+def project(
+    looks: Looks,
+    scenes: Scenes,
+    lane: int,
+    position: Floats,
+    quaternion: Floats,
+    sky: bool,
+    faces: Faces,
+) -> int:
+    """Fill the faces of one picture, (FACES, FIELDS), from a pose: NED in metres, wxyz. Returns the rows in use.
+
+    `sky`: whether there is one, behind which the ground ends; there is none in pictures of depth.
+    """
+    view = view_of(looks.camera, position, quaternion)
+    row = begin(looks.camera, view, faces)
+    for solid in range(scenes.counts[lane]):
+        row += project_solid(looks, scenes, lane, solid, view, sky, faces, row)
+    faces[0, at.COUNT] = np.float32(row)
+    return row
+
+
+@njit(error_model="numpy")
+def project_solid(
+    looks: Looks,
+    scenes: Scenes,
+    lane: int,
+    solid: int,
+    view: View,
+    sky: bool,
+    faces: Faces,
+    row: int,
+) -> int:
+    """Write the faces of one solid from a row on. Returns how many rows: at most 3 for a box, 6 for a cylinder."""
+    eye = view[0]
+    middle = (
+        scenes.solids[lane, solid, 0] - eye[0],
+        scenes.solids[lane, solid, 1] - eye[1],
+        scenes.solids[lane, solid, 2] - eye[2],
+    )
+    half = (
+        float(scenes.solids[lane, solid, at.HALF_SIZE]),
+        float(scenes.solids[lane, solid, at.HALF_SIZE + 1]),
+        float(scenes.solids[lane, solid, at.HALF_SIZE + 2]),
+    )
+    kind, material = int(scenes.solids[lane, solid, at.KIND]), int(scenes.solids[lane, solid, at.MATERIAL])
+    if kind == at.CYLINDER:
+        return put_cylinder(faces, row, view, middle, half, looks, scenes, lane, material)
+    written = 0
+    for axis in range(2 if kind == at.PLANE else 0, 3):
+        towards = 1.0 if middle[axis] < 0.0 else -1.0  # the face that looks at the eye
+        height = half[axis] if kind != at.PLANE else 0.0
+        h = towards * middle[axis] + height
+        if h < 0.0 and (kind != at.PLANE or towards > 0.0):
+            written += put_side(
+                faces, row + written, view, axis, towards, h, middle, half, looks, scenes, lane, material
+            )  # fmt: skip
+            if kind == at.PLANE and sky and written > 0:
+                faces[row, at.EXTRA] = np.float32(row + written)
+                put_prism(
+                    faces,
+                    row + written,
+                    view,
+                    (0.0, 0.0, 1.0 / h),
+                    (0.0, 0.0, 0.0),
+                    SKY_SHARE * looks.camera[at.FAR_M],
+                )
+                written += 1
+    return written
+
+
+@njit(error_model="numpy")
+def put_side(
+    faces: Faces,
+    row: int,
+    view: View,
+    axis: int,
+    towards: float,
+    h: float,
+    middle: Vector,
+    half: Vector,
+    looks: Looks,
+    scenes: Scenes,
+    lane: int,
+    material: int,
+) -> int:
+    """The side of a box, or a plane, that is square to an axis. Returns 1, or 0 where it is out of sight."""
+    normal = (
+        towards if axis == 0 else 0.0,
+        towards if axis == 1 else 0.0,
+        towards if axis == 2 else 0.0,
+    )
+    t, s = (Y if axis == 0 else X), (Y if axis == 2 else Z)
+    t_middle, t_half = dot(t, middle), dot(t, half)
+    s_middle, s_half = dot(s, middle), dot(s, half)
+    ts, ss = (t_middle - t_half, t_middle + t_half), (s_middle - s_half, s_middle + s_half)
+    if not put_face(faces, row, view, normal, h, t, ts, s, ss):
+        return 0
+    put_light(faces, row, looks, scenes, lane, material, normal, normal, 1.0)
+    across, down = (0.0, 0.5 / t_half), (0.0, 0.5 / s_half)
+    put_texture(faces, row, looks, material, (half[0], half[1]), across, down)
+    return 1
+
+
+@njit(error_model="numpy")
+def put_cylinder(
+    faces: Faces,
+    row: int,
+    view: View,
+    middle: Vector,
+    half: Vector,
+    looks: Looks,
+    scenes: Scenes,
+    lane: int,
+    material: int,
+) -> int:
+    """The sides and the top of the prism that OpenGL draws for an upright cylinder. Returns the rows written."""
+    written, radius, tall = 0, half[0], half[2]
+    ss = (middle[2] - tall, middle[2] + tall)
+    for side in range(at.SLICES):
+        low, high = corner_of(side), corner_of(side + 1)
+        angle = (side + 0.5) * 2.0 * math.pi / at.SLICES
+        normal = (math.cos(angle), math.sin(angle), 0.0)
+        t = (-normal[1], normal[0], 0.0)
+        h, t_middle = radius * APOTHEM + dot(normal, middle), dot(t, middle)
+        ts = (t_middle - radius * HALF_SIDE, t_middle + radius * HALF_SIDE)
+        if h < 0.0 and put_face(faces, row + written, view, normal, h, t, ts, Z, ss):
+            width = 2.0 * radius * HALF_SIDE
+            put_light(faces, row + written, looks, scenes, lane, material, low, high, width)
+            across = (side / at.SLICES, 1.0 / (at.SLICES * width))
+            down = (0.0, 0.5 / tall)
+            put_texture(faces, row + written, looks, material, (half[0], half[1]), across, down)
+            written += 1
+    return written + put_lid(faces, row + written, view, middle, half, looks, scenes, lane, material)
+
+
+@njit(error_model="numpy")
+def corner_of(side: int) -> Vector:
+    """Normal at a corner of a cylinder's prism."""
+    angle = side * 2.0 * math.pi / at.SLICES
+    return math.cos(angle), math.sin(angle), 0.0
+
+
+@njit(error_model="numpy")
+def put_lid(
+    faces: Faces,
+    row: int,
+    view: View,
+    middle: Vector,
+    half: Vector,
+    looks: Looks,
+    scenes: Scenes,
+    lane: int,
+    material: int,
+) -> int:
+    """A cylinder's top or bottom, whichever is seen: a face, and a row with its eight edges. Returns 2, or 0."""
+    radius, tall = half[0], half[2]
+    towards = 1.0 if middle[2] < 0.0 else -1.0
+    h = towards * middle[2] + tall
+    normal = (0.0, 0.0, towards)
+    ts, ss = (middle[0] - radius, middle[0] + radius), (middle[1] - radius, middle[1] + radius)
+    if h >= 0.0 or not put_face(faces, row, view, normal, h, X, ts, Y, ss):
+        return 0
+    faces[row, at.EXTRA] = np.float32(row + 1)
+    put_prism(faces, row + 1, view, plus((0.0, 0.0, 0.0), normal, 1.0 / h), middle, radius)
+    put_light(faces, row, looks, scenes, lane, material, normal, normal, 1.0)
+    half_turn = (1.0, -0.5 / radius)  # a disk's texture counts from below
+    put_texture(faces, row, looks, material, (half[0], half[1]), (0.0, 0.5 / radius), half_turn)
+    return 2

@@ -1,0 +1,306 @@
+"""What a pixel shows of the faces that a picture has: scalar functions, for loops on the CPU and for CUDA kernels.
+
+A face is a plane piece of a surface, projected by `kernels.faces`. On it everything is a quotient of functions that
+are linear in column and row: w, the inverse of the depth, and the distances from its edges times w. A pixel shows
+the face with the largest w of those whose edges all have it inside. All arithmetic is float32.
+
+Texels are read as OpenGL reads them with NEAREST_MIPMAP_NEAREST: the mipmap level that the 2 x 2 pixels of a quad
+have in common, by the distance between the texels of its pixels; OpenGL counts rows from below, so a quad's own
+corner is its lower left pixel. Light is per vertex, colours are rounded to 8 bits, luma is OpenCV's.
+
+Each function takes and returns scalars or tuples, allocates nothing and raises nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.kernels import fields as at
+
+Faces = NDArray[np.float32]  # (FACES, FIELDS): of one picture; row 0 is the rays'
+Textures = NDArray[np.int32]  # (n, 4)
+Texels = NDArray[np.uint32]  # (T,)
+Float = Any  # np.float32, a scalar of which numba keeps the type
+Integer = Any  # np.int32: with an int of Python's, numba would make everything 64 bits wide
+Colour = tuple[Integer, Integer, Integer]
+
+ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+SHORTEST_W = np.float32(1e-9)  # beyond an edge a quad's pixels may look above the horizon: kept finite
+MOST_TEXELS = np.float32(8e6)  # as many as float32 counts one by one
+# Squares of the texels between pixels from which on a level is nearer than the one before.
+LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (
+    np.float32(2.0 ** (2 * n + 1)) for n in range(7)
+)
+I0, I1, I2, I3, I4, I5, I8, I15, I16, BYTE = (np.int32(n) for n in (0, 1, 2, 3, 4, 5, 8, 15, 16, 255))
+OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (
+    np.int32(number) for number in (9798, 19235, 3735, 16384, 15)
+)
+
+
+@njit(error_model="numpy")
+def linear(faces: Faces, face: Integer, field: int, column: Float, row: Float) -> Float:
+    """The function of three coefficients from `field` on: per column, per row, constant."""
+    return faces[face, field] * column + (faces[face, field + 1] * row + faces[face, field + 2])
+
+
+@njit(error_model="numpy")
+def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
+    """Whether a pixel lies within a face's edges."""
+    inside = True
+    for edge in range(4):
+        inside = inside and linear(faces, face, at.EDGES + 3 * edge, column, row) >= ZERO
+    extra = int(faces[face, at.EXTRA])
+    if inside and extra > 0:
+        for edge in range(8):
+            inside = inside and linear(faces, extra, 3 * edge, column, row) >= ZERO
+    return inside
+
+
+@njit(error_model="numpy")
+def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Float, column1: Float) -> bool:
+    """Whether a face may be seen in a rectangle of pixels, both ends included; errs towards yes."""
+    if faces[face, at.NEAREST_W] <= ZERO:
+        return False
+    seen = True
+    for field in range(at.W, at.W + 15, 3):
+        a, b, c = faces[face, field], faces[face, field + 1], faces[face, field + 2]
+        most = max(a * column0, a * column1) + max(b * row0, b * row1) + c
+        seen = seen and most >= -np.float32(1e-6)
+    return seen
+
+
+@njit(error_model="numpy")
+def nearest_face(faces: Faces, row: int, column: int) -> Integer:
+    """The face that a pixel shows, 0 for the sky."""
+    x, y = np.float32(column), np.float32(row)
+    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+    for face in range(1, int(faces[0, at.COUNT])):
+        if faces[face, at.NEAREST_W] > best:
+            w = linear(faces, face, at.W, x, y)
+            if w > best and w <= near and covers(faces, face, x, y):
+                best, shown = w, face
+    return shown
+
+
+@njit(error_model="numpy")
+def texels_at(faces: Faces, face: Integer, column: Float, row: Float) -> tuple[Float, Float]:
+    """Texels of level 0 from the texture's corner to a pixel, to the right and up."""
+    w = max(linear(faces, face, at.W, column, row), SHORTEST_W)
+    u = linear(faces, face, at.EDGES, column, row) / w * faces[face, at.TU] + faces[face, at.TU + 1]
+    v = linear(faces, face, at.EDGES + 9, column, row) / w * faces[face, at.TV] + faces[face, at.TV + 1]
+    return u, v
+
+
+@njit(error_model="numpy")
+def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: Integer) -> Integer:
+    """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the longest."""
+    step = max(du_x * du_x + dv_x * dv_x, du_y * du_y + dv_y * dv_y)
+    level = np.int32(step >= LEVEL_1)
+    for limit in (LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7):
+        level = np.int32(level + np.int32(step >= limit))
+    return np.int32(level if level < last else last)
+
+
+@njit(error_model="numpy")
+def texel_index(u: Float, v: Float, level: Integer, base: Integer, log2_size: Integer) -> Integer:
+    """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
+    size, down = log2_size & I15, level & I15  # known to be small, so that shifts stay 32 bits wide
+    last = np.int32(np.int32(I1 << size) - I1)
+    column = np.int32(np.int32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & last) >> down)
+    row = np.int32(np.int32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & last) >> down)
+    two = np.int32(I2 << size)
+    row = np.int32(np.int32(two - np.int32(two >> down)) + row)
+    return np.int32(np.int32(base + np.int32(row << size)) + column)
+
+
+@njit(error_model="numpy")
+def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
+    """A texel in light of a colour (0 to 1), as 8-bit channels."""
+    return (
+        np.int32(np.float32(np.int32(texel & BYTE)) * red + HALF),
+        np.int32(np.float32(np.int32(np.int32(texel >> I8) & BYTE)) * green + HALF),
+        np.int32(np.float32(np.int32(np.int32(texel >> I16) & BYTE)) * blue + HALF),
+    )
+
+
+@njit(error_model="numpy")
+def luma(red: Integer, green: Integer, blue: Integer) -> Integer:
+    """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
+    weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
+    return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
+
+
+@njit(error_model="numpy")
+def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -> Integer:
+    """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
+    s, t, r = x, z, -y
+    a_s, a_t, a_r = abs(s), abs(t), abs(r)
+    by_s = a_s >= a_t and a_s >= a_r
+    by_t = not by_s and a_t >= a_r
+    across = (-r if s > ZERO else r) if by_s else (s if by_t or r > ZERO else -s)
+    down = (r if t > ZERO else -r) if by_t else -t
+    face = (
+        (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
+    )
+    size = log2_size & I15
+    last = np.int32(np.int32(I1 << size) - I1)
+    middle = HALF * np.float32(np.int32(I1 << size))
+    scale = middle / max(max(a_s, max(a_t, a_r)), SHORTEST_W)
+    column = min(np.int32(max(across * scale + middle, ZERO)), last)
+    row = min(np.int32(max(down * scale + middle, ZERO)), last)
+    row = np.int32(np.int32(face << size) + row)
+    return np.int32(np.int32(base + np.int32(row << size)) + column)
+
+
+@njit(error_model="numpy")
+def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column: int) -> Integer:
+    """The mipmap level of a face in the quad of a pixel."""
+    x, y = np.float32(column & ~1), np.float32(row | 1)
+    u, v = texels_at(faces, face, x, y)
+    u_x, v_x = texels_at(faces, face, x + ONE, y)
+    u_y, v_y = texels_at(faces, face, x, y - ONE)
+    last = textures[int(faces[face, at.TEXTURE]), at.LOG2_SIZE]
+    return level_of(u_x - u, v_x - v, u_y - u, v_y - v, last)
+
+
+@njit(error_model="numpy")
+def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows the sky."""
+    x, y = np.float32(column), np.float32(row)
+    ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
+    ray_z = linear(faces, 0, at.RAYS + 6, x, y)
+    index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_SIZE])
+    return lit(np.int32(texels[np.uint32(index)]), ONE, ONE, ONE)
+
+
+@njit(error_model="numpy")
+def face_colour(
+    faces: Faces, face: Integer, level: Integer, texels: Texels, textures: Textures, row: int, column: int
+) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows a face, from a mipmap level."""
+    x, y = np.float32(column), np.float32(row)
+    texture = int(faces[face, at.TEXTURE])
+    u, v = texels_at(faces, face, x, y)
+    index = texel_index(u, v, level, textures[texture, at.BASE], textures[texture, at.LOG2_SIZE])
+    along = linear(faces, face, at.ACROSS, x, y) / max(linear(faces, face, at.W, x, y), SHORTEST_W)
+    return lit(
+        np.int32(texels[np.uint32(index)]),
+        faces[face, at.COLOUR] + faces[face, at.SLOPE] * along,
+        faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
+        faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
+    )
+
+
+@njit(error_model="numpy")
+def colour_of(
+    faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int
+) -> Colour:
+    """Red, green and blue (0 to 255) of a pixel that shows a face, or the sky, 0."""
+    if face == 0:
+        return sky_colour(faces, texels, textures, row, column)
+    return face_colour(
+        faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column
+    )
+
+
+@njit(error_model="numpy")
+def luma_at(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Integer:
+    """Luma of a pixel."""
+    red, green, blue = colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
+    return luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def depth_at(faces: Faces, row: int, column: int) -> Float:
+    """Depth of a pixel in metres, along the optical axis."""
+    face = nearest_face(faces, row, column)
+    w = linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
+    return ONE / w
+
+
+@njit(error_model="numpy")
+def least(faces: Faces, row: Integer, field: int, edges: int, x: Float, y: Float) -> Float:
+    """The smallest of several edges' functions at a pixel: >= 0 inside them all."""
+    smallest = linear(faces, row, field, x, y)
+    for edge in range(1, edges):
+        smallest = min(smallest, linear(faces, row, field + 3 * edge, x, y))
+    return smallest
+
+
+@njit(error_model="numpy")
+def quad_faces(
+    faces: Faces, listed: Any, count: int, row: int, column: int
+) -> tuple[Integer, Integer, Integer, Integer]:
+    """What `nearest_face` says of four pixels, if their faces are among the first `count` of a list.
+
+    Row and column are even; the pixels are (row, column), (row, column + 1), and those of the row below.
+    """
+    x, y, near = np.float32(column), np.float32(row), faces[0, at.NEAR_W]
+    x1, y1 = x + ONE, y + ONE
+    w00 = w01 = w10 = w11 = faces[0, at.FAR_W]
+    face00 = face01 = face10 = face11 = I0
+    for number in range(count):
+        face = np.int32(listed[number])
+        if faces[face, at.NEAREST_W] > min(min(w00, w01), min(w10, w11)):
+            new00, new01 = linear(faces, face, at.W, x, y), linear(faces, face, at.W, x1, y)
+            new10, new11 = linear(faces, face, at.W, x, y1), linear(faces, face, at.W, x1, y1)
+            in00, in01 = least(faces, face, at.EDGES, 4, x, y), least(faces, face, at.EDGES, 4, x1, y)
+            in10, in11 = least(faces, face, at.EDGES, 4, x, y1), least(faces, face, at.EDGES, 4, x1, y1)
+            extra = int(faces[face, at.EXTRA])
+            if extra > 0:
+                in00, in01 = (
+                    min(in00, least(faces, extra, 0, 8, x, y)),
+                    min(in01, least(faces, extra, 0, 8, x1, y)),
+                )
+                in10, in11 = (
+                    min(in10, least(faces, extra, 0, 8, x, y1)),
+                    min(in11, least(faces, extra, 0, 8, x1, y1)),
+                )
+            if in00 >= ZERO and new00 > w00 and new00 <= near:
+                w00, face00 = new00, face
+            if in01 >= ZERO and new01 > w01 and new01 <= near:
+                w01, face01 = new01, face
+            if in10 >= ZERO and new10 > w10 and new10 <= near:
+                w10, face10 = new10, face
+            if in11 >= ZERO and new11 > w11 and new11 <= near:
+                w11, face11 = new11, face
+    return face00, face01, face10, face11
+
+
+@njit(error_model="numpy")
+def shared_luma(
+    faces: Faces,
+    face: Integer,
+    known: Integer,
+    level: Integer,
+    texels: Texels,
+    textures: Textures,
+    row: int,
+    column: int,
+) -> Integer:
+    """Luma of a pixel that shows a face, where the quad's level is known for one of its faces."""
+    if face == 0:
+        red, green, blue = sky_colour(faces, texels, textures, row, column)
+        return luma(red, green, blue)
+    own = level if face == known else quad_level(faces, face, textures, row, column)
+    red, green, blue = face_colour(faces, face, own, texels, textures, row, column)
+    return luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def quad_lumas(
+    faces: Faces, listed: Any, count: int, texels: Texels, textures: Textures, row: int, column: int
+) -> tuple[Integer, Integer, Integer, Integer]:
+    """Luma of four pixels, in the order of `quad_faces`."""
+    f00, f01, f10, f11 = quad_faces(faces, listed, count, row, column)
+    level = quad_level(faces, f00, textures, row, column) if f00 > 0 else I0
+    return (
+        shared_luma(faces, f00, f00, level, texels, textures, row, column),
+        shared_luma(faces, f01, f00, level, texels, textures, row, column + 1),
+        shared_luma(faces, f10, f00, level, texels, textures, row + 1, column),
+        shared_luma(faces, f11, f00, level, texels, textures, row + 1, column + 1),
+    )

@@ -1,0 +1,302 @@
+"""One picture on the CPU, column by column: each face over the rows at which it may be seen, the nearest kept.
+
+Obstacles are tall, so a column holds longer stretches of one face than a row. The arithmetic is that of
+`kernels.rays`. Loops have no branches and look nothing up, and run over whole eights of pixels, so that the compiler
+takes eight at once; texels are looked up in a loop of their own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.rays import (
+    I0,
+    I1,
+    ONE,
+    SHORTEST_W,
+    ZERO,
+    Faces,
+    Float,
+    Integer,
+    Texels,
+    Textures,
+    level_of,
+    lit,
+    luma,
+    sky_index,
+    texel_index,
+)
+
+HUGE = np.float32(1e30)
+Floats = NDArray[np.float32]
+Integers = NDArray[np.int32]
+
+# Lines of ROWS numbers: 0, 1, 2, ...; 1, 1, 3, 3, ...; the largest w yet; the light's colour. And integers.
+ROW, CORNER, BEST, RED, GREEN, BLUE = range(6)
+PLACE, TEXEL = range(2)
+Line = tuple[Float, Float, Float, Float]
+
+
+class Desk(NamedTuple):
+    """What one thread works with; of its own, so that threads can share the rest."""
+
+    faces: Faces
+    begins: Integers  # (COLUMNS,): the first row of a face in each column
+    ends: Integers  # (COLUMNS,): and the one behind its last
+    spans: Integers  # (COLUMNS, FACES): of each column's faces, face << 16 | begin << 8 | end
+    counts: Integers  # (COLUMNS,): how many those are
+    floats: Floats  # (6, ROWS)
+    integers: Integers  # (2, ROWS)
+    channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): of the picture
+
+
+@njit(error_model="numpy")
+def make_desk() -> Desk:
+    floats = np.zeros((6, at.ROWS), np.float32)
+    for row in range(at.ROWS):
+        floats[ROW, row], floats[CORNER, row] = row, row | 1
+    begins, ends = np.zeros(at.COLUMNS, np.int32), np.zeros(at.COLUMNS, np.int32)
+    counts = np.zeros(at.COLUMNS, np.int32)
+    faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
+    integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
+    return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
+
+
+@njit(error_model="numpy")
+def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
+    """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
+
+    One of them is far out: the function rises or falls from row to row.
+    """
+    root = ONE / per_row if abs(per_row) > ONE / HUGE else HUGE
+    row, slope = -rest * root, -per_column * root
+    rises = root > ZERO
+    return row if rises else -HUGE, slope if rises else ZERO, HUGE if rises else row, ZERO if rises else slope
+
+
+@njit(error_model="numpy")
+def edge_line(faces: Faces, face: int, field: int) -> Line:
+    return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
+
+
+@njit(error_model="numpy")
+def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
+    """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
+    low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
+    begin = np.int32(low)
+    return begin + (I1 if low > np.float32(begin) else I0), np.int32(high + ONE)
+
+
+@njit(error_model="numpy")
+def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, counts: Integers) -> None:
+    """The faces of each column, with their rows."""
+    counts[:] = 0
+    for face in range(1, int(faces[0, at.COUNT])):
+        if faces[face, at.NEAREST_W] > ZERO:
+            first, last = int(faces[face, at.FIRST_COLUMN]), int(faces[face, at.LAST_COLUMN])
+            find_rows(faces, face, first, last, begins, ends)
+            for column in range(first, last + 1):
+                if begins[column] < ends[column]:
+                    spans[column, counts[column]] = (face << 16) | (begins[column] << 8) | ends[column]
+                    counts[column] += 1
+
+
+@njit(error_model="numpy")
+def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, ends: Integers) -> None:
+    """The rows of a face in each of some columns, where its edges have it."""
+    l0, l0_slope, h0, h0_slope = edge_line(faces, face, at.EDGES)
+    l1, l1_slope, h1, h1_slope = edge_line(faces, face, at.EDGES + 3)
+    l2, l2_slope, h2, h2_slope = edge_line(faces, face, at.EDGES + 6)
+    l3, l3_slope, h3, h3_slope = edge_line(faces, face, at.EDGES + 9)
+    for column in range(np.uintp(first & ~7), np.uintp((last + 8) & ~7)):
+        x = np.float32(np.int32(column))
+        low = max(max(l0 + l0_slope * x, l1 + l1_slope * x), max(l2 + l2_slope * x, l3 + l3_slope * x))
+        high = min(min(h0 + h0_slope * x, h1 + h1_slope * x), min(h2 + h2_slope * x, h3 + h3_slope * x))
+        begins[column], ends[column] = whole_rows(low, high)
+    extra = int(faces[face, at.EXTRA])
+    for edge in range(at.SLICES if extra > 0 else 0):
+        narrow(edge_line(faces, extra, 3 * edge), first, last, begins, ends)
+    if faces[face, at.NEAREST_W] >= faces[0, at.NEAR_W]:
+        rest = faces[0, at.NEAR_W] - faces[face, at.W + 2]
+        narrow(line_of(-faces[face, at.W], -faces[face, at.W + 1], rest), first, last, begins, ends)
+
+
+@njit(error_model="numpy")
+def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) -> None:
+    """Keep of a face's rows those on one side of a line, as `line_of` describes it."""
+    low, low_slope, high, high_slope = line
+    for column in range(np.uintp(first), np.uintp(last + 1)):
+        x = np.float32(np.int32(column))
+        begin, end = whole_rows(low + low_slope * x, high + high_slope * x)
+        begins[column], ends[column] = max(begins[column], begin), min(ends[column], end)
+
+
+@njit(error_model="numpy")
+def show_face(
+    textures: Textures,
+    faces: Faces,
+    floats: Floats,
+    integers: Integers,
+    face: int,
+    column: int,
+    begin: int,
+    end: int,
+) -> None:
+    """Place of the texel, and light, at each row at which a face is nearer than what is there."""
+    texture = int(faces[face, at.TEXTURE])
+    base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
+    x, corner_x = np.float32(column), np.float32(column & ~1)
+    tu, cu, tv, cv = faces[face, at.TU], faces[face, at.TU + 1], faces[face, at.TV], faces[face, at.TV + 1]
+    a, b, c = faces[face, at.W], faces[face, at.W + 1], faces[face, at.W + 2]
+    ea, eb, ec = faces[face, at.ACROSS], faces[face, at.ACROSS + 1], faces[face, at.ACROSS + 2]
+    da, db, dc = faces[face, at.DOWN], faces[face, at.DOWN + 1], faces[face, at.DOWN + 2]
+    r0, g0, b0 = faces[face, at.COLOUR], faces[face, at.COLOUR + 1], faces[face, at.COLOUR + 2]
+    r1, g1, b1 = faces[face, at.SLOPE], faces[face, at.SLOPE + 1], faces[face, at.SLOPE + 2]
+    first, last = np.float32(begin), np.float32(end)
+    ax, aex, adx, acx, aecx, adcx = a * x, ea * x, da * x, a * corner_x, ea * corner_x, da * corner_x
+    for pixel in range(np.uintp(begin & ~7), np.uintp((end + 7) & ~7)):
+        best, other, red = floats[BEST, pixel], integers[PLACE, pixel], floats[RED, pixel]
+        green, blue = floats[GREEN, pixel], floats[BLUE, pixel]
+        y = floats[CORNER, pixel]
+        w, e, d = acx + (b * y + c), aecx + (eb * y + ec), adcx + (db * y + dc)
+        at_0, at_x, at_y = (
+            ONE / max(w, SHORTEST_W),
+            ONE / max(w + a, SHORTEST_W),
+            ONE / max(w - b, SHORTEST_W),
+        )
+        u_0, v_0 = e * at_0, d * at_0
+        level = level_of(
+            ((e + ea) * at_x - u_0) * tu,
+            ((d + da) * at_x - v_0) * tv,
+            ((e - eb) * at_y - u_0) * tu,
+            ((d - db) * at_y - v_0) * tv,
+            size,
+        )
+        y = floats[ROW, pixel]
+        w = ax + (b * y + c)
+        depth = ONE / max(w, SHORTEST_W)
+        along = (aex + (eb * y + ec)) * depth
+        place = texel_index(along * tu + cu, (adx + (db * y + dc)) * depth * tv + cv, level, base, size)
+        nearer = (w > best) & (y >= first) & (y < last)
+        floats[BEST, pixel] = w if nearer else best
+        integers[PLACE, pixel] = place if nearer else other
+        floats[RED, pixel] = r0 + r1 * along if nearer else red
+        floats[GREEN, pixel] = g0 + g1 * along if nearer else green
+        floats[BLUE, pixel] = b0 + b1 * along if nearer else blue
+
+
+@njit(error_model="numpy")
+def show_sky(
+    textures: Textures,
+    faces: Faces,
+    floats: Floats,
+    integers: Integers,
+    column: int,
+    spans: Integers,
+    count: int,
+) -> None:
+    """The sky, where no face reaches in from the column's top or bottom; faces are drawn over it."""
+    begin, end = 0, at.ROWS
+    for number in range(count):
+        first, behind = (spans[column, number] >> 8) & 255, spans[column, number] & 255
+        begin = max(begin, behind) if first == 0 else begin
+        end = min(end, first) if behind == at.ROWS else end
+    x = np.float32(column)
+    xa, xb, xc = faces[0, at.RAYS] * x, faces[0, at.RAYS + 1], faces[0, at.RAYS + 2]
+    ya, yb, yc = faces[0, at.RAYS + 3] * x, faces[0, at.RAYS + 4], faces[0, at.RAYS + 5]
+    za, zb, zc = faces[0, at.RAYS + 6] * x, faces[0, at.RAYS + 7], faces[0, at.RAYS + 8]
+    base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
+    for pixel in range(np.uintp(begin & ~7), np.uintp((max(end, begin) + 7) & ~7)):
+        y = floats[ROW, pixel]
+        integers[PLACE, pixel] = sky_index(
+            xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size
+        )
+        floats[RED, pixel] = floats[GREEN, pixel] = floats[BLUE, pixel] = ONE
+
+
+@njit(error_model="numpy")
+def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+    """Luma of a column whose texels are placed."""
+    for row in range(at.ROWS):
+        integers[TEXEL, row] = texels[np.uint32(integers[PLACE, row])]
+    for row in range(at.ROWS):
+        red, green, blue = lit(integers[TEXEL, row], floats[RED, row], floats[GREEN, row], floats[BLUE, row])
+        channels[0, column, row] = luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+    """Red, green and blue of a column whose texels are placed."""
+    for row in range(at.ROWS):
+        red, green, blue = lit(
+            np.int32(texels[np.uint32(integers[PLACE, row])]),
+            floats[RED, row],
+            floats[GREEN, row],
+            floats[BLUE, row],
+        )
+        channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
+
+
+@njit(error_model="numpy")
+def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
+    """Luma, or red, green and blue, of a picture whose faces are projected, in `desk.channels`."""
+    texels, textures, faces, spans, counts = looks.texels, looks.textures, desk.faces, desk.spans, desk.counts
+    floats, integers, channels = desk.floats, desk.integers, desk.channels
+    find_spans(faces, desk.begins, desk.ends, spans, counts)
+    for column in range(at.COLUMNS):
+        for row in range(at.ROWS):
+            floats[BEST, row] = faces[0, at.FAR_W]
+        show_sky(textures, faces, floats, integers, column, spans, counts[column])
+        for number in range(counts[column]):
+            span = spans[column, number]
+            show_face(textures, faces, floats, integers, span >> 16, column, (span >> 8) & 255, span & 255)
+        if colour:
+            colour_column(texels, floats, integers, column, channels)
+        else:
+            gray_column(texels, floats, integers, column, channels)
+
+
+@njit(error_model="numpy")
+def turn_gray(channels: Any, out: Any) -> None:
+    """Columns of luma as a picture (ROWS, COLUMNS)."""
+    for row in range(at.ROWS):
+        for column in range(at.COLUMNS):
+            out[row, column] = channels[0, column, row]
+
+
+@njit(error_model="numpy")
+def turn_colour(channels: Any, out: Any) -> None:
+    """Columns of red, green and blue as a picture (ROWS, COLUMNS, 3)."""
+    for row in range(at.ROWS):
+        for column in range(at.COLUMNS):
+            out[row, column, 0] = channels[0, column, row]
+            out[row, column, 1] = channels[1, column, row]
+            out[row, column, 2] = channels[2, column, row]
+
+
+@njit(error_model="numpy")
+def draw_depths(desk: Desk, out: Any) -> None:
+    """Depth of a picture whose faces are projected, (ROWS, COLUMNS), metres."""
+    faces, floats, counts = desk.faces, desk.floats, desk.counts
+    find_spans(faces, desk.begins, desk.ends, desk.spans, counts)
+    for column in range(at.COLUMNS):
+        for row in range(at.ROWS):
+            floats[BEST, row] = faces[0, at.FAR_W]
+        for number in range(counts[column]):
+            span = desk.spans[column, number]
+            a, b, c = (
+                faces[span >> 16, at.W] * np.float32(column),
+                faces[span >> 16, at.W + 1],
+                faces[span >> 16, at.W + 2],
+            )
+            for row in range(np.uintp((span >> 8) & 255), np.uintp(span & 255)):
+                w = a + (b * floats[ROW, row] + c)
+                floats[BEST, row] = max(w, floats[BEST, row])
+        for row in range(at.ROWS):
+            out[row, column] = ONE / floats[BEST, row]

@@ -1,0 +1,161 @@
+"""Whether a vehicle's hull touches what stands around it, and how long it surely will not.
+
+The hull is a flat upright cylinder in the body's frame, the surroundings are boxes along the world's axes, upright
+cylinders, and planes facing up. Convex bodies are apart where some direction separates them; among the horizontal
+directions the separation is concave along a chord, so its largest value is found by golden-section search. Only at the
+rim of a post's top, where hull and post meet edge to edge, does MuJoCo's own detection see a little less.
+
+All in MuJoCo's axes (x north, y west, z up) and in metres.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.sim.quadrotor import Record
+
+BOX, CYLINDER, PLANE = 0, 1, 2
+SOLID_FIELDS = 7  # middle x, y, z; half sizes x, y, z, of a cylinder radius, radius, half height; kind
+NOTHING = -1
+
+MARGIN_M = 0.01
+GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at again
+DENSEST_AIR = 1.5  # kg/m³, kilometres below the sea
+STRONGEST_THRUST = 1.3  # of that at sea level, there
+SEARCH_STEPS = 40
+SHRINK = 0.6180339887498949  # golden section
+
+Solids = NDArray[np.float64]
+
+
+@njit
+def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
+    """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
+    rotors = 4 * parameters.max_thrust_n * STRONGEST_THRUST
+    factor = parameters.drag_factor_m2
+    drag_m2 = math.sqrt(factor[0] * factor[0] + factor[1] * factor[1] + factor[2] * factor[2])
+    fastest = airspeed_m_s + GUST_M_S
+    return (rotors + drag_m2 * DENSEST_AIR * fastest * fastest) / parameters.mass_kg + parameters.gravity_m_s2
+
+
+@njit
+def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
+    """Seconds within which not even the strongest acceleration brings the vehicle so far."""
+    if not (distance_m > 0.0 and speed_m_s < np.inf and acceleration_m_s2 < np.inf):
+        return 0.0
+    arrival_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * acceleration_m_s2 * distance_m)
+    return min((arrival_m_s - speed_m_s) / acceleration_m_s2, GUST_M_S / acceleration_m_s2)
+
+
+@njit
+def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
+    """At most the distance from a point to a solid: to its box, or to the plane."""
+    if solid[6] == PLANE:
+        return z - solid[2]
+    beside = max(abs(x - solid[0]) - solid[3], 0.0)
+    across = max(abs(y - solid[1]) - solid[4], 0.0)
+    above = max(abs(z - solid[2]) - solid[5], 0.0)
+    return math.sqrt(beside * beside + across * across + above * above)
+
+
+@njit
+def free_ticks(
+    parameters: Record, state: Record, place: NDArray[np.float64], solids: Solids, count: int, reach_m: float
+) -> int:
+    """Ticks for which nothing can be touched, whatever the autopilot does; `reach_m` is the hull's, all around."""
+    distance_m = np.inf
+    for solid in range(count):
+        distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
+    v, w = state.velocity, state.wind
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    wind = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    free_s = time_to(distance_m - reach_m - MARGIN_M, speed, strongest_acceleration(parameters, speed + wind))
+    return int(free_s / parameters.tick_s)
+
+
+@njit
+def reach(along: float, length: float, radius_m: float, half_height_m: float) -> float:
+    """The hull's support in a direction of that length, whose product with the hull's axis is `along`."""
+    across = math.sqrt(max(length * length - along * along, 0.0))
+    return radius_m * across + half_height_m * abs(along)
+
+
+@njit
+def gap_along(
+    u: float,
+    v: float,
+    x: float,
+    y: float,
+    ax: float,
+    ay: float,
+    solid: Solids,
+    radius_m: float,
+    half_m: float,
+) -> float:
+    """Separation of hull and solid in the horizontal direction (u, v), times its length; x, y from the middle."""
+    length = math.sqrt(u * u + v * v)
+    half = solid[3] * length if solid[6] == CYLINDER else solid[3] * abs(u) + solid[4] * abs(v)
+    return x * u + y * v - half - reach(ax * u + ay * v, length, radius_m, half_m)
+
+
+@njit
+def widest_gap(
+    turned: bool, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
+) -> float:
+    """The largest `gap_along` (1, t), or (t, 1) where `turned`, for t from -1 to 1."""
+    low, high, best = -1.0, 1.0, -np.inf
+    for _ in range(SEARCH_STEPS):
+        a, b = high - SHRINK * (high - low), low + SHRINK * (high - low)
+        if turned:
+            left = gap_along(a, 1.0, x, y, ax, ay, solid, radius_m, half_m)
+            right = gap_along(b, 1.0, x, y, ax, ay, solid, radius_m, half_m)
+        else:
+            left = gap_along(1.0, a, x, y, ax, ay, solid, radius_m, half_m)
+            right = gap_along(1.0, b, x, y, ax, ay, solid, radius_m, half_m)
+        best = max(best, left, right)
+        if left > right:
+            high = b
+        else:
+            low = a
+    return best
+
+
+@njit
+def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_height_m: float) -> float:
+    """Above 0 where the hull at a pose (7,) and a solid are apart, else 0 or below: the deeper, the lower."""
+    w, i, j, k = place[3], place[4], place[5], place[6]
+    ax, ay, az = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
+    vertical = reach(az, 1.0, radius_m, half_height_m)
+    if solid[6] == PLANE:
+        return place[2] - solid[2] - vertical
+    above = abs(place[2] - solid[2]) - solid[5] - vertical
+    if above > 0.0:
+        return above
+    x, y = place[0] - solid[0], place[1] - solid[1]
+    if x < 0.0:
+        x, ax = -x, -ax
+    if y < 0.0:
+        y, ay = -y, -ay
+    ahead = widest_gap(False, x, y, ax, ay, solid, radius_m, half_height_m)
+    beside = widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m)
+    return max(above, ahead, beside)
+
+
+@njit
+def touched(
+    place: NDArray[np.float64], solids: Solids, count: int, radius_m: float, half_height_m: float
+) -> int:
+    """The solid that the hull at a pose (7,) is deepest in, or NOTHING."""
+    found, deepest = NOTHING, 0.0
+    reach_m = math.sqrt(radius_m * radius_m + half_height_m * half_height_m)
+    for solid in range(count):
+        if distance_to(solids[solid], place[0], place[1], place[2]) > reach_m:
+            continue
+        apart = separation(place, solids[solid], radius_m, half_height_m)
+        if apart <= deepest:
+            found, deepest = solid, apart
+    return found

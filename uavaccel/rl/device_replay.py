@@ -1,0 +1,150 @@
+"""What lanes on a GPU have flown, to learn from there: a ring of rounds, drawn from as n-step returns, as patches.
+
+A row is one command of every lane. What followed a command is the observation of the row after it, so that each
+observation is kept once; a window that a game's time limit cut short has no weight.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch as th
+from numba import cuda
+
+from uavaccel.kernels.cuda import shared, stream
+from uavaccel.rl.network import HALF_CONTRAST
+from uavaccel.vision.observation import NEUTRAL_LEVEL
+
+KERNEL, STRIDE, PADDING = 8, 4, 2  # of the network's first convolution (rl/network.LaneFeatures)
+THREADS = 256
+
+
+class Windows(NamedTuple):
+    """Drawn commands (n,): where they and what followed them lie, and what they brought."""
+
+    row: th.Tensor
+    after: th.Tensor
+    lane: th.Tensor
+    actions: th.Tensor
+    rewards: th.Tensor
+    discounts: th.Tensor  # of the rating of what followed; 0 where the game was over
+    weights: th.Tensor
+    mirrored: th.Tensor
+
+
+class DeviceReplay:
+    """A ring of `rows` rounds of `lanes` lanes; `place` is the row being flown, `filled` rows before it are whole."""
+
+    def __init__(self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device) -> None:
+        self.rows, self.lanes, self.device = rows, lanes, device
+        self.observations = th.zeros((rows, lanes, *shape), dtype=dtype, device=device)
+        self.actions = th.zeros((rows, lanes), dtype=th.int64, device=device)
+        self.rewards = th.zeros((rows, lanes), device=device)
+        self.over, self.cut, self.flown = (th.zeros((rows, lanes), device=device) for _ in range(3))
+        self.place = th.zeros(1, dtype=th.int64, device=device)
+        self.filled = th.zeros(1, dtype=th.int64, device=device)
+
+    def decide(self, observations: th.Tensor, actions: th.Tensor) -> None:
+        """What is seen (lanes, ...) at the beginning of a round, and what is done."""
+        self.observations.index_copy_(0, self.place, observations[None])
+        self.actions.index_copy_(0, self.place, actions[None])
+
+    def note(self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor) -> None:
+        """What the round brought (lanes,); the next one begins."""
+        rows = ((self.rewards, rewards), (self.over, terminated), (self.cut, truncated), (self.flown, flown))
+        for room, values in rows:
+            room.index_copy_(0, self.place, values.float()[None])
+        self.place.copy_((self.place + 1) % self.rows)
+        self.filled.copy_((self.filled + 1).clamp(max=self.rows - 1))
+
+    def draw(self, count: int, n_steps: int, gamma: float, mirror: bool) -> Windows:
+        """`count` commands with their returns over `n_steps`, or fewer where the game ends."""
+        age = n_steps - 1 + th.rand(count, device=self.device, dtype=th.float64) * (self.filled - n_steps + 1)
+        row = (self.place - 1 - age.long()) % self.rows
+        lane = (th.rand(count, device=self.device, dtype=th.float64) * self.lanes).long()
+        rewards, discounts = th.zeros_like(age), th.ones_like(age)
+        alive, weights = th.ones_like(age), self.flown[row, lane].double()
+        for step in range(n_steps):
+            at = (row + step) % self.rows
+            rewards += alive * gamma**step * self.rewards[at, lane]
+            weights = weights * (1.0 - alive * self.cut[at, lane])
+            alive = alive * (1.0 - self.over[at, lane])
+        discounts = alive * gamma**n_steps
+        half = th.arange(count, device=self.device) % 2 == 0
+        mirrored = half if mirror else th.zeros_like(half)
+        after = (row + n_steps) % self.rows
+        return Windows(
+            row,
+            after,
+            lane,
+            self.actions[row, lane],
+            rewards.float(),
+            discounts.float(),
+            weights.float(),
+            mirrored,
+        )
+
+
+def patches_of(frames: int, rows: int, columns: int) -> tuple[int, int, int]:
+    """Rows and columns of patches that the first convolution sees, and numbers of each."""
+    down, across = ((size + 2 * PADDING - KERNEL) // STRIDE + 1 for size in (rows, columns))
+    return down, across, frames * KERNEL * KERNEL
+
+
+def spread_levels(device: th.device) -> th.Tensor:
+    """Grey levels as the network reads them, d / (24 + |d|): the bits of bfloat16, (256,)."""
+    distance = th.arange(256, dtype=th.float32) - NEUTRAL_LEVEL
+    spread = distance / (distance.abs() + HALF_CONTRAST)
+    return spread.to(th.bfloat16).view(th.int16).to(device)
+
+
+def _cut(row, lane, mirrored, levels, observations, patches, down, across):  # type: ignore[no-untyped-def]
+    """A thread writes one row of one patch: KERNEL numbers of one frame."""
+    thread = cuda.grid(1)
+    frames, rows, columns = observations.shape[2], observations.shape[3], observations.shape[4]
+    line = thread % KERNEL
+    frame = thread // KERNEL % frames
+    patch = thread // (KERNEL * frames)
+    x = STRIDE * (patch % across) - PADDING
+    y = STRIDE * (patch // across % down) - PADDING + line
+    sample = patch // (across * down)
+    if sample >= len(row):
+        return
+    first = (frame * KERNEL + line) * KERNEL
+    for each in range(KERNEL):
+        column = x + each
+        value = np.int16(0)
+        if 0 <= y < rows and 0 <= column < columns:
+            if mirrored[sample]:
+                column = columns - 1 - column
+            value = levels[observations[row[sample], lane[sample], frame, y, column]]
+        patches[patch, first + each] = value
+
+
+class Cutter:
+    """Cuts observations of a ring, (rows, lanes, frames, 36, 64) uint8, into the first convolution's patches."""
+
+    def __init__(self, shape: tuple[int, int, int], device: th.device) -> None:
+        self.down, self.across, self.numbers = patches_of(*shape)
+        self._frames, self._levels = shape[0], spread_levels(device)
+        self._kernel: Any = cuda.jit(_cut, cache=True)
+
+    def __call__(
+        self, observations: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor
+    ) -> th.Tensor:
+        """Patches (n * rows * columns, numbers) bfloat16 of the observations at `row` and `lane` (n,)."""
+        count = len(row) * self.down * self.across
+        patches = th.empty((count, self.numbers), dtype=th.int16, device=row.device)
+        threads = count * self._frames * KERNEL
+        self._kernel[-(-threads // THREADS), THREADS, stream()](
+            shared(row),
+            shared(lane),
+            shared(mirrored.byte()),
+            shared(self._levels),
+            shared(observations),
+            shared(patches),
+            self.down,
+            self.across,
+        )
+        return patches.view(th.bfloat16)

@@ -1,0 +1,72 @@
+"""Where a vehicle stands: at the height at which what it touches bears it, at rest from its first tick on.
+
+AirSim locks a vehicle to the ground that it stands on (FastPhysicsEngine.hpp): its velocity and its accelerations are 0
+until its rotors lift it. MuJoCo's contacts give way a little before they bear anything.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+
+from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim.bounds import DEEPEST_M
+from uavaccel.sim.clearance import PLANE
+from uavaccel.sim.touch import deepest_contact
+from uavaccel.sim.vehicle import HERE, Vehicle
+
+if TYPE_CHECKING:
+    from uavaccel.sim.world import World
+
+GIVE_M = 1e-3  # more than contacts give way under a vehicle, and less than anybody would call a fall
+HALVINGS = 60
+
+
+def stand(world: World, vehicle: Vehicle) -> None:
+    """Set a level, idle vehicle on what it touches, if it touches anything; all others stay as they are.
+
+    A frame of its own begins where it stands.
+    """
+    (x, y, z), attitude = vehicle.place_m, vehicle.start.orientation_wxyz
+
+    def borne(height: float) -> bool:
+        vehicle.set_pose((x, y, height), attitude)
+        mujoco.mj_forward(world.model, world.data)
+        return vehicle.rises
+
+    before, low, high = world.physics(), z + GIVE_M, z - DEEPEST_M
+    stands = borne(low) and not borne(high)
+    for _ in range(HALVINGS if stands else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if borne(middle) else (low, middle)
+    if stands:
+        borne(low)  # whose push is the one to be felt
+    world.set_physics(before)
+    if stands:
+        vehicle.set_pose((x, y, low), attitude)
+        if vehicle.origin_m is not HERE:
+            vehicle.origin_m = (x, y, low)
+        vehicle.stand()
+
+
+def on_the_ground(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:
+    """The place, or where that is in the ground the one on it, to which AirSim's collisions push a vehicle out."""
+    x, y, z = position_m
+    highest_m = min(z, 0.0)
+    depth_m, geom = depth(world, vehicle, (x, y, highest_m), attitude)
+    if depth_m > GIVE_M and world.model.geom_type[geom] == PLANE:
+        highest_m -= depth_m
+    return x, y, highest_m
+
+
+def depth(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
+    """How far in m a vehicle would be inside what it would touch there, and the geom; (0, -1) for nothing."""
+    before = world.physics()
+    world.clearance.look_anew()
+    vehicle.set_pose(position_m, attitude)
+    mujoco.mj_kinematics(world.model, world.data)
+    mujoco.mj_collision(world.model, world.data)
+    found = deepest_contact(world.model, world.data, vehicle.body_id)
+    world.set_physics(before)
+    return found

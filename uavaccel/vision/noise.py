@@ -1,0 +1,98 @@
+"""Random numbers by place: pure functions of a seed, a frame and a pixel (Philox 4x32-10, Salmon et al., SC 2011).
+
+So a picture's noise does not depend on the order in which its pixels are worked on, nor on what works on them: the same
+on one core, on many threads and on a GPU. A block is four pixels in a row.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEAK_JITTER, SHOT_NOISE, READ_NOISE = 1, 2, 3  # what is drawn: streams of their own
+PIXELS = 4  # of a block
+
+_MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+_LOW, _WORD = np.uint64(0xFFFFFFFF), np.uint64(32)
+_ROUNDS = 10
+_HALF = np.uint64(8)  # bits that a float32 between 0 and 1 leaves over
+_STEP_32, _STEP_24 = 2.0**-32, np.float32(2.0**-24)
+
+Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+Four = tuple[np.float32, np.float32, np.float32, np.float32]
+
+
+@njit(cache=True, inline="always")
+def words(seed: int, frame: int, stream: int, block: int) -> Words:
+    """Four random words of 32 bits."""
+    a, b = np.uint64(block) & _LOW, np.uint64(frame) & _LOW
+    c, d = np.uint64(frame) >> _WORD, np.uint64(stream)
+    k, m = np.uint64(seed) & _LOW, np.uint64(seed) >> _WORD
+    for _ in range(_ROUNDS):
+        x, y = _MULTIPLIER_0 * a, _MULTIPLIER_1 * c
+        a, b, c, d = (y >> _WORD) ^ b ^ k, y & _LOW, (x >> _WORD) ^ d ^ m, x & _LOW
+        k, m = (k + _WEYL_0) & _LOW, (m + _WEYL_1) & _LOW
+    return a, b, c, d
+
+
+@njit(cache=True)
+def uniform_block(seed: int, frame: int, stream: int, block: int) -> Four:
+    """Four numbers of [0, 1)."""
+    a, b, c, d = words(seed, frame, stream, block)
+    return (
+        np.float32(a >> _HALF) * _STEP_24,
+        np.float32(b >> _HALF) * _STEP_24,
+        np.float32(c >> _HALF) * _STEP_24,
+        np.float32(d >> _HALF) * _STEP_24,
+    )
+
+
+@njit(cache=True)
+def normal_block(seed: int, frame: int, stream: int, block: int) -> Four:
+    """Four numbers of the standard normal distribution, by Box and Muller in double precision."""
+    a, b, c, d = words(seed, frame, stream, block)
+    near = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP_32))
+    far = math.sqrt(-2.0 * math.log((np.float64(b) + 0.5) * _STEP_32))
+    turn, other = 2.0 * math.pi * (np.float64(c) * _STEP_32), 2.0 * math.pi * (np.float64(d) * _STEP_32)
+    return (
+        np.float32(near * math.cos(turn)),
+        np.float32(near * math.sin(turn)),
+        np.float32(far * math.cos(other)),
+        np.float32(far * math.sin(other)),
+    )
+
+
+@njit(nogil=True, cache=True)
+def fill_uniform(out: NDArray[np.float32], seed: int, frame: int, stream: int) -> None:
+    """Fill an array (n,) from the first block on."""
+    for first in range(0, len(out), PIXELS):
+        four = uniform_block(seed, frame, stream, first // PIXELS)
+        for place in range(min(PIXELS, len(out) - first)):
+            out[first + place] = four[place]
+
+
+@njit(nogil=True, cache=True)
+def fill_normal(out: NDArray[np.float32], seed: int, frame: int, stream: int) -> None:
+    """Fill an array (n,) from the first block on."""
+    for first in range(0, len(out), PIXELS):
+        four = normal_block(seed, frame, stream, first // PIXELS)
+        for place in range(min(PIXELS, len(out) - first)):
+            out[first + place] = four[place]
+
+
+def uniform(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
+    """Numbers of [0, 1); `seed` and `frame` below 2**64."""
+    out = np.empty(shape, np.float32)
+    fill_uniform(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
+    return out
+
+
+def normal(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
+    """Numbers of the standard normal distribution; `seed` and `frame` below 2**64."""
+    out = np.empty(shape, np.float32)
+    fill_normal(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
+    return out
