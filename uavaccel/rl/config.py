@@ -11,7 +11,8 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Count
 from uavaccel.limits import Cost, Games, Processes, Seed
 
-Width = Annotated[int, Field(ge=1, le=65_536)]
+Channels = Annotated[int, Field(ge=1, le=1_024)]
+Width = Annotated[int, Field(ge=1, le=8_192)]
 
 
 class LearnerConfig(Config):
@@ -40,8 +41,8 @@ class LearnerConfig(Config):
     image; without it, by the first."""
     start_from: str | None = None
     """A policy whose weights double_dqn begins with: its folder, or default for the one that ships; None: random."""
-    channels: Annotated[tuple[Width, ...], Field(min_length=1, max_length=4)] = (16, 32)
-    hidden: tuple[Width, ...] = (256,)
+    channels: Annotated[tuple[Channels, ...], Field(min_length=1, max_length=4)] = (16, 32)
+    hidden: Annotated[tuple[Width, ...], Field(max_length=8)] = (256,)
 
     device: Annotated[str, Field(pattern=r"^(cpu|mps|cuda(:[0-9]+)?)$")] = "cpu"
     torch_threads: Processes = 1
