@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 from numba import cuda, njit, types
-from numba.core.errors import NumbaPerformanceWarning
 from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
@@ -21,10 +20,10 @@ from numba.np.numpy_support import from_dtype
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
-from uavaccel.kernels.flight import fly_ticks
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
+from uavaccel.kernels.flight import fly_ticks
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.rays import (
     colour_of,
@@ -46,7 +45,9 @@ from uavaccel.vision.rounding import times
 BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
-MOST_LISTED = 62  # faces that a warp's blocks choose among; what is left out stands behind those, as good as always
+MOST_LISTED = (
+    62  # faces that a warp's blocks choose among; what is left out stands behind those, as good as always
+)
 FLYING_THREADS, SEEING_THREADS = 32, 128  # of a block of CUDA's
 SEEING_WARPS = SEEING_THREADS // WARP
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
@@ -111,10 +112,15 @@ def flying(usual: Any) -> Any:
 
     What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
     """
-    tick_s, gravity, arm, keep = (float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep"))
+    tick_s, gravity, arm, keep = (
+        float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep")
+    )
     drag, slow = tuple(map(float, usual["drag_factor_m2"])), float(usual["drag_min_velocity_m_s"])
     ground, sea = float(usual["ground_altitude_m"]), float(usual["sea_density_kg_m3"])
-    place_gain, speed_gain = tuple(map(float, usual["position_gain"])), tuple(map(float, usual["velocity_gain"]))
+    place_gain, speed_gain = (
+        tuple(map(float, usual["position_gain"])),
+        tuple(map(float, usual["velocity_gain"])),
+    )
     angle_gain, rate_gain = tuple(map(float, usual["angle_gain"])), tuple(map(float, usual["rate_gain"]))
     gather, remember = float(usual["z_integral_gain"]), float(usual["z_integral_keep"])
     fastest, steepest = float(usual["velocity_limit_m_s"]), float(usual["tilt_limit_rad"])
@@ -323,7 +329,11 @@ def see_events(going, tick_ns, take, faces, plan, games, now, pixels, frames):  
     moment_ns = state.tick * tick_ns
     dt_s, frame, seed = moment_ns * NS - pixels.time_s[lane], pixels.clock[lane] + 1, seeds[EVENT_SEED]
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    levels, listed, base = cuda.local.array(16, types.int32), lists[cuda.threadIdx.x // WARP], pixels.base[lane]
+    levels, listed, base = (
+        cuda.local.array(16, types.int32),
+        lists[cuda.threadIdx.x // WARP],
+        pixels.base[lane],
+    )
     grey_block(faces[lane], plan, camera, seeds, moment_ns, y, x, listed, levels)
     total = pixels.gathered[lane, down, across]
     for line in range(BLOCK_SIDE):
@@ -360,7 +370,11 @@ def show_lanes(going, kind, tick_ns, faces, plan, games, now, frames):  # type: 
         y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
         face = nearest_face(faces[lane], y, x)
         if kind == DEPTH:
-            w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
+            w = (
+                linear(faces[lane], face, at.W, np.float32(x), np.float32(y))
+                if face
+                else faces[lane, 0, at.FAR_W]
+            )
             depth_sum += min(np.float32(1.0) / w, SEEN_FAR_M)
         else:
             red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
@@ -394,7 +408,7 @@ class Kernels(NamedTuple):
 
 def compiled(usual: Any) -> Kernels:
     """The kernels, from numba's cache if they are there, for vehicles of `usual` parameters, a record."""
-    warnings.filterwarnings("ignore", category=NumbaPerformanceWarning)  # few lanes leave a GPU idle: so be it
+    warnings.filterwarnings("ignore", message=".*under-utilization")  # few lanes leave a GPU idle: so be it
     functions = (
         begin_lanes,
         command_lanes,
