@@ -98,7 +98,9 @@ class CudaLanes:
             kernels.shared(self._hull), looks_there.texels, looks_there.textures, looks_there, sensor_there
         )
         self._kept = looks, sensor  # the memory behind what numba sees
-        self._faces = th.zeros((count if self.kind != STATE else 1, kernels.SLOTS, FIELDS), device=device)
+        lookers = count if self.kind != STATE else 1
+        self._faces = th.zeros((lookers, kernels.SLOTS, FIELDS), device=device)
+        self._seen_faces = th.zeros((lookers, ROWS, COLUMNS), dtype=th.int16, device=device)
         self._flight = self.now.state.view(th.float64)  # (L, numbers) of FLIGHT_DTYPE, all of eight bytes
         self._ticks_of = self.now.state.view(th.int64)
         self._zeros = th.zeros(count, dtype=th.int64, device=device)
@@ -268,18 +270,17 @@ class CudaLanes:
             return
         self._project(self.going)
         launch, stream = self.kernels, kernels.stream()
-        grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
-        going, faces = kernels.shared(self.going), kernels.shared(self._faces)
+        going, faces, shown = self._looked_at(self.going)
         games, now = self._games_there, self._now_there
         if self.kind != DVS:
+            grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
             frames = kernels.shared(self._frames[sample])
-            launch.show[(*grid, stream)](
-                going, self.kind, self.tick_ns, faces, self._plan, games, now, frames
-            )
+            launch.show[(*grid, stream)](going, self.kind, self.tick_ns, faces, shown, self._plan, games, now, frames)
             return
+        grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
         frames = kernels.shared(self._frames[sample, :, 0])
         launch.see[(*grid, stream)](
-            going, self.tick_ns, int(take), faces, self._plan, games, now, self._pixels_there, frames
+            going, self.tick_ns, int(take), faces, shown, self._plan, games, now, self._pixels_there, frames
         )
         per_lane = _grid(self.count, kernels.FLYING_THREADS)
         launch.note[(*per_lane, stream)](going, self.tick_ns, now, self._pixels_there)
@@ -295,6 +296,12 @@ class CudaLanes:
             self._now_there,
             kernels.shared(self._faces),
         )
+        grid = _grid(self.count * COLUMNS, kernels.COLUMN_THREADS)
+        self.kernels.find[(*grid, kernels.stream())](*self._looked_at(which))
+
+    def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
+        """Which lanes look, their faces, and the face that each pixel shows."""
+        return kernels.shared(which), kernels.shared(self._faces), kernels.shared(self._seen_faces)
 
     def _land(self, states: Sequence[th.Tensor | None]) -> None:
         """Judge the command, show what was seen of it, and begin new games where one is over."""
@@ -395,10 +402,9 @@ class CudaLanes:
         first = self.blank.expand(self.count, *self.frame_shape)
         if self.kind == DVS:
             self._project(self._renewed)
-            grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
+            grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
             launch.start[(*grid, stream)](
-                which,
-                kernels.shared(self._faces),
+                *self._looked_at(self._renewed),
                 self._plan,
                 self._games_there,
                 self._now_there,
@@ -429,6 +435,7 @@ class CudaLanes:
             self.kind,
             self.tick_ns,
             kernels.shared(self._faces),
+            kernels.shared(self._seen_faces),
             self._plan,
             self._games_there,
             self._now_there,
