@@ -1,7 +1,8 @@
 """Gymnasium environments; importing this package registers them.
 
 `gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0")` imports it first, in whatever process. `make_vec` flies many
-of one kind in a batch; with `vectorization_mode` "sync" or "async", in Gymnasium's own vectors.
+of one kind in a batch, in the exact simulator or with `simulator="kernels"` over arrays; with `vectorization_mode` "sync"
+or "async", in Gymnasium's own vectors.
 """
 
 from gymnasium.envs.registration import register
@@ -9,15 +10,15 @@ from gymnasium.envs.registration import register
 register(
     "uavaccel/ObstacleLane-v0",
     entry_point="uavaccel.envs.obstacle_lane:ObstacleLane",
-    vector_entry_point="uavaccel.envs.batch:obstacle_lanes",
+    vector_entry_point="uavaccel.envs.simulators:obstacle_lanes",
 )
 register(
     "uavaccel/Hover-v0",
     entry_point="uavaccel.envs.hover:Hover",
-    vector_entry_point="uavaccel.envs.batch:hovers",
+    vector_entry_point="uavaccel.envs.simulators:hovers",
 )
 register(
     "uavaccel/Gates-v0",
     entry_point="uavaccel.envs.gates:Gates",
-    vector_entry_point="uavaccel.envs.batch:gates",
+    vector_entry_point="uavaccel.envs.simulators:gates",
 )
