@@ -60,7 +60,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         space = self.single_observation_space
         self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
-        self.processes = min(processes or 2 * _cores(), num_envs)
+        self.processes = min(processes or 2 * cores(), num_envs)
         options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
@@ -219,5 +219,6 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
     return [None if each is None else int(each) for each in seed]
 
 
-def _cores() -> int:
+def cores() -> int:
+    """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,19 +1,23 @@
 """An evaluation's games over arrays, `simulator: kernels`: all lanes as one batch, decisions for many at once.
 
-A game's decisions are the same whoever flies beside it: a lane has its place in a block of observations of one size,
-which is rated whole, since a network's ratings of one observation and of several differ in their last bits.
+A game's decisions are the same whoever flies beside it, on however many cores: a lane has its place in a block of
+observations of one size, which one thread rates whole. A network's ratings of one observation and of several, or by one
+thread and by several, differ in their last bits.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
+import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import cores
 from uavaccel.envs.kernel_plan import check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
@@ -25,7 +29,7 @@ from uavaccel.suites.suite import Flown
 from uavaccel.units import NS_PER_S
 
 MOST_LANES = 1024  # at once: a lane's event camera takes about 300 KB
-BLOCK = 64  # observations that are rated together
+BLOCK = 32  # observations that are rated together
 Ended = tuple[int, dict[str, Any]]  # place in the batch, info of the game's end
 
 
@@ -112,7 +116,8 @@ class LanesOnCores:
         task = config.task.model_dump(mode="json")
         self._batch = KernelBatch(ObstacleLane, len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
-        self._lanes, self._blocks = np.asarray(lanes), Blocks(lanes)
+        self._blocks = Blocks(lanes)
+        self._raters = ThreadPoolExecutor(cores(), initializer=th.set_num_threads, initargs=(1,))
         options = [{"lane": lane} for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
@@ -130,15 +135,20 @@ class LanesOnCores:
     def _decide(self, going: NDArray[np.int64]) -> NDArray[np.int64]:
         if not isinstance(self._agent, PolicyAgent):
             return np.array([self._agent.act(self._seen[place], self._infos[place]) for place in going])
-        actions = np.zeros(len(self._lanes), np.int64)
-        for members, rows in self._blocks.of(going):
-            block = np.zeros((BLOCK, *self._seen.shape[1:]), self._seen.dtype)
-            block[rows] = self._seen[members]
-            actions[members] = self._agent.policy.act(block)[rows]
+        policy, actions = self._agent.policy, np.zeros(len(self._seen), np.int64)
+
+        def rate(block: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
+            members, rows = block
+            seen = np.zeros((BLOCK, *self._seen.shape[1:]), self._seen.dtype)
+            seen[rows] = self._seen[members]
+            actions[members] = policy.act(seen)[rows]
+
+        list(self._raters.map(rate, self._blocks.of(going)))
         return actions[going]
 
     def close(self) -> None:
         self._batch.close()
+        self._raters.shutdown()
 
 
 class Blocks:

@@ -92,9 +92,10 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return report.write_report(run)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        from uavaccel.suites.evaluation import report
+        from uavaccel.suites.evaluation import report, side_by_side
 
-        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON))]
+        both = side_by_side.write_simulators(runs)
+        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON)), *both]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""
