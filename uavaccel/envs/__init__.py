@@ -1,16 +1,17 @@
 """Gymnasium environments; importing this package registers them, and so does Gymnasium when it is imported.
 
 `gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0")` imports it first, in whatever process. `make_vec` flies many
-of one kind in a batch; with `vectorization_mode` "sync" or "async", in Gymnasium's own vectors.
+of one kind in a batch, in the exact simulator or with `simulator="kernels"` over arrays; with `vectorization_mode` "sync"
+or "async", in Gymnasium's own vectors.
 """
 
 from gymnasium.envs.registration import register, registry
 
 # id: module and class, and what makes a batch
 ENVIRONMENTS = {
-    "uavaccel/ObstacleLane-v0": ("obstacle_lane:ObstacleLane", "batch:obstacle_lanes"),
-    "uavaccel/Hover-v0": ("hover:Hover", "batch:hovers"),
-    "uavaccel/Gates-v0": ("gates:Gates", "batch:gates"),
+    "uavaccel/ObstacleLane-v0": ("obstacle_lane:ObstacleLane", "simulators:obstacle_lanes"),
+    "uavaccel/Hover-v0": ("hover:Hover", "simulators:hovers"),
+    "uavaccel/Gates-v0": ("gates:Gates", "simulators:gates"),
 }
 
 
