@@ -335,7 +335,7 @@ def _begin_lanes(
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
         elif timing.rules[timeline.GUARDED]:
             draw_frame(lane, view, games, now, plan, desk, frame)
-        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, picture, frame)
+        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, desk, picture, frame)
         timeline.show_start(row, scale, timing, suspect)
 
 
@@ -351,10 +351,10 @@ def draw_frame(
 
 
 @njit(nogil=True, error_model="numpy")
-def guard(lane: int, view: View, clocks: Clocks, picture: Any, frame: Any) -> bool:
-    """Whether the guard asks for a lane's picture again (vision/guard); its brightness is the next one's reference.
+def guard(lane: int, view: View, clocks: Clocks, desk: Any, picture: Any, frame: Any) -> bool:
+    """Whether the guard asks for the picture on a lane's desk again (vision/guard); the next one is compared with it.
 
-    A frame's brightness is its picture's but for rounding, that of depth but for what is farther than SEEN_FAR_M.
+    The brightness of a colour picture is its frame's but for rounding.
     """
     if view.kind == DVS:
         bright = picture.mean()
@@ -363,7 +363,9 @@ def guard(lane: int, view: View, clocks: Clocks, picture: Any, frame: Any) -> bo
         for channel in range(3):
             bright += LUMA_WEIGHTS[channel] * frame[channel].mean()
     else:
-        bright = frame[0].mean() * (SEEN_FAR_M / 255.0)
+        depths = np.empty((ROWS, COLUMNS), np.float32)
+        draw_depths(desk, depths)
+        bright = depths.mean()
     suspect = timeline.is_suspect(bright, clocks.brightness[lane], DARKEST, MOST_CHANGE)
     clocks.brightness[lane] = bright
     return suspect
@@ -466,7 +468,7 @@ def _fly_lanes(
                     frame = frames[lane, sample]
                     look_at_sample(lane, seen, view, games, now, plan, clocks, desk, picture, frame)
                     if timing.rules[timeline.GUARDED]:
-                        suspect = guard(lane, view, clocks, picture, frame)
+                        suspect = guard(lane, view, clocks, desk, picture, frame)
             timeline.leave(row, scale, timing, hit, suspect)
             sample += 1
         clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
