@@ -21,6 +21,7 @@ from uavaccel.envs.kernel_plan import check_flyable, slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import age_levels
+from uavaccel.errors import UserError
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels.cpu import COLOUR, DEPTH, DVS, STATE
@@ -64,6 +65,11 @@ class CudaLanes:
 
     def __init__(self, task: Any, count: int, device: th.device, renews: bool = True) -> None:
         check_flyable(task, count)
+        if (task.timing, task.profile, task.command) != ("lockstep", "native", "tcsc"):
+            raise UserError(
+                f"device = {device.type}: flies TCSC in lockstep with profile native, not {task.command} in "
+                f"{task.timing} with {task.profile}; use device = cpu"
+            )
         self.task, self.count, self.device, self.renews = task, count, device, renews
         self.maker = GameMaker(task)
         self.kernels = kernels.compiled(self.maker.usual)

@@ -22,12 +22,12 @@ from uavaccel.envs.checks import make_task, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
-from uavaccel.envs.kernel_plan import check_flyable, plan_of, slices_of
+from uavaccel.envs.kernel_plan import check_flyable, plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import NO_ACTION, age_levels
 from uavaccel.errors import UserError
-from uavaccel.kernels import cpu, events
+from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
@@ -56,7 +56,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs)
+        check_flyable(self.task, num_envs, clocks=True)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -66,8 +66,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
-        self._plan, self._wall_ns = plan_of(self.task, self._maker.surroundings.hull), slices_of(self.task)[1]
         self._allocate()
+        self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != cpu.STATE)
         self._threads = min(threads or _cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
@@ -98,8 +98,9 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._place = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)
         self._commands = np.zeros(count, np.int64)
-        self._taken_ticks = np.zeros((count, samples * task.history), np.int64)
-        self._spent_ns = np.zeros(count, np.int64)
+        self._taken_ns = np.zeros((count, samples * task.history), np.int64)
+        self._present_ns = np.zeros(count, np.int64)
+        self._clocks = timeline.clocks(count, samples)
         self._host_s = np.zeros(count)
         self._over = np.zeros(count, bool)
         self._told = task.told()
@@ -187,6 +188,12 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         seen = self._observations[which]
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
+    def charge(self, lane: int, duration_s: float, phase: str = "inference") -> None:
+        """Work of an agent's since its last command: in `virtual` ADSC flies on meanwhile. Nothing elsewhere."""
+        if self.task.timing == "virtual" and self._drawn:
+            duration_ns = round(duration_s * NS_PER_S)
+            timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
+
     def observations(self) -> NDArray[Any]:
         """The present observation of every environment."""
         return self._observations.copy()
@@ -194,9 +201,12 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
     ) -> list[Any]:
-        """`get_state`, or `set_state` with a state each, of some environments (all)."""
+        """`charge`, `get_state`, or `set_state` with a state each, of some environments (all)."""
+        methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
+        if name not in methods:
+            raise UserError(f"simulator = kernels: {name} is the exact simulator's; use simulator = mujoco")
         which = range(self.num_envs) if lanes is None else lanes
-        return [getattr(self, f"_{name}")(lane, *each) for lane, each in zip(which, arguments, strict=True)]
+        return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
 
@@ -233,8 +243,9 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
         }
         arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
+        arrays |= {f"clocks.{name}": array for name, array in self._clocks._asdict().items()}
         arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
-        names = ("observations", "actions", "commands", "taken_ticks", "spent_ns", "over")
+        names = ("observations", "actions", "commands", "taken_ns", "present_ns", "over")
         return arrays | {name: getattr(self, f"_{name}") for name in names}
 
     # --- inside -----------------------------------------------------------------------------------
@@ -256,17 +267,20 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
         cpu.CPU.look_at_starts(self._rows, lanes)
+        self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
-            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan)
+            self._pool.submit(
+                cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks
+            )
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
             part.result()
         self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
-        self._spent_ns[lanes], self._host_s[lanes], self._taken_ticks[lanes] = 0, 0.0, 0
+        self._host_s[lanes], self._taken_ns[lanes], self._present_ns[lanes] = 0.0, 0, 0
         self._find(lanes)
         first = self._first_frames(lanes)
-        frames = self._taken_ticks.shape[1]
+        frames = self._taken_ns.shape[1]
         self._show(lanes, np.concatenate([first] * frames, axis=1))
         return [self._info(int(lane), False) for lane in lanes]
 
@@ -300,6 +314,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             self._rows,
             self._now,
             self._plan,
+            self._clocks,
             self._pictures,
             self._samples,
         )
@@ -317,31 +332,31 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             self._put_features(lanes)
         for name, value in judged.course.items():
             _assign(self._course[name], lanes, value)
-        samples = self._plan.slices
-        ends = np.cumsum(samples)
-        hit_tick = np.where(flown.touched, self._now.state["collision_tick"][lanes], np.iinfo(np.int64).max)
-        begun = (self._commands[lanes] - 1) * ends[-1]
-        seen = begun[:, None] + ends < hit_tick[:, None]
-        flown_slices = np.minimum(seen.sum(axis=1) + 1, len(ends))
-        self._spent_ns[lanes] += np.cumsum(self._wall_ns)[flown_slices - 1]
-        present = begun + ends[flown_slices - 1]
-        taken = np.where(seen, begun[:, None] + ends, present[:, None])
-        self._taken_ticks[lanes] = np.concatenate([self._taken_ticks[lanes], taken], axis=1)[:, len(ends) :]
-        self._present = present
+        self._note_times(lanes)
         shape = (len(lanes), -1, *self._blank.shape[1:])
         fresh = self._frames[lanes].reshape(shape)
         kept = self._observations[lanes][:, fresh.shape[1] : fresh.shape[1] * self.task.history]
         self._show(lanes, np.concatenate([kept, fresh], axis=1))
         return judged
 
+    def _note_times(self, lanes: NDArray[np.int64]) -> None:
+        """What time it is after a command, and of which time its frames are (envs/told)."""
+        tick_ns, clocks = self._plan.tick_ns, self._clocks
+        seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
+        now_ns = self._now.state["tick"][lanes] * tick_ns
+        if self.task.command == "adsc" and self.task.timing == "virtual":  # TCSC's clock stands
+            since_ns = self._plan.timing.rules[timeline.PROCESSING_NS] * self._moments(lanes).free
+            now_ns = now_ns + np.rint(since_ns * float(self.task.clock_speed)).astype(np.int64)
+        taken_ns = np.where(seen, clocks.ticks[lanes] * tick_ns, now_ns[:, None])
+        self._present_ns[lanes] = now_ns
+        self._taken_ns[lanes] = np.concatenate([self._taken_ns[lanes], taken_ns], axis=1)[:, seen.shape[1] :]
+
     def _show(self, lanes: NDArray[np.int64], frames: NDArray[Any]) -> None:
         """An observation of frames, oldest first, and of what the agent is told."""
         self._observations[lanes, : frames.shape[1]] = frames
         if self._told is None:
             return
-        fresh = self._commands[lanes] == 0
-        present = np.where(fresh, 0, 0 if fresh.all() else self._present)
-        ages = age_levels((present[:, None] - self._taken_ticks[lanes]) * self._plan.tick_ns)
+        ages = age_levels(self._present_ns[lanes, None] - self._taken_ns[lanes])
         for plane, what in enumerate(self.task.knows, frames.shape[1]):
             if what == "last_action":
                 self._observations[lanes, plane] = self._told.actions_shown()[self._actions[lanes]]
@@ -380,10 +395,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _put_features(self, lanes: NDArray[np.int64]) -> None:
         """Frames of observation "state", but for what comes after a touch."""
-        hit = self._now.state["collision_tick"][lanes]
-        ends = (self._commands[lanes] - 1)[:, None] * self._plan.slices.sum() + np.cumsum(self._plan.slices)
         for sample in range(self._frames.shape[1]):
-            seen = lanes[ends[:, sample] <= np.where(hit == rows.NEVER, np.iinfo(np.int64).max, hit)]
+            seen = lanes[sample < self._clocks.taken[lanes]]
             if len(seen):
                 self._frames[seen, sample] = self._features(seen, self._samples[seen, sample])
 
@@ -397,14 +410,15 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         if CONDITIONS in drawn.course:
             course[CONDITIONS] = drawn.course[CONDITIONS]
         moment = Moment(None, place, hit, int(self._commands[lane]), course)  # type: ignore[arg-type]
-        spent_s = int(self._spent_ns[lane]) / NS_PER_S
+        clock = self._clocks.row[lane].tolist()
+        spent_s = [spent_ns / NS_PER_S for spent_ns in clock[timeline.FIRST_PHASE :]]
         info = {
             "is_success": bool(won),
             "position_m": list(place),
             "collision": hit,
             "commands": moment.commands,
-            "wall_s": spent_s,
-            "phase_s": {**dict.fromkeys(PHASES, 0.0), "simulation": spent_s},
+            "wall_s": (clock[timeline.NOW] - clock[timeline.START]) / NS_PER_S,
+            "phase_s": dict(zip(PHASES, spent_s, strict=True)),
             **self.task.info(moment),
         }
         if self.task.report_host_times:
