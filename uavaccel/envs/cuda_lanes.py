@@ -281,7 +281,9 @@ class CudaLanes:
         if self.kind != DVS:
             grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
             frames = kernels.shared(self._frames[sample])
-            launch.show[(*grid, stream)](going, self.kind, self.tick_ns, faces, shown, self._plan, games, now, frames)
+            launch.show[(*grid, stream)](
+                going, self.kind, self.tick_ns, faces, shown, self._plan, games, now, frames
+            )
             return
         grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
         frames = kernels.shared(self._frames[sample, :, 0])

@@ -92,10 +92,15 @@ def flying(usual: Any) -> Any:
 
     What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
     """
-    tick_s, gravity, arm, keep = (float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep"))
+    tick_s, gravity, arm, keep = (
+        float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep")
+    )
     drag, slow = tuple(map(float, usual["drag_factor_m2"])), float(usual["drag_min_velocity_m_s"])
     ground, sea = float(usual["ground_altitude_m"]), float(usual["sea_density_kg_m3"])
-    place_gain, speed_gain = tuple(map(float, usual["position_gain"])), tuple(map(float, usual["velocity_gain"]))
+    place_gain, speed_gain = (
+        tuple(map(float, usual["position_gain"])),
+        tuple(map(float, usual["velocity_gain"])),
+    )
     angle_gain, rate_gain = tuple(map(float, usual["angle_gain"])), tuple(map(float, usual["rate_gain"]))
     gather, remember = float(usual["z_integral_gain"]), float(usual["z_integral_keep"])
     fastest, steepest = float(usual["velocity_limit_m_s"]), float(usual["tilt_limit_rad"])
@@ -313,7 +318,13 @@ def see_events(going, tick_ns, take, faces, shown, plan, games, now, pixels, fra
         if take != 0 and x % BLOCK_SIDE == 0:
             frames[lane, down, across] = NEUTRAL_LEVEL
         return
-    camera, base, own, seen, total = camera_of(games, game), pixels.base[lane], faces[lane], shown[lane], np.int32(0)
+    camera, base, own, seen, total = (
+        camera_of(games, game),
+        pixels.base[lane],
+        faces[lane],
+        shown[lane],
+        np.int32(0),
+    )
     noisy = camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0 or camera[events.HOT] > 0.0
     if noisy or camera[events.READ] > 0.0 or pixels.filtered.size:
         seeds, moment_ns = games.seeds[game], state.tick * tick_ns
@@ -366,7 +377,11 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
         y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
         face = np.int32(shown[lane, y, x])
         if kind == DEPTH:
-            w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
+            w = (
+                linear(faces[lane], face, at.W, np.float32(x), np.float32(y))
+                if face
+                else faces[lane, 0, at.FAR_W]
+            )
             depth_sum += min(np.float32(1.0) / w, SEEN_FAR_M)
         else:
             red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
@@ -417,7 +432,9 @@ def compiled(usual: Any) -> Kernels:
         note_seen,
         show_lanes,
     )
-    return Kernels(*(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions))
+    return Kernels(
+        *(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions)
+    )
 
 
 def stream() -> Any:

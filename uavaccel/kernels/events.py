@@ -226,7 +226,15 @@ for _function, _chosen in BY_TYPE:
 
 @njit(error_model="numpy")
 def see(
-    levels: Four, camera: Any, sensor: Any, base: Any, filtered: Any, noise: tuple[int, int], y: int, x: int, dt_s: float
+    levels: Four,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    noise: tuple[int, int],
+    y: int,
+    x: int,
+    dt_s: float,
 ) -> int:
     """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
 
