@@ -103,19 +103,27 @@ def gap_along(
 
 
 @njit
+def gap_turned(
+    turned: bool, t: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
+) -> float:
+    """`gap_along` (1, t), or (t, 1) where `turned`."""
+    u, v = (t, 1.0) if turned else (1.0, t)
+    return gap_along(u, v, x, y, ax, ay, solid, radius_m, half_m)
+
+
+@njit
 def widest_gap(
     turned: bool, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
 ) -> float:
-    """The largest `gap_along` (1, t), or (t, 1) where `turned`, for t from -1 to 1."""
-    low, high, best = -1.0, 1.0, -np.inf
+    """The largest `gap_turned` for t from -1 to 1, or the first one found that is above 0: that is enough."""
+    low, high = -1.0, 1.0
+    best = gap_turned(turned, 0.0, x, y, ax, ay, solid, radius_m, half_m)
     for _ in range(SEARCH_STEPS):
+        if best > 0.0:
+            break
         a, b = high - SHRINK * (high - low), low + SHRINK * (high - low)
-        if turned:
-            left = gap_along(a, 1.0, x, y, ax, ay, solid, radius_m, half_m)
-            right = gap_along(b, 1.0, x, y, ax, ay, solid, radius_m, half_m)
-        else:
-            left = gap_along(1.0, a, x, y, ax, ay, solid, radius_m, half_m)
-            right = gap_along(1.0, b, x, y, ax, ay, solid, radius_m, half_m)
+        left = gap_turned(turned, a, x, y, ax, ay, solid, radius_m, half_m)
+        right = gap_turned(turned, b, x, y, ax, ay, solid, radius_m, half_m)
         best = max(best, left, right)
         if left > right:
             high = b
@@ -141,8 +149,9 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
     if y < 0.0:
         y, ay = -y, -ay
     ahead = widest_gap(False, x, y, ax, ay, solid, radius_m, half_height_m)
-    beside = widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m)
-    return max(above, ahead, beside)
+    if ahead > 0.0:
+        return ahead
+    return max(above, ahead, widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m))
 
 
 @njit
