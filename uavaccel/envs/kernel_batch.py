@@ -33,7 +33,6 @@ from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
-from uavaccel.vision.observation import BLOCK_SIDE
 
 KINDS = {"state": cpu.STATE, "dvs": cpu.DVS, "colour": cpu.COLOUR, "depth": cpu.DEPTH}
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
