@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import ks_2samp
 
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.kernels import latencies as wire
+from uavaccel.wire.latency import Latency
 
 CHANNELS_US = {
     "call": 31.0,
@@ -29,7 +33,9 @@ CHANNELS_US = {
 PLATFORM = {"tick_us": 45.0, "integer_clock_speed": True, "frames": {"hz": 60.0, "stale_pose": True}}
 
 
-def constant(platform: dict[str, Any] | None = None, scale: float = 1.0, factor: float = 1.0) -> dict[str, Any]:
+def constant(
+    platform: dict[str, Any] | None = None, scale: float = 1.0, factor: float = 1.0
+) -> dict[str, Any]:
     """A latency model that always draws the same."""
     request = {name: [each * factor] * 2 for name, each in CHANNELS_US.items()}
     reply = {name: [1.7 * factor * each] * 2 for name, each in CHANNELS_US.items()}
@@ -102,3 +108,96 @@ def test_a_lane_keeps_the_exact_simulators_time(kind: type[FlightEnv], task: dic
                 over[lane] = expected[2] or expected[3]
         for environment in alone:
             environment.close()
+
+
+def walls_s(kind: type[FlightEnv], task: dict[str, Any], lanes: int, commands: int) -> tuple[Any, Any]:
+    """Wall time of each command (n,) of lanes over arrays, and of games alone."""
+    batch, environment, action = KernelBatch(kind, lanes, **task), kind(**task), np.zeros(3, np.float32)
+    with closing(batch):
+        before = np.array(batch.reset(seed=5)[1]["wall_s"])
+        spent = []
+        for _ in range(commands):
+            batch.call_each("charge", [(0.003,)] * lanes)
+            infos = batch.step(np.tile(action, (lanes, 1)))[4]
+            spent.append(infos["wall_s"] - before)
+            before = np.array(infos["wall_s"])
+    alone = []
+    for game in range(30):
+        last = environment.reset(seed=1000 + game)[1]["wall_s"]
+        for _ in range(commands):
+            environment.charge(0.003)
+            now = environment.step(action)[4]["wall_s"]
+            alone.append(now - last)
+            last = now
+    environment.close()
+    return np.concatenate(spent), np.array(alone)
+
+
+@pytest.mark.parametrize("profile", ["native", "airsim"])
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+def test_latencies_are_those_of_the_exact_simulator_in_distribution(command: str, profile: str) -> None:
+    task = {"timing": "virtual", "command": command, "profile": profile, "clock_speed": 10.0}
+    ours, exact = walls_s(Hover, {**task, "max_commands": 100}, 100, 20)
+    assert ks_2samp(ours, exact).pvalue > 0.01
+    error_s = np.sqrt(ours.var() / ours.size + exact.var() / exact.size)
+    assert abs(ours.mean() - exact.mean()) < 3.0 * error_s
+    assert len(np.unique(ours)) > 0.9 * len(ours)
+
+
+def test_no_latency_reaches_native_tcsc() -> None:
+    """Whatever is drawn, the games are lockstep's; their clocks are not."""
+    faults: dict[str, Any] = {
+        "platform": {"faults": {"dropped": 0.05, "stalled": 0.1, "late": 0.2}, "stall_us": 40_000.0}
+    }
+    still: dict[str, Any] = {"observation": "state", "max_commands": 30}
+    drawn = {**still, "timing": "virtual", "latency": faults, "clock_speed": 50.0}
+    with (
+        closing(KernelBatch(ObstacleLane, 8, **still)) as calm,
+        closing(KernelBatch(ObstacleLane, 8, **drawn)) as hurried,
+    ):
+        assert (calm.reset(seed=1)[0] == hurried.reset(seed=1)[0]).all()
+        for actions in actions_of(calm, 8, 40):
+            hurried.call_each("charge", [(0.7, "learning")] * 8)
+            expected, found = calm.step(actions), hurried.step(actions)
+            assert expected[0].tobytes() == found[0].tobytes()
+            assert all((a == b).all() for a, b in zip(expected[1:4], found[1:4], strict=True))
+        assert (found[4]["wall_s"] != expected[4]["wall_s"]).all()
+
+
+FRAMES = {"timing": "virtual", "profile": "airsim", "knows": ("last_action", "frame_age")}
+SHOWN: list[dict[str, Any]] = [
+    {"observation": "colour", "command": "adsc", "clock_speed": 20.0, **FRAMES},
+    {"observation": "dvs", "command": "tcsc", "clock_speed": 20.0, "t_sample_s": 0.33, **FRAMES},
+    {"observation": "dvs", "command": "adsc", "dvs_rate_hz": 200 / 3, "clock_speed": 9.0, **FRAMES},
+    {"observation": "colour", "difficulty": {"light": [0.1, 0.1]}, **FRAMES, "profile": "native"},
+]
+
+
+@pytest.mark.parametrize("task", SHOWN)
+def test_pictures_are_of_the_frame_shown_and_cost_what_they_cost(
+    task: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clocks and ages equal the exact simulator's, a guard's second looks too; pictures of other poses would not do."""
+    wait_ns, frames = 20_000_000, {"hz": 60.0, "stale_pose": True, "after_continue": True}
+    monkeypatch.setattr(Latency, "frame_ns", lambda _: wait_ns)
+    latency = constant({"frames": frames} if task["profile"] == "airsim" else None)
+    batch, alone = pair(ObstacleLane, {**task, "latency": latency}, 1)
+    batch._plan.timing.latencies.tables_us[wire.FRAME] = wait_ns / 1e3
+    told = -len(task["knows"])
+    with closing(batch), closing(alone[0]) as environment:
+        batch.reset(seed=3)
+        environment.reset(seed=3)
+        for action in actions_of(batch, 1, 8):
+            batch.call_each("charge", [(0.02, "inference")])
+            environment.charge(0.02, "inference")
+            batch.step_async(action)
+            observations, *_, infos = batch.step_wait()
+            seen, *_, info = environment.step(action[0])
+            assert infos[0] == info
+            assert (observations[0][told:] == seen[told:]).all()
+            assert np.abs(observations[0][:told] - seen[:told].astype(float)).mean() < 0.3
+
+
+def test_a_clock_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(UserError, match=r"simulator = kernels: clock_speed = 1\.23456789 has more digits"):
+        KernelBatch(Hover, 1, clock_speed=1.23456789)

@@ -335,7 +335,7 @@ def _begin_lanes(
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
         elif timing.rules[timeline.GUARDED]:
             draw_frame(lane, view, games, now, plan, desk, frame)
-        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, desk, picture, frame)
+        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, desk)
         timeline.show_start(row, scale, timing, suspect)
 
 
@@ -351,17 +351,14 @@ def draw_frame(
 
 
 @njit(nogil=True, error_model="numpy")
-def guard(lane: int, view: View, clocks: Clocks, desk: Any, picture: Any, frame: Any) -> bool:
-    """Whether the guard asks for the picture on a lane's desk again (vision/guard); the next one is compared with it.
-
-    The brightness of a colour picture is its frame's but for rounding.
-    """
+def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
+    """Whether the guard asks for the picture on a lane's desk again (vision/guard); the next one is compared with it."""
+    bright = 0.0
     if view.kind == DVS:
-        bright = picture.mean()
+        bright = desk.channels[0].mean()
     elif view.kind == COLOUR:
-        bright = 0.0
         for channel in range(3):
-            bright += LUMA_WEIGHTS[channel] * frame[channel].mean()
+            bright += LUMA_WEIGHTS[channel] * desk.channels[channel].mean()
     else:
         depths = np.empty((ROWS, COLUMNS), np.float32)
         draw_depths(desk, depths)
@@ -468,7 +465,7 @@ def _fly_lanes(
                     frame = frames[lane, sample]
                     look_at_sample(lane, seen, view, games, now, plan, clocks, desk, picture, frame)
                     if timing.rules[timeline.GUARDED]:
-                        suspect = guard(lane, view, clocks, desk, picture, frame)
+                        suspect = guard(lane, view, clocks, desk)
             timeline.leave(row, scale, timing, hit, suspect)
             sample += 1
         clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
