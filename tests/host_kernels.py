@@ -39,7 +39,9 @@ class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._nothing = View(STATE, NO_LOOKS, events.sensor_of(draw_pixels(PRESETS["clean"], (144, 256), 0)), NO_PIXELS)
+        self._nothing = View(
+            STATE, NO_LOOKS, events.sensor_of(draw_pixels(PRESETS["clean"], (144, 256), 0)), NO_PIXELS
+        )
 
     def __getattr__(self, name: str) -> Any:
         work: Callable[..., None] = getattr(type(self), f"run_{name}")
@@ -71,7 +73,16 @@ class Kernels:
         CPU.begin(lanes, now.game[lanes], view, games, now, self._of(0, 1))
 
     def run_see(
-        self, lanes: Any, tick_ns: int, take: int, faces: Any, plan: Any, games: Any, now: Any, pixels: Any, frames: Any
+        self,
+        lanes: Any,
+        tick_ns: int,
+        take: int,
+        faces: Any,
+        plan: Any,
+        games: Any,
+        now: Any,
+        pixels: Any,
+        frames: Any,
     ) -> None:
         assert take
         frames[lanes] = 128

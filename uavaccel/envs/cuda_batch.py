@@ -136,4 +136,6 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
                 clipped = given.to(low.dtype).clamp(low, high)
                 if bool(((clipped - given).abs() <= ROUNDING).all()):  # not so for NaN
                     return clipped
-        raise UserError(f"actions {tuple(given.shape)} of {given.dtype} are not in the action space: {self.action_space}")
+        raise UserError(
+            f"actions {tuple(given.shape)} of {given.dtype} are not in the action space: {self.action_space}"
+        )

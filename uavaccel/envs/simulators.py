@@ -35,7 +35,9 @@ def make_batch(
         return LaneBatch(environment, num_envs, **keys)
     for name in OF_LANES:
         if keys.pop(name, None) is not None:
-            raise UserError(f"{name}: is of simulator = mujoco; the kernels fly in one process, without OpenGL")
+            raise UserError(
+                f"{name}: is of simulator = mujoco; the kernels fly in one process, without OpenGL"
+            )
     if keys.pop("render_mode", None) is not None:
         raise UserError("render_mode: is of simulator = mujoco; the kernels show observations alone")
     if device == CUDA:
@@ -55,7 +57,9 @@ def check_simulator(simulator: str, device: str) -> None:
     if device == CPU:
         return
     if simulator == EXACT:
-        raise UserError("device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU")
+        raise UserError(
+            "device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU"
+        )
     if find_spec("numba_cuda") is None:
         raise UserError("device = cuda: needs numba-cuda: pip install 'uavaccel[gpu]'; or take device = cpu")
     import torch as th
