@@ -218,7 +218,7 @@ def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
 @pytest.mark.parametrize(("method", "params", "said"), [
     ("simSetCameraPose", ["0", level_pose(0, 0, 0), "Nobody"], "there is 'Eye'"),
     ("simGetCameraInfo", ["nose"], r"no camera 'nose'; there are front_center \(0\), .*, tail"),
-    ("simSetCameraFov", ["0", 0], "fov_degrees must be above 0"),
+    ("simSetCameraFov", ["0", 0], "fov_degrees must be 0.1 to 179"),
     ("simGetImages", [[{"image_type": 2**70}]], "image_type must be a whole number of 32 bits"),
     ("getImuData", [["imu"]], "a sensor's name must be a text, not list"),
     ("simSetDistortionParam", ["0", {}, 0.1], "no distortion parameter"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.airsim_wire import AirSimWire
+from uavaccel.errors import UserError
 from uavaccel.wire import rpc
 from uavaccel.wire.types import EPOCH_NS
 
@@ -24,7 +26,7 @@ CAMERAS = [
 
 def recorder(folder: Path, **recording: object) -> AirSimWire:
     return AirSimWire(
-        {"Vehicles": {"Up/down 1": {}}, "Recording": {"Cameras": CAMERAS, **recording}}, recordings=folder
+        {"Vehicles": {"Up:down 1": {}}, "Recording": {"Cameras": CAMERAS, **recording}}, recordings=folder
     )
 
 
@@ -81,8 +83,41 @@ def test_on_move_what_stands_still_is_left_out(tmp_path: Path) -> None:
     assert not (file.parent / "images").exists()
 
 
-def test_a_camera_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> None:
-    wire = recorder(tmp_path, Cameras=[{"CameraName": "nose"}])
-    with pytest.raises(rpc.RpcError, match="no camera 'nose'"):
+@pytest.mark.parametrize(("image", "reason"), [
+    ({"CameraName": "nose"}, "no camera 'nose'"),
+    ({"ImageType": 12}, "image type 12 is not available"),
+])  # fmt: skip
+def test_an_image_that_cannot_be_taken_is_refused_before_anything_flies(
+    tmp_path: Path, image: dict[str, object], reason: str
+) -> None:
+    with pytest.raises(UserError, match=rf"^Recording\.Cameras\.1: {reason}"):
+        recorder(tmp_path, Cameras=[{}, image])
+
+
+def test_a_disk_that_takes_no_more_images_ends_neither_recording_nor_flight(tmp_path: Path) -> None:
+    wire = recorder(tmp_path)
+    wire.call("startRecording")
+    [images] = tmp_path.glob("*/images")
+    for image in images.iterdir():
+        image.unlink()
+    images.rmdir()
+    images.write_text("no folder any more")
+    wire.fly(0.2)
+    assert wire.said[1].startswith("warning: the recording of images ends here: ")
+    assert len(wire.said) == 2
+    wire.call("stopRecording")
+    [file] = tmp_path.glob("*/airsim_rec.txt")
+    assert len(file.read_text().splitlines()) == 1 + 5
+
+
+def test_folders_are_not_made_faster_than_one_a_second(tmp_path: Path) -> None:
+    wire = recorder(tmp_path, Cameras=[])
+    for _ in range(3):
+        for _ in range(100):
+            with suppress(rpc.RpcError):
+                wire.call("startRecording")
+        wire.fly(2.0)
+    assert len([*tmp_path.iterdir()]) == 20 + 2 * 2
+    with pytest.raises(rpc.RpcError, match="begun too often"):
         wire.call("startRecording")
-    assert not wire.call("isRecording")
+    assert wire.call("isRecording"), "what is refused ends nothing"

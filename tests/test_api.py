@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
@@ -139,14 +140,13 @@ def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None
     )  # of the reset, the state before and after
 
 
-def test_a_vehicles_name_does_not_break_the_file(tmp_path: Path) -> None:
-    name = "Drone\t1\n\u2028\x85of two"
-    api = new_api(recordings=tmp_path, settings=Settings.model_validate({"Vehicles": {name: {}}}))
-    for method, wall_ns in (("startRecording", 0), ("stopRecording", 100 * MS)):
-        result_of(api, method, [], wall_ns)
-    [lines] = rows_of(tmp_path)
-    assert [len(line) for line in lines] == [len(COLUMNS)] * 4
-    assert {line[0] for line in lines[1:]} == {"Drone 1   of two"}
+@pytest.mark.parametrize("name", ["Drone\t1", "two\nlines", "a\u2028b", "a\x85b", "\0", "a/b", "a" * 257])
+def test_a_name_that_a_file_cannot_hold_is_refused(name: str) -> None:
+    vehicle: dict[str, Any] = {"Vehicles": {name: {}}}
+    camera: dict[str, Any] = {"Vehicles": {"Drone": {"Cameras": {name: {}}}}}
+    for chosen, key in ((vehicle, "Vehicles: a vehicle"), (camera, "Cameras: a camera")):
+        with pytest.raises(UserError, match=f"{key} cannot be called"):
+            new_api(settings=Settings.model_validate(chosen))
 
 
 def test_each_recording_has_a_file_of_its_own(tmp_path: Path) -> None:

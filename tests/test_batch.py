@@ -19,10 +19,12 @@ from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
+from uavaccel.envs import lane_processes
 from uavaccel.envs.batch import LaneBatch
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.sim.rendering.service import RenderService
 
 NAME = "uavaccel/ObstacleLane-v0"
 COMMANDS = 40
@@ -210,6 +212,56 @@ def test_a_dead_lane_is_said_in_one_line() -> None:
         os.kill(batch.process_ids[1], signal.SIGKILL)
         with pytest.raises(BatchError, match=r"^the process of lane 1 ended with status -9$"):
             batch.step([2, 2])
+
+
+@needs_opengl
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize(("stopped", "line"), [
+    ("renderer", "the renderer of all lanes stands still: it was stopped"),
+    ("lane", "the process of lane 1 stands still: it was stopped"),
+])  # fmt: skip
+def test_who_stands_still_is_noticed_and_ended(
+    stopped: str, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lane_processes, "LOOK_S", 0.1)
+    with closing(LaneBatch(ObstacleLane, 4, 2, "shared")) as batch:
+        batch.reset(seed=0)
+        assert batch.service is not None
+        pid = batch.service.process.pid if stopped == "renderer" else batch.process_ids[1]
+        os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(BatchError, match=f"^{line}$"):
+            batch.step([2] * 4)
+        pids = [*batch.process_ids, batch.service.process.pid]
+    assert not running(pids)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lane_processes, "LOOK_S", 0.1)
+    with closing(LaneBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+        batch.reset(seed=0)
+        os.kill(batch.process_ids[0], signal.SIGSTOP)
+        batch.call_async(0, "get_state")
+        batch.call_async(1, "get_state")
+        assert batch.call_wait()[0] == 1
+        with pytest.raises(BatchError, match="the process of lane 0 stands still"):
+            batch.call_wait()
+
+
+@needs_opengl
+def test_a_renderer_that_is_killed_before_it_draws_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    start = RenderService.__init__
+
+    def killed(self: RenderService, *arguments: Any) -> None:
+        start(self, *arguments)
+        self.process.kill()
+
+    monkeypatch.setattr(RenderService, "__init__", killed)
+    with pytest.raises(BatchError, match=r"^the renderer ended with status -9 before it could draw$"):
+        LaneBatch(ObstacleLane, 2, 2, "shared")
 
 
 FLYING = """

@@ -45,6 +45,31 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
         _UAVACCEL_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
     )
     assert completion in done.stdout.split()
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_completion_can_be_installed(tmp_path: Path) -> None:
+    done = uavaccel("--install-completion", "bash", HOME=str(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["schema", "train"]])
+def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "uavaccel", *arguments],
+            cwd=ROOT,
+            stdout=writing,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("arguments", [["fly"], ["serve", "--speed", "3"], ["serve", "--clock", "fast"]])

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
+from uavaccel.sim.mounted_camera import MOST_LENSES
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
@@ -253,7 +255,7 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
         ("simGetImages", [[{}], "", True], "no camera ''; there are none"),
         ("simGetCameraInfo", ["7"], "no camera '7'"),
         ("simSetCameraPose", ["tail", POSES[0].message()], "no camera 'tail'"),
-        ("simSetCameraFov", ["0", 180.0], "at most 179"),
+        ("simSetCameraFov", ["0", 180.0], "0.1 to 179"),
         ("uavaccelImage", ["far_m"], "no picture 'far_m'; there are gray, colour, depth, segmentation"),
     ],
 )
@@ -274,3 +276,39 @@ def test_switched_off_images_are_refused_by_every_call(blocks: Wire) -> None:
     ):
         with pytest.raises(rpc.RpcError, match="rendering is switched off"):
             api.call(method, params, 0)
+
+
+HUGE = {
+    "CameraDefaults": {
+        "CaptureSettings": [{"ImageType": kind, "Width": 8192, "Height": 8192} for kind in range(8)]
+    }
+}
+
+
+@pytest.mark.parametrize("kind", range(8))
+@pytest.mark.parametrize("as_float", [False, True])
+def test_a_picture_that_is_too_large_is_refused_before_it_is_drawn(kind: int, as_float: bool) -> None:
+    wire = AirSimWire(HUGE)
+    with pytest.raises(
+        rpc.RpcError, match="a picture of 8192 x 8192 is too large: it may have 8,388,608 pixels"
+    ):
+        wire.images(("0", kind, as_float))
+
+
+def test_normals_of_a_large_picture_are_those_of_one_row_after_another() -> None:
+    wide = {"ImageType": 6, "Width": 400, "Height": 300}
+    wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [wide]}})
+    with pytest.MonkeyPatch.context() as patch:
+        whole = wire.images(("0", 6, False))[0]["image_data_uint8"]
+        patch.setattr("uavaccel.wire.pictures.RAYS_AT_ONCE", 1)
+        assert wire.images(("0", 6, False))[0]["image_data_uint8"] == whole
+    assert len(set(whole)) > 2
+
+
+def test_rays_of_a_camera_are_kept_for_a_few_lenses(blocks: Wire) -> None:
+    """A client may set any field of view, and had the server keep the rays of each."""
+    for fov_deg in range(60, 80):
+        blocks.call("simSetCameraFov", "0", float(fov_deg))
+        blocks.response(2, as_float=True)
+    camera = blocks.world.mounted_camera(1, 1)
+    assert len(camera._rays) <= MOST_LENSES

@@ -23,6 +23,7 @@ GROUND = {
         "config",
         "manifest",
         "records",
+        "standstill",
     ),
     *("kinematics", "resources"),
 }

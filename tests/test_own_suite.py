@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from uavaccel import VelocityGoal, open_session, tcsc
+from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
 from uavaccel.suites.registry import find_suite, own_folder
 
@@ -111,3 +112,97 @@ def test_a_suite_in_a_package_is_imported_from_above_it(
     for module in ("toys.inner", "toys.inner.toy"):
         assert own_folder(find_suite(f"{module}:Toy", "toy.yaml", tmp_path)) == tmp_path
     assert own_folder(find_suite("dp1", "dp1.yaml")) is None
+
+
+WRONG = """
+from dataclasses import dataclass
+from contextlib import nullcontext
+from uavaccel.suites.experiment import Experiment, Timing
+from uavaccel.suites.suite import Flown, Suite
+
+class Config(Experiment):
+    suite: str
+    timing: Timing = "lockstep"
+
+@dataclass(frozen=True)
+class Case:
+    id: str
+    timing: str = "lockstep"
+    def simulated_s(self):
+        return 1.0
+
+class Own(Suite):
+    name, config, names = "own", Config, ("a", "b")
+    def cases(self, config):
+        return map(Case, self.names)
+    def open(self, config, timing, run):
+        return nullcontext()
+    def fly(self, config, case, opened):
+        return self.flown(case)
+    def report(self, run):
+        return {}
+
+class NoConfig(Own):
+    config = None
+
+class NotOurs(Own):
+    config = dict
+
+class NoName(Own):
+    name = None
+
+class Twice(Own):
+    names = ("a", "a")
+
+class Folder(Own):
+    names = ("../a",)
+
+class Nothing(Own):
+    def flown(self, case):
+        return None
+
+class NoJson(Own):
+    def flown(self, case):
+        return Flown({"suite": "own", "case": case.id, "value": object()})
+
+class OtherCase(Own):
+    def flown(self, case):
+        return Flown({"suite": "own", "case": "c"})
+
+class NoRow(Own):
+    def flown(self, case):
+        return Flown([1])
+"""
+
+
+@pytest.mark.parametrize(("name", "reason"), [
+    ("NoConfig", "NoConfig.config has to be a subclass"),
+    ("NotOurs", "NotOurs.config has to be a subclass"),
+    ("NoName", "NoName.name has to be a text"),
+    ("Twice", "two cases are called 'a'"),
+    ("Folder", "a case cannot be called '../a'"),
+    ("Nothing", "fly of a returned a NoneType"),
+    ("NoJson", "its row is no JSON"),
+    ("OtherCase", "the key case: 'a'"),
+    ("NoRow", "its row has to be a mapping"),
+])  # fmt: skip
+def test_a_mistake_in_one_is_one_line(
+    name: str,
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "wrong_suites.py").write_text(WRONG)
+    (tmp_path / "own.yaml").write_text(f"suite: wrong_suites:{name}\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "wrong_suites", raising=False)
+    monkeypatch.setattr(sys, "argv", ["uavaccel", "run", "own.yaml", "--out", "run"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    complaint = capsys.readouterr().err
+    assert ended.value.code == 1
+    assert complaint.startswith("uavaccel: error: ")
+    assert complaint.count("\n") == 1
+    assert reason in complaint

@@ -4,6 +4,7 @@ import contextlib
 import random
 import socket
 import struct
+import tracemalloc
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
-from uavaccel.wire import rpc, server, transport
+from uavaccel.wire import held, rpc, server, transport
 from uavaccel.wire.server import Server
 
 pytestmark = pytest.mark.wall_clock
@@ -89,7 +90,6 @@ def send_for_ever(connection: socket.socket, data: bytes) -> None:
     msgpack.packb([0, 1, 7, []]),
     msgpack.packb([0, 1, "ping", {}]),
     msgpack.packb([1, 1, None, None]),
-    rpc.pack_request(1, "ping", ["x" * (rpc.MAX_MESSAGE_BYTES + 1)]),
 ], ids=lambda data: repr(data[:12]))  # fmt: skip
 def test_what_is_no_request_is_hung_up_on(running: Server, witness: MultirotorClient, data: bytes) -> None:
     with stranger(running) as connection:
@@ -204,12 +204,82 @@ def test_the_continue_for_of_a_client_that_vanished_ends(running: Server, witnes
 def test_a_client_that_never_reads_is_hung_up_on(
     running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "MAX_UNSENT_BYTES", 1 << 16)
+    monkeypatch.setattr(held, "MOST_HELD_BYTES", 1 << 16)
     request = rpc.pack_request(1, "getMultirotorState", []) * 100
     with stranger(running) as connection:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         with pytest.raises(ConnectionError):
             send_for_ever(connection, request)
+
+
+def test_a_client_that_does_not_read_is_asked_for_nothing_more(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it asked for waits, and comes when it reads."""
+    monkeypatch.setattr("uavaccel.wire.connection.READ_FIRST_BYTES", 1 << 16)
+    made = 0
+    reply = bytes(1 << 20)
+
+    def recording() -> bytes:
+        nonlocal made
+        made += 1
+        return reply
+
+    monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
+    with stranger(running) as connection:
+        connection.sendall(rpc.pack_request(1, "uavaccelRecording", []) * 40)
+        while made == 0:
+            assert witness.ping()
+        wait_for_time(witness, 2.0)
+        assert made < 20
+        whole = rpc.pack_response(1, None, reply) * 40
+        assert receive(connection, len(whole)) == whole
+    assert made == 40
+
+
+def test_what_is_too_long_is_refused_in_words(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        with contextlib.suppress(ConnectionError):
+            connection.sendall(rpc.pack_request(41, "ping", ["x" * (rpc.MAX_MESSAGE_BYTES + 1)]))
+        refusal = rpc.pack_response(41, "a message may have 1 MiB, not more", None)
+        assert receive(connection, len(refusal) + 1) == refusal
+    with MultirotorClient(port=running.address[1]) as client:
+        running.api.methods["ping"].handler, ping = (
+            lambda: bytes(held.MAX_ANSWER_BYTES),
+            running.api.methods["ping"].handler,
+        )
+        try:
+            with pytest.raises(RPCError, match="the answer has 64 MiB, more than 64: ask for less"):
+                client.ping()
+        finally:
+            running.api.methods["ping"].handler = ping
+        assert client.ping()
+
+
+def nested(count: int) -> bytes:
+    """The beginning of a request with so many arrays for parameters; unpacked each takes a hundred bytes."""
+    return rpc.pack_request(9, "ping", [])[:-1] + b"\xdd\x7f\xff\xff\xff" + b"\x90" * count
+
+
+def test_half_a_message_costs_what_was_sent_and_is_refused_when_all_hold_too_much(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unpacked as they come, the arrays of one such message had been 60 MiB, and of one without an end gigabytes."""
+    monkeypatch.setattr(held, "MOST_HELD_BYTES", 6 << 20)
+    tracemalloc.start()
+    try:
+        with contextlib.ExitStack() as stack:
+            crowd = [stack.enter_context(stranger(running)) for _ in range(4)]
+            for number, connection in enumerate(crowd):
+                with contextlib.suppress(ConnectionError):
+                    connection.sendall(nested((900 if number else 1000) << 10))
+            refused = receive(crowd[0], 1000)
+            assert b"too much for all together" in refused
+            assert rpc.pack_response(9, refused[refused.index(b"\xd9") + 2 : -1].decode(), None) == refused
+            assert witness.ping()
+            assert tracemalloc.get_traced_memory()[1] < 32 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_packet_full_of_requests_for_large_replies_is_not_answered_at_once(
@@ -225,7 +295,7 @@ def test_a_packet_full_of_requests_for_large_replies_is_not_answered_at_once(
         return reply
 
     monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
-    monkeypatch.setattr(server, "MAX_UNSENT_BYTES", 1 << 20)
+    monkeypatch.setattr(held, "MOST_HELD_BYTES", 1 << 20)
     with stranger(running) as connection, pytest.raises(ConnectionError):
         send_for_ever(connection, rpc.pack_request(1, "uavaccelRecording", []) * 100)
     assert made < 100

@@ -56,10 +56,16 @@ def connected(server: Server) -> tuple[Connection, socket.socket]:
     return connection, client
 
 
-def read(server: Server, connection: Connection) -> None:
+def take_in(server: Server, connection: Connection) -> None:
     """Let the server read what a client has sent, once that has come: a busy kernel takes a moment."""
     assert select.select([connection.socket], [], [], 60)[0]
     server._read(connection)
+
+
+def read(server: Server, connection: Connection) -> None:
+    """Let it read that, and answer what it has read."""
+    take_in(server, connection)
+    server._serve_turns()
 
 
 def silent(client: socket.socket) -> bool:
@@ -298,22 +304,23 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     (flooding, flood), (other, client) = joined(server, clients), joined(server, clients)
     assert flooding is not None
     assert other is not None
-    flood.sendall(b"".join(rpc.pack_request(number, "ping", []) for number in range(40)))
-    client.sendall(rpc.pack_request(7, "ping", []))
+    flood.sendall(b"".join(rpc.pack_request(number, "ping", []) for number in range(60)))
     read(server, flooding)
-    read(server, other)
     server._flush()
-    first = [reply[1] for reply in replies(flood)]
-    assert 0 < len(first) < 10
-    assert [reply[1] for reply in replies(client)] == [7]
+    answered = [[reply[1] for reply in replies(flood)]]
     assert server._selector.get_map().get(flooding.socket) is None, "it is not read before its turn"
-    answered = [first]
-    while server._backlog:
-        server._serve_backlog()
+    client.sendall(rpc.pack_request(7, "ping", []))
+    take_in(server, other)
+    server._serve_turns()
+    server._flush()
+    assert [reply[1] for reply in replies(client)] == [7], "who has had less comes first"
+    answered.append([reply[1] for reply in replies(flood)])
+    while server._turns:
+        server._serve_turns()
         server._flush()
         answered.append([reply[1] for reply in replies(flood)])
-        assert len(answered[-1]) < 10
-    assert sorted(number for turn in answered for number in turn) == list(range(40))
+    assert all(0 < len(turn) < 20 for turn in answered)
+    assert sorted(number for turn in answered for number in turn) == list(range(60))
     assert [min(turn) for turn in answered] == sorted(min(turn) for turn in answered)
     assert server._selector.get_key(flooding.socket).events == selectors.EVENT_READ
 
@@ -371,12 +378,12 @@ def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.Exit
     read(server, drawing)
     client.sendall(rpc.pack_request(7, "ping", []))
     read(server, other)
+    server._serve_turns()
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7]
-    turns = 0
-    while server._backlog:
-        assert silent(painter)
-        server._serve_backlog()
+    turns = 2
+    while server._turns:
+        server._serve_turns()
         turns += 1
     assert turns >= 6
     server._flush()

@@ -95,8 +95,8 @@ def test_an_interval_that_the_step_does_not_divide() -> None:
 
 
 @pytest.mark.parametrize(("content", "text"), [
-    (b"[" * 100_000, "not settings: nested too deeply"),
-    (b'{"A":' * 100_000, "not settings: nested too deeply"),
+    (b"[" * 100_000, "not JSON: nested too deeply"),
+    (b'{"A":' * 100_000, "not JSON: nested too deeply"),
     (b"\xff\xfe{", "not JSON: "),
     (b" " * (1 << 21), "longer than 1 MiB, so no settings"),
 ])  # fmt: skip
@@ -119,6 +119,9 @@ def test_a_file_without_end_is_not_read_to_it() -> None:
     ({"Vehicles": {"A": {"Cameras": {"0": {"X": "far"}}}}}, "Vehicles.A.Cameras.0.X = 'far'"),
     ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 180}]}}, "CaptureSettings.0.FOV_Degrees = 180"),
     ({"DefaultSensors": {"L": {"SensorType": 6, "NumberOfChannels": 0}}}, "DefaultSensors.L"),
+    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 1e-9}]}}, "CaptureSettings.0.FOV_Degrees = 1e-09"),
+    ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CaptureSettings.0.ImageType = 99"),
+    ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
     ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L"),
     ({"DefaultSensors": {"L": {"Range": 7}}}, "DefaultSensors.L"),
     ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),

@@ -16,7 +16,7 @@ from uavaccel.sim import recording as recordings
 from uavaccel.sim import samples
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
 from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
@@ -157,6 +157,18 @@ def test_a_backlog_within_bounds_is_made_good() -> None:
     simulation.advance_to(CATCH_UP_NS)
     assert simulation.world.tick == 5000
     assert simulation.speed.lost_wall_ns == 0
+
+
+@pytest.mark.parametrize("clock_speed", [1_000.0, 10_000.0])
+def test_no_more_is_made_good_at_once_than_others_can_wait_for(clock_speed: float) -> None:
+    """At a ClockSpeed of 10 000, 0.1 s are half a million ticks, seconds of computing, at every request."""
+    simulation = simulate(1.0, catch_up_wall_ns=CATCH_UP_NS)
+    simulation.set_clock_speed(clock_speed, 0)
+    simulation.advance_to(CATCH_UP_NS)
+    assert simulation.world.tick == MOST_CATCH_UP_TICKS + 1
+    speed = simulation.speed
+    made_good_ns = simulation.world.tick * TICK_NS / clock_speed
+    assert speed.wall_ns - speed.lost_wall_ns == pytest.approx(made_good_ns, rel=1e-3)
 
 
 held_up = st.lists(st.integers(0, 3 * CATCH_UP_NS), min_size=1, max_size=12)

@@ -163,6 +163,37 @@ def test_one_may_be_added_while_others_fly() -> None:
     assert call(api, "listVehicles") == ["New", "SimpleFlight"]
 
 
+@pytest.mark.parametrize("name", ["\0", "A\0B", "\n", "A\tB", "\udcff", "A" * 257, "", "A/B"])
+def test_one_that_cannot_be_added_changes_nothing(name: str) -> None:
+    assert_refused_without_trace(hovering_alone(), name, "a vehicle cannot be called")
+
+
+def test_nor_does_one_of_which_no_model_can_be_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("no room for a model")
+
+    api = hovering_alone()
+    with monkeypatch.context() as patch:
+        patch.setattr("uavaccel.sim.world.load_scene", full)
+        with pytest.raises(rpc.RpcError, match="no room for a model"):
+            call(api, "simAddVehicle", "New", "simpleflight", pose(3.0, -6.0, 0.0), "")
+    assert_refused_without_trace(api, "SimpleFlight", "a vehicle cannot be called")
+
+
+def assert_refused_without_trace(api: Api, name: str, reason: str) -> None:
+    dash(api, "", 1.0, 1.0)
+    with pytest.raises(rpc.RpcError, match=reason):
+        call(api, "simAddVehicle", name, "simpleflight", pose(3.0, -6.0, 0.0), "")
+    go_on(api, 1.0)
+    other = hovering_alone()
+    dash(other, "", 1.0, 1.0)
+    go_on(other, 1.0)
+    assert np.array_equal(place(api), place(other))
+    assert call(api, "listVehicles") == ["SimpleFlight"]
+    call(api, "reset")
+    assert place(api)[2] == START_M[2]
+
+
 def hovering_alone() -> Api:
     """In a world of its own, which may be populated."""
     api = Api(Simulation(World("blocks", NATIVE)), render=False)

@@ -79,6 +79,14 @@ def file_sha256(path: Path) -> str:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from error
 
 
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text. Raises ValueError, where it is nested too deeply too."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
 def to_json(value: Any, indent: int | None = None) -> str:
     """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
     return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
@@ -118,7 +126,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 def _parse_line(line: bytes, where: str) -> dict[str, Any]:
     try:
-        entry = json.loads(line)
+        entry = parse_json(line)
     except ValueError as error:
         raise UserError(f"{where}: not JSON: {error}") from error
     if not isinstance(entry, dict):

@@ -13,8 +13,9 @@ MOST_SECONDS = 86_400.0
 MOST_LATENCY_US = 60e6
 MOST_SCALE = 1_000.0
 MOST_PROCESSES = 1_024
+MOST_SEEDS = 1 << 32
 
-Seed = Annotated[int, Field(ge=0, lt=1 << 32)]
+Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
 """What NumPy's and torch's generators take."""
 Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
 Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]

@@ -23,6 +23,7 @@ from uavaccel.files import (
     drop_cut_line,
     file_sha256,
     naming,
+    parse_json,
     read_arrays,
     read_lines,
     replacing,
@@ -152,7 +153,7 @@ class RunDirectory:
         """The value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         path = self.path / name
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            return parse_json(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise UserError(f"{path}: {error.strerror}") from error
         except ValueError as error:

@@ -16,6 +16,7 @@ from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions
 from uavaccel.fly.runs import Flown, check, fly
 from uavaccel.fly.settings_file import found_settings
 from uavaccel.leftovers import clear_leftovers
+from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset
 
 
@@ -38,8 +39,9 @@ def parse_clocks(text: str | None) -> tuple[float, ...]:
         raise UsageError(
             f"--clock {text}: should be numbers with commas between, for example 1,10,100"
         ) from None
-    if any(not clock > 0 for clock in clocks):
-        raise UsageError(f"--clock {text}: every ClockSpeed must be above 0")
+    if any(not CLOCK_SPEEDS[0] <= clock <= CLOCK_SPEEDS[1] for clock in clocks):
+        least, most = CLOCK_SPEEDS
+        raise UsageError(f"--clock {text}: every ClockSpeed must be above 0, from {least:g} to {most:g}")
     return clocks
 
 
@@ -66,6 +68,7 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
 
         if flight.profile not in PROFILES:
             raise UsageError(f"--profile {flight.profile}: there are {', '.join(PROFILES)}")
+    _refuse_numbers(flight)
     asset(f"mjcf/{flight.scene}.xml")
     if not flight.script.is_file():
         raise UserError(f"{flight.script}: no such file")
@@ -81,6 +84,14 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
         )
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
+
+
+def _refuse_numbers(flight: FlightOptions) -> None:
+    for option, seconds in (("think", flight.think_s), ("until", flight.until_s)):
+        if seconds is not None and not 0.0 <= seconds <= MOST_SECONDS:
+            raise UsageError(f"--{option} {seconds:g}: must be 0 to {MOST_SECONDS:g} s")
+    if flight.seed is not None and not 0 <= flight.seed < MOST_SEEDS:
+        raise UsageError(f"--seed {flight.seed}: must be 0 to {MOST_SEEDS - 1}")
 
 
 def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:

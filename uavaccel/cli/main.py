@@ -49,8 +49,10 @@ def main() -> None:
         status = _complain("interrupted", 130)
     except typer.Exit as error:
         status = error.exit_code
-    except SystemExit:  # how the command line's own library ends where nobody reads what is printed
-        status = _complain("standard output was closed", 1)
+    except BrokenPipeError:  # nobody reads what is printed any more, as behind `| head`
+        status = 0
+    except SystemExit as end:  # how the command line's own library ends a completion, and at such a pipe
+        status = 0 if isinstance(end.__context__, BrokenPipeError) else end.code
     except Exception as error:
         status = _status_of(error)
     _leave_unread_output()

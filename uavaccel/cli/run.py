@@ -28,7 +28,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.registry import find_suite, suite_of
-from uavaccel.suites.runner import begin_run, check_jobs, run_suite
+from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable, configuration
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
@@ -60,6 +60,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    check_cases(suite, cases)
     check_engine(request.engine)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
@@ -94,6 +95,10 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
     else:
         mapping, source = read_mapping(request.experiment)
         suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
+        if request.suite not in (None, suite.name):
+            raise UsageError(
+                f"{request.experiment}: is of {suite.name}, not of {request.suite}; `uavaccel run` flies it"
+            )
     given = {key: value for key, value in request.options.items() if value is not None}
     if not own_file and suite.quick is not None and len(_values(given.get("clock_speed", ()))) == 1:
         mapping |= suite.quick

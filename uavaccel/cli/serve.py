@@ -124,7 +124,7 @@ def recordings_of(options: ServeOptions, settings: Settings) -> Path:
 def start_recording(api: Api) -> None:
     """Record from the start, as Recording.Enabled asks. Raises UserError."""
     try:
-        api.recorder.start()
+        api.recorder.start(MonotonicClock().now_ns())
     except OSError as error:
         raise UserError(f"the recording cannot be written: {error}") from None
 

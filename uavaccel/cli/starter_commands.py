@@ -11,11 +11,14 @@ from typing import Annotated
 import typer
 
 
-def init(folder: Annotated[Path, typer.Argument(help="A new or an empty one.")]) -> None:
+def init(folder: Annotated[str, typer.Argument(help="A new or an empty one.")]) -> None:
     """Write a commented training and a task of one's own to begin with."""
     from uavaccel.cli.starter import init as write_starter
+    from uavaccel.errors import UsageError
 
-    write_starter(folder)
+    if not folder.strip():  # as a path, this folder
+        raise UsageError("init: the folder's name is empty")
+    write_starter(Path(folder))
 
 
 def schema(

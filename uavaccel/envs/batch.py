@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from uavaccel.envs.batch_memory import Observations
 from uavaccel.envs.checks import make_task
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.lane_processes import LaneProcesses
+from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import known_renderer
+from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
 
 Renderer = Literal["auto", "shared", "own"]
@@ -200,6 +201,9 @@ def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderServic
     service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:
         drawn_by = service.ready()
+    except RendererGoneError as error:
+        service.close()
+        raise BatchError(str(error)) from None
     except BaseException:
         service.close()
         raise

@@ -84,6 +84,12 @@ class Ranges(Config):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _something_is_drawn(self) -> Self:
+        if self.model_fields_set and not self.given():
+            raise ValueError("needs a range of what is to be drawn, as wind_m_s: [0, 3]")
+        return self
+
     @property
     def all_drawn(self) -> bool:
         """Whether each game has all of the conditions."""

@@ -5,6 +5,7 @@ Each flies as it would in the exact simulator, and sees what the kernels draw in
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -31,9 +32,9 @@ from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
-from uavaccel.vision.observation import BLOCK_SIDE
 
 KINDS = {"state": cpu.STATE, "dvs": cpu.DVS, "colour": cpu.COLOUR, "depth": cpu.DEPTH}
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
@@ -74,6 +75,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._generators: list[Any] = [None] * num_envs
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
+        self._drawn_by: list[Any] = [None] * num_envs  # states of the generators before the running games
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
@@ -90,9 +92,10 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
         self._pictures = drawn  # of one type whatever is observed: machine code is made for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
-        self._observations = np.zeros((count, *space.shape), space.dtype)
+        self._observations = np.zeros((count, *(space.shape or ())), space.dtype)
         self._last = np.zeros_like(self._observations)
         self._directions = np.zeros((count, 3))
+        self._place = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)
         self._commands = np.zeros(count, np.int64)
         self._taken_ticks = np.zeros((count, samples * task.history), np.int64)
@@ -157,10 +160,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]
         idle = which[self._over[which]]
-        rewards, terminated, truncated = (
-            np.zeros(self.num_envs),
-            *(np.zeros(self.num_envs, bool) for _ in "et"),
-        )
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, dict[str, Any]] = {}
         if len(going):
             judged = self._land(going)
@@ -190,9 +191,56 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         """The present observation of every environment."""
         return self._observations.copy()
 
+    def call_each(
+        self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
+    ) -> list[Any]:
+        """`get_state`, or `set_state` with a state each, of some environments (all)."""
+        which = range(self.num_envs) if lanes is None else lanes
+        return [getattr(self, f"_{name}")(lane, *each) for lane, each in zip(which, arguments, strict=True)]
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def _get_state(self, lane: int) -> State:
+        """A lane's running game, all of it, for np.savez: another batch of this task goes on to the same bytes."""
+        state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
+        state |= {"drawn_by": json.dumps(self._drawn_by[lane]), "games": self._games[lane]}
+        state["course"] = json.dumps(one_course(self._course, lane))
+        return state | {name: array[lane].copy() for name, array in self._rows_of_lanes().items()}
+
+    def _set_state(self, lane: int, state: Mapping[str, Any]) -> NDArray[Any]:
+        """Go on with what `_get_state` gave; the last observation."""
+        generator = self._generators[lane] = seeding.np_random(0)[0]
+        generator.bit_generator.state = json.loads(str(state["drawn_by"]))
+        self._games[lane] = int(state["games"])
+        if not self._drawn:
+            self._drawn = [self._draw_anything() for _ in range(self.num_envs)]
+            self._course = stacked([each.course for each in self._drawn])
+        self._drawn[lane] = self._draw(lane)
+        generator.bit_generator.state = json.loads(str(state["generator"]))
+        put_course(self._course, lane, json.loads(str(state["course"])))
+        for name, array in self._rows_of_lanes().items():
+            array[lane] = state[name]
+        self._find(np.array([lane]))
+        return self._observations[lane].copy()
+
+    def _draw_anything(self) -> Drawn:
+        """A game that nobody flies, for the shape of its course."""
+        return self._maker.draw(np.random.default_rng(0), 0)
+
+    def _rows_of_lanes(self) -> dict[str, NDArray[Any]]:
+        """All that changes while games are flown: arrays (L, ...)."""
+        arrays = {
+            f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
+        }
+        arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
+        arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
+        names = ("observations", "actions", "commands", "taken_ticks", "spent_ns", "over")
+        return arrays | {name: getattr(self, f"_{name}") for name in names}
+
     # --- inside -----------------------------------------------------------------------------------
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> Drawn:
+        self._drawn_by[lane] = self._generators[lane].bit_generator.state
         drawn = self._maker.draw(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn
@@ -216,7 +264,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             part.result()
         self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
         self._spent_ns[lanes], self._host_s[lanes], self._taken_ticks[lanes] = 0, 0.0, 0
-        self._place = self._places()
+        self._find(lanes)
         first = self._first_frames(lanes)
         frames = self._taken_ticks.shape[1]
         self._show(lanes, np.concatenate([first] * frames, axis=1))
@@ -258,9 +306,11 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _land(self, lanes: NDArray[np.int64]) -> Judged:
         """What became of a command, and what is seen of it."""
-        before = Moments(None, [axis[lanes] for axis in self._place], None, None, self._course_of(lanes))
+        before = Moments(
+            None, [axis[lanes].copy() for axis in self._place], None, None, self._course_of(lanes)
+        )
         self._commands[lanes] += 1
-        self._place = self._places()
+        self._find(lanes)
         flown = self._moments(lanes)
         judged = judge(self.task, before, flown)
         if self.task.observation == "state" and not self.task.blank_images:
@@ -298,12 +348,13 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             else:
                 self._observations[lanes, plane] = ages[:, self._told.rows_frames()][:, :, None]
 
-    def _places(self) -> list[NDArray[np.float64]]:
-        """Where the vehicles are, or where they touched something: north, east, down (L,)."""
-        state = self._now.state
+    def _find(self, lanes: NDArray[np.int64]) -> None:
+        """Note where vehicles are, or where they touched something; others may be flying."""
+        state = self._now.state[lanes]
         touched = state["collision_tick"] != rows.NEVER
         places = np.where(touched[:, None], state["contact_position"], state["position"])
-        return [places[:, axis].copy() for axis in range(3)]
+        for axis in range(3):
+            self._place[axis][lanes] = places[:, axis]
 
     def _moments(self, lanes: NDArray[np.int64]) -> Moments:
         touched = self._now.state["collision_tick"][lanes] != rows.NEVER

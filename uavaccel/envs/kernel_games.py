@@ -1,4 +1,4 @@
-"""Games for lanes over arrays: what a task draws for each, in the order in which `FlightEnv` draws it, as rows of numbers."""
+"""Games for lanes over arrays: what a task draws, in the order in which `FlightEnv` draws it, as rows of numbers."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.cpu import Command
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import ceil_div, exact
+
+Simulator = Literal["mujoco", "kernels"]
+"""Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
 
 
 def check_flyable(task: Task, lanes: int) -> None:

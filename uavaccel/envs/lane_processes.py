@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
@@ -11,9 +12,19 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
+from uavaccel.standstill import FIRST_LOOKS, LOOK_S, LOOKS, Standstill, is_stopped
+from uavaccel.units import NS_PER_S
+
+
+def _poll_of(connection: Connection) -> select.poll:
+    """Whether its answer is there, at less cost than the connection itself would say."""
+    poll = select.poll()
+    poll.register(connection.fileno(), select.POLLIN)
+    return poll
 
 
 class BatchError(RuntimeError):
@@ -34,6 +45,10 @@ class LaneProcesses:
             mine, other = socket.socketpair()
             self._connections.append(Connection(mine.detach()))
             theirs.append(other.detach())
+        self._polls = [_poll_of(connection) for connection in self._connections]
+        self._answered_once = False
+        self._standstill, self._clock = Standstill(), MonotonicClock()
+        self._looked_ns = self._clock.now_ns()
         self._processes: list[subprocess.Popen[Any]] = []
         self._process_of = [lane % processes for lane in range(lanes)]
         for process in range(processes):
@@ -74,11 +89,14 @@ class LaneProcesses:
     def answer(self, lane: int) -> Any:
         """The answer to the last question. Raises UserError or BatchError where there is none."""
         try:
+            while self._connections and not self._polls[lane].poll(LOOK_S * 1e3):
+                self._look()
             answer = self._connections[lane].recv()
         except (EOFError, OSError):
             raise self._ended(lane) from None
         finally:
             self._asked[lane] = False
+        self._answered_once = True
         if answer[0]:
             return answer[1]
         raise self._error(lane, *answer[1:])
@@ -88,7 +106,32 @@ class LaneProcesses:
         asked = {self._connections[lane]: lane for lane, waiting in enumerate(self._asked) if waiting}
         if not asked:
             raise BatchError("no lane was asked for anything")
-        return asked[wait(list(asked))[0]]  # type: ignore[index]
+        while not (answered := wait(list(asked), LOOK_S)):
+            self._look()
+        if self._clock.now_ns() - self._looked_ns > LOOK_S * NS_PER_S:
+            self._look()  # others answer, and one might never be missed
+        return asked[answered[0]]  # type: ignore[index]
+
+    def _look(self) -> None:
+        """See after those whose answers are overdue. Raises BatchError for those that stand still, which it ends."""
+        self._looked_ns = self._clock.now_ns()
+        waiting = {self._process_of[lane] for lane, asked in enumerate(self._asked) if asked}
+        pids = {self._processes[number].pid: number for number in waiting}
+        renderer = self._service.process if self._service is not None else None
+        looks = LOOKS if self._answered_once else FIRST_LOOKS
+        standing = self._standstill.look(pids, None if renderer is None else renderer.pid, looks)
+        if not standing:
+            return
+        if renderer is not None and is_stopped(renderer.pid):
+            renderer.kill()
+            raise BatchError("the renderer of all lanes stands still: it was stopped")
+        lanes = [
+            lane for lane, number in enumerate(self._process_of) if self._processes[number].pid in standing
+        ]
+        how = "was stopped" if is_stopped(standing[0]) else "waits for what does not come"
+        for pid in standing:
+            self._processes[pids[pid]].kill()
+        raise BatchError(f"the process of lane {lanes[0]} stands still: it {how}")
 
     def ask_all(self, method: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int]) -> list[Any]:
         """A question to each of some lanes, all asked before the first answer is taken."""
@@ -135,6 +178,5 @@ class LaneProcesses:
         if any(self._asked):  # a question may be a whole game, and nobody waits for its answer any more
             for process in self._processes:
                 process.terminate()
-        for process in self._processes:
-            stop(process)
+        stop(*self._processes)
         self._processes = []

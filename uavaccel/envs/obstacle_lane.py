@@ -26,6 +26,7 @@ from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M, Difficulty, Split, lane_seed
 
 Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
+MOST_HEADINGS = 360
 Heading = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
@@ -51,7 +52,13 @@ class LaneTask(Task):
 
     t_move_s: Seconds = 1.0
     t_sample_s: Seconds = 0.33
-    headings_deg: tuple[Heading, ...] = (-60.0, -30.0, 0.0, 30.0, 60.0)
+    headings_deg: Annotated[tuple[Heading, ...], Field(max_length=MOST_HEADINGS)] = (
+        -60.0,
+        -30.0,
+        0.0,
+        30.0,
+        60.0,
+    )
     """The actions: directions of flight, 0 along the lane, positive to the east."""
     altitude_m: Height = 2.0
     """Height that every command holds, as AirSim's moveByVelocityZ; SimpleFlight answers slower the higher it is."""
@@ -75,6 +82,8 @@ class LaneTask(Task):
     def _any_heading(cls, headings: tuple[float, ...]) -> tuple[float, ...]:
         if not headings:
             raise ValueError("needs at least one heading")
+        if len(set(headings)) < len(headings):
+            raise ValueError("must not have one heading twice")
         return headings
 
     @model_validator(mode="after")

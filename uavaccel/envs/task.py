@@ -153,7 +153,11 @@ class Task(Config):
             raise ValueError(
                 "dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep"
             )
-        _ = self.dvs_ticks
+        period_s = (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s
+        if period_s > self.t_sample_s * (1 + RATE_ROUNDING):
+            raise ValueError(
+                f"dvs_rate_hz = {self.dvs_rate_hz:g}: must give a frame in each sample of {self.t_sample_s:g} s"
+            )
         return self
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from uavaccel.config import Config, validate
 from uavaccel.envs.task import Positive
@@ -33,6 +33,14 @@ class DqnOptions(Config):
     """Of the games, over which exploration falls."""
     exploration_final_eps: Ratio = 0.01
     max_grad_norm: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _batches_come_from_the_buffer(self) -> DqnOptions:
+        if self.batch_size > self.buffer_size:
+            raise ValueError(
+                f"batch_size must be at most buffer_size: {self.batch_size} of {self.buffer_size} commands"
+            )
+        return self
 
     @classmethod
     def of(cls, config: LearnerConfig) -> DqnOptions:

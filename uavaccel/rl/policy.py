@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +18,7 @@ from stable_baselines3.common.policies import BasePolicy
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
-from uavaccel.files import file_sha256, replacing, to_json
+from uavaccel.files import file_sha256, parse_json, replacing, to_json
 from uavaccel.rl.algorithms import OWN, action_ratings, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.mirror import turned_actions
@@ -90,8 +89,8 @@ def export_policy(
 def trained_with(folder: Path) -> Mapping[str, Any]:
     """What its manifest says about a policy's training; nothing where there is no policy."""
     try:
-        trained: Mapping[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
-    except (OSError, ValueError, KeyError):
+        trained: Mapping[str, Any] = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
+    except (OSError, ValueError, KeyError, TypeError):
         return {}
     return trained
 
@@ -137,7 +136,7 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
 
 def _read_manifest(path: Path) -> Mapping[str, Any]:
     try:
-        manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
+        manifest = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
     except OSError as error:
         raise UserError(f"{path}: holds no policy: {error}") from error
     except ValueError as error:
@@ -166,12 +165,16 @@ def _read_weights(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, th.Te
         raise UserError(
             f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew"
         ) from error
-    if not (isinstance(weights, dict) and all(isinstance(each, th.Tensor) for each in weights.values())):
+    if not (isinstance(weights, dict) and all(map(_is_weight, weights.items()))):
         raise UserError(f"{path}: is no state dict of tensors alone")
     for name, tensor in weights.items():
         if not tensor.isfinite().all():
             raise UserError(f"{path}: {name} is not finite: a training that diverged; train it anew")
     return weights
+
+
+def _is_weight(item: tuple[Any, Any]) -> bool:
+    return isinstance(item[0], str) and isinstance(item[1], th.Tensor)
 
 
 def observed_frames(task: Task) -> int:

@@ -12,6 +12,7 @@ HIGHEST_M = 20_000.0  # over the sea, as high as air_density follows the standar
 FARTHEST_M = 10_000.0  # north or east: farther away the physics loses its millimetres
 STRONGEST_WIND_M_S = 100.0  # in a storm of 1 000 m/s a tick's drag exceeds the speed that it brakes
 DEEPEST_M = 0.05  # into what a vehicle is placed on; from deeper contacts would throw it
+LONGEST_NAME = 256
 APART_M = 0.75  # between the middles of two vehicles, so that they do not touch
 
 
@@ -35,10 +36,13 @@ def check_wind(wind_m_s: Vector) -> None:
         raise UserError(f"wind: {wind_m_s} m/s is not a wind of at most {STRONGEST_WIND_M_S:g} m/s")
 
 
-def check_name(name: str, taken: Container[str]) -> None:
-    """Raise UserError for a name that is taken, or that a model cannot hold."""
-    if not name or "/" in name or name in taken:
-        raise UserError(f"a vehicle cannot be called {name!r}: names differ, and hold no /")
+def check_name(name: str, taken: Container[str] = (), kind: str = "a vehicle") -> None:
+    """Raise UserError for a name that is taken, or that a model, a file's name or a line of text cannot hold."""
+    if name in taken or "/" in name or not name.isprintable() or not 0 < len(name) <= LONGEST_NAME:
+        raise UserError(
+            f"{kind} cannot be called {name[:LONGEST_NAME]!r}: names differ, hold no / and nothing unprintable, "
+            f"and have at most {LONGEST_NAME} characters"
+        )
 
 
 def check_apart(name: str, position_m: Vector, places: Mapping[str, Vector]) -> None:

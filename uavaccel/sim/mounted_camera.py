@@ -13,6 +13,7 @@ from uavaccel.sim.camera import Camera
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
 
+MOST_LENSES = 8  # whose rays are kept
 SKY_M = 65504.0  # AirSim's depth of what has none: the largest half-precision number
 FRONT_CENTER = Pose((0.46, 0.0, 0.0))  # quadrotor.xml's own camera
 
@@ -63,6 +64,8 @@ class MountedCamera(Camera):
         depth = self.depth(data, out)
         if self._lens not in self._rays:
             half_width = float(np.tan(np.radians(self._lens.fov_deg) / 2))
+            if len(self._rays) >= MOST_LENSES:  # clients may set any field of view
+                self._rays.clear()
             self._rays[self._lens] = ray_lengths(self.width, self.height, half_width)
         return np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
 

@@ -79,14 +79,6 @@ class SceneObjects:
         """All objects that are there, sorted."""
         return sorted(name for name, geom in self._geoms.items() if self._is_there(geom))
 
-    def matching(self, pattern: str) -> list[str]:
-        """Those whose whole name a regular expression matches, whatever its case (std::regex_match with icase)."""
-        try:
-            expression = re.compile(pattern, re.IGNORECASE)
-        except re.error as error:
-            raise ValueError(f"{pattern!r} is no regular expression: {error}") from None
-        return [name for name in self.names() if expression.fullmatch(name)]
-
     def geom(self, name: str) -> int | None:
         """The geom that an object of that name is; None without one."""
         geom = self._geoms.get(name)

@@ -29,12 +29,15 @@ from uavaccel.units import NS_PER_S, exact
 
 __all__ = ["DeferredReply", "Simulation"]
 
+MOST_CATCH_UP_TICKS = 5_000  # flown at once to make good what is behind, of one vehicle: some 30 ms
+
 
 class Simulation(Commanded):
     """Clock, commands and recorder over one `World`.
 
-    `catch_up_wall_ns`: backlog of wall time that is made good; the rest is lost and counted. None: no bound, for a
-    simulated wall clock. `timer_lateness_ns` draws how late a wall timer ends there (`airsim`).
+    `catch_up_wall_ns`: backlog of wall time that is made good, of MOST_CATCH_UP_TICKS at most; the rest is lost and
+    counted. None: no bound, for a simulated wall clock. `timer_lateness_ns` draws how late a wall timer ends there
+    (`airsim`).
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class Simulation(Commanded):
         self.failure: str | None = None
         self.time0_ns = 0
         self.wall_ns = wall_ns
+        self._bound_backlog()
         self._start_over(wall_ns)
 
     # --- time -------------------------------------------------------------------------------------
@@ -85,8 +89,8 @@ class Simulation(Commanded):
         self._advance_to(wall_ns)
 
     def _advance_to(self, wall_ns: int) -> None:
-        if self.catch_up_wall_ns is not None and wall_ns - self.wall_ns > self.catch_up_wall_ns:
-            self._drop_backlog(wall_ns)
+        if self._catch_up_ns is not None and wall_ns - self.wall_ns > self._catch_up_ns:
+            self._drop_backlog(wall_ns, self._catch_up_ns)
         while not self.paused:
             end_tick = self._next_end_tick()
             target = self.pacer.ticks_due(wall_ns)
@@ -123,13 +127,21 @@ class Simulation(Commanded):
         """When a running continue-for of the `airsim` profile is over, on the wall clock."""
         return self.period.end_wall_ns if self.period and not self.paused else None
 
-    def _drop_backlog(self, wall_ns: int) -> None:
+    def _drop_backlog(self, wall_ns: int, kept_ns: int) -> None:
         """Give up wall time that nobody asked for in time: the machine, or this process, was held up."""
         behind_ns = wall_ns - self.pacer.wall_due(self.world.tick + 1)
-        lost = behind_ns - (self.catch_up_wall_ns or 0)
+        lost = behind_ns - kept_ns
         if not self.paused and lost > 0:
             self.speed.lost_wall_ns += lost
-            self.pacer.anchor(wall_ns - (self.catch_up_wall_ns or 0), self.world.tick + 1)
+            self.pacer.anchor(wall_ns - kept_ns, self.world.tick + 1)
+
+    def _bound_backlog(self) -> None:
+        """Whoever sets the ClockSpeed, or adds vehicles: one step of the clock never takes longer than others bear."""
+        self._catch_up_ns = self.catch_up_wall_ns
+        if self.catch_up_wall_ns is not None:
+            tick_wall_ns = self.profile.tick_ns / float(self.clock_speed)
+            most_ns = round(MOST_CATCH_UP_TICKS / len(self.pilots) * tick_wall_ns)
+            self._catch_up_ns = min(self.catch_up_wall_ns, most_ns)
 
     def _fly_to(self, tick: int) -> None:
         """Fly up to a tick. What cannot be integrated is a `failure`, and the vehicle stands still from there on.
@@ -168,6 +180,7 @@ class Simulation(Commanded):
         """Go on at another speed. Raises UserError unless it is above 0."""
         self.clock_speed = positive_clock_speed(clock_speed)
         self.pacer.set_clock_speed(self.executor.speed(self.clock_speed, self.profile.tick_ns), wall_ns)
+        self._bound_backlog()
 
     def pause(self, wall_ns: int) -> None:
         """Stop simulated time; a running continue-for replies at once."""
@@ -220,6 +233,7 @@ class Simulation(Commanded):
         self.world.add_vehicles(newcomers)
         self.frames.forget()  # the pose that was shown is of the model before
         self.pilots += [Pilot(self, vehicle) for vehicle in self.world.vehicles[len(self.pilots) :]]
+        self._bound_backlog()
 
     # --- start and record -------------------------------------------------------------------------
 

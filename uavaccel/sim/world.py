@@ -24,7 +24,7 @@ from uavaccel.sim.saved import State
 from uavaccel.sim.scene import load_scene, scene_path
 from uavaccel.sim.scene_objects import take_over
 from uavaccel.sim.standing import depth, on_the_ground, stand
-from uavaccel.sim.vehicle import HERE, LEVEL, Newcomer, Start, Vehicle
+from uavaccel.sim.vehicle import BODY, HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera import FrontCamera
@@ -62,16 +62,23 @@ class World(Led):
         acts = not self.freeze_on_collision
         self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
         self.vehicles = [self.lead]
-        self._load()
+        self._take(*self._made(self.vehicles))
         self.reset()
 
-    def _load(self) -> None:
-        """Make the model for the vehicles that there are."""
-        others = [vehicle.prefix for vehicle in self.vehicles[1:]]
-        self.model = load_scene(self.scene, others, self._furnished, self.scenery)
-        self.model.opt.timestep = self.profile.tick_s
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.data = mujoco.MjData(self.model)
+    def _made(self, vehicles: Sequence[Vehicle]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """A model for these vehicles. Nothing changes here, so that what cannot be made costs nothing."""
+        model = load_scene(
+            self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._furnished, self.scenery
+        )
+        model.opt.timestep = self.profile.tick_s
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        for vehicle in vehicles:
+            model.body(vehicle.prefix + BODY)  # raises KeyError where MuJoCo has made another name of it
+        return model, mujoco.MjData(model)
+
+    def _take(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Fly in this model from now on."""
+        self.model, self.data = model, data
         self.warnings = self.data.warning.number
         self.clearance = Clearance(self.model, self.data)
         for vehicle in self.vehicles:
@@ -124,7 +131,7 @@ class World(Led):
         physics, carried = self.physics(), self.lead.carry()
         self.close()
         self.scenery = scenery
-        self._load()
+        self._take(*self._made(self.vehicles))
         self.set_physics(physics)
         self.lead.take_over(carried)
 
@@ -161,10 +168,10 @@ class World(Led):
             Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
             for name, start, origin_m in newcomers
         ]
+        made, before = self._made([*self.vehicles, *new]), self.model
         self.vehicles += new
         self.close()
-        before = self.model
-        self._load()
+        self._take(*made)
         take_over(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
             old.take_over(kept)

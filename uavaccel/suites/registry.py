@@ -10,6 +10,7 @@ from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line per suite; its module is imported when it is asked for.
@@ -65,7 +66,7 @@ def _own_suite(name: str, source: str, folder: Path | None) -> AnySuite:
             sys.path.insert(0, str(path.resolve()))
     try:
         return _load(name)
-    except ImportError as error:
+    except (ImportError, ValueError, SyntaxError) as error:
         raise UserError(f"{source}: suite = {name!r}: {error}") from error
     except (AttributeError, TypeError) as error:
         raise UserError(
@@ -78,4 +79,9 @@ def _load(place: str) -> AnySuite:
     suite = getattr(import_module(module), name)()
     if not isinstance(suite, Suite):
         raise TypeError(f"{name} is a {type(suite).__name__}")
+    config = getattr(suite, "config", None)
+    if not (isinstance(config, type) and issubclass(config, Experiment)):
+        raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
+    if not isinstance(getattr(suite, "name", None), str):
+        raise TypeError(f"{name}.name has to be a text")
     return suite

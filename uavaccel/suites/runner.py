@@ -15,6 +15,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from uavaccel.envs.lane_processes import BatchError
 from uavaccel.errors import UsageError, UserError
+from uavaccel.files import to_json
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.parent import work_for_parent
@@ -40,6 +41,31 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
         raise UsageError(f"--jobs must be 1 with {suite.name}: {why}")
+
+
+def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
+    """Raises UserError for cases that could not be told apart, or whose names cannot be files'."""
+    seen: set[str] = set()
+    for case in cases:
+        name = case.id
+        if not isinstance(name, str) or "/" in name or not name.isprintable() or not name.strip("."):
+            raise UserError(f"{suite.name}: a case cannot be called {name!r}: its name is that of a file")
+        if name in seen:
+            raise UserError(f"{suite.name}: two cases are called {name!r}")
+        seen.add(name)
+
+
+def _check_flown(suite: AnySuite, case: Case, game: Any) -> None:
+    """Raises UserError for what a suite of one's own flew, where that is no game's result."""
+    where = f"{suite.name}: fly of {case.id}"
+    if not isinstance(game, Flown):
+        raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.Flown")
+    if not isinstance(game.row, dict) or game.row.get("case") != case.id:
+        raise UserError(f"{where}: its row has to be a mapping with the key case: {case.id!r}")
+    try:
+        to_json({"row": game.row, "host": game.host})
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{where}: its row is no JSON: {error}") from None
 
 
 def begin_run(
@@ -192,4 +218,5 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> Flown:
     """Fly one case and note the host's time and load, which are never the same twice."""
     game, host = timed(lambda: suite.fly(config, case, opened))
+    _check_flown(suite, case, game)
     return Flown(game.row, game.arrays, {**host, **game.host})

@@ -125,7 +125,7 @@ class Api:
             "simContinueForFrames": Method(self._continue_for_frames, 1),
             "getMultirotorState": Method(self._multirotor_state, 0, 1),
             "simGetGroundTruthKinematics": Method(self._kinematics, 0, 1),
-            "startRecording": Method(self.recorder.start, 0),
+            "startRecording": Method(lambda: self.recorder.start(self._wall_ns), 0),
             "stopRecording": Method(self.recorder.stop, 0),
             "isRecording": Method(lambda: simulation.world.recording, 0),
         }

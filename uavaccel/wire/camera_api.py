@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from uavaccel.sim.mounted_camera import Lens
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
-from uavaccel.wire.cameras import SCENE, MountedAs
+from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, MountedAs
 from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.scenery import Scenery
 
 NEAR_CM = 10.0  # GNearClippingPlane
-WIDEST_DEG = 179.0
 
 
 class CameraApi:
@@ -72,8 +71,8 @@ class CameraApi:
         """simSetCameraFov: from the left to the right edge, of all types of image."""
         mounted = self._named(camera, vehicle, external)
         fov_deg = types.number(degrees, "fov_degrees")
-        if not 0.0 < fov_deg <= WIDEST_DEG:
-            raise ValueError(f"fov_degrees must be above 0 and at most {WIDEST_DEG:g}, not {fov_deg:g}")
+        if not NARROWEST_DEG <= fov_deg <= WIDEST_DEG:
+            raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_deg:g}")
         mounted.set_fov(fov_deg)
 
     def distortion(self, camera: Any, vehicle: Any = "", external: Any = False) -> list[float]:

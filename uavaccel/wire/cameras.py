@@ -29,15 +29,17 @@ ALIASES = {str(number): name for number, name in enumerate(MOUNTS)} | {
 }
 DISTORTION = ("K1", "K2", "K3", "P1", "P2")
 Pixels = Annotated[int, Field(ge=1, le=8192)]
+NARROWEST_DEG, WIDEST_DEG = 0.1, 179.0  # fields of view that a projection can have
 
 
 class CaptureSettings(AirSimKeys):
     """What one type of image is taken with."""
 
-    image_type: int = SCENE
+    image_type: Annotated[int, Field(ge=-1, le=9)] = SCENE
+    """AirSim's; -1 is what its window shows."""
     width: Pixels = Lens().width
     height: Pixels = Lens().height
-    fov_degrees: Annotated[float | None, Field(alias="FOV_Degrees", gt=0.0, lt=180.0)] = None
+    fov_degrees: Annotated[float | None, Field(alias="FOV_Degrees", ge=NARROWEST_DEG, le=WIDEST_DEG)] = None
 
 
 class CameraSettings(AirSimKeys):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.bounds import LONGEST_NAME
 from uavaccel.sim.earth import geographic
 from uavaccel.sim.mounted_camera import Lens
 from uavaccel.sim.poses import Pose
@@ -21,7 +22,6 @@ from uavaccel.sim.rays import cast
 from uavaccel.wire import types
 from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.method import Method
-from uavaccel.wire.object_api import LONGEST_NAME
 from uavaccel.wire.pictures import known_type
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import pose_map

@@ -30,6 +30,7 @@ from uavaccel.wire.steps import Steps
 MOST_IMAGES = 64  # of one call
 OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here
 AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
+PIXELS_AT_ONCE = 1 << 18  # and so of more pixels
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
 
@@ -75,7 +76,7 @@ class ImageApi:
             raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
         cameras = self._cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
-        if len(asked) <= AT_ONCE:
+        if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
             return [self._response(request, self._scenery.truth(vehicle)) for request in asked]
         scene, kinematics = self._scenery.pictures.kept(), self._scenery.truth(vehicle)
         return Steps(self._response(request, kinematics, scene) for request in asked)
@@ -146,6 +147,11 @@ class ImageApi:
             "object": touch.object,
             "position_m": list(world.lead.local(touch.position_m)),
         }
+
+
+def _pixels(request: ImageRequest) -> int:
+    lens = request.camera.lens(request.image_type)
+    return lens.width * lens.height
 
 
 def image_request(value: Any, cameras: Cameras) -> ImageRequest:

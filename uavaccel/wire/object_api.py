@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from uavaccel.sim.bounds import LONGEST_NAME
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene_objects import ASSETS
 from uavaccel.wire import types
@@ -18,7 +19,6 @@ from uavaccel.wire.sensor_api import pose_map
 from uavaccel.wire.vehicle_api import VehicleApi
 
 NAN = math.nan
-LONGEST_NAME = 256
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
 
 
@@ -47,8 +47,7 @@ class ObjectApi:
 
     def listed(self, pattern: Any = ".*") -> list[str]:
         """simListSceneObjects: objects and vehicles."""
-        names = self._scenery.objects.matching(_text(pattern, "name_regex"))
-        return names + self._scenery.vehicles_matching(pattern)
+        return self._scenery.named_like(_text(pattern, "name_regex"))
 
     def pose(self, name: Any, ned: Any = True) -> dict[str, Any]:
         """simGetObjectPose: of an object or a vehicle; not a number for what is not there. Always NED."""
@@ -99,12 +98,13 @@ class ObjectApi:
 
     def set_segmentation_id(self, name: Any, number: Any, is_regex: Any = False) -> bool:
         """simSetSegmentationObjectID."""
-        number = types.whole(number, "object_id")
-        return self._scenery.segmentation.set_id(_text(name, "mesh_name"), number, bool(is_regex))
+        number, name = types.whole(number, "object_id"), _text(name, "mesh_name")
+        named = self._scenery.named_like(name) if is_regex else self._scenery.named(name)
+        return self._scenery.segmentation.set_id(named, number)
 
     def segmentation_id(self, name: Any) -> int:
         """simGetSegmentationObjectID: -1 for what is not there."""
-        return self._scenery.segmentation.id(_text(name, "mesh_name"))
+        return self._scenery.segmentation.id(self._scenery.named(_text(name, "mesh_name")))
 
 
 def _text(value: Any, name: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import TypeAlias, Union
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -35,7 +35,10 @@ class ImageType(IntEnum):
     INFRARED = 7
 
 
-Scene: TypeAlias = Union["mujoco.MjData", None]
+Scene: TypeAlias = NDArray[np.float64] | None
+"""What there was to see, as `Pictures.kept` gives it; None for the present."""
+MOST_PIXELS = 1 << 23  # of one picture: more than 3840 x 2160
+RAYS_AT_ONCE = 1 << 16
 DEPTH_VIS_FAR_M = 100.0
 BASELINE_M = 0.25  # between AirSim's front_left and front_right
 _DEPTHS = (
@@ -56,6 +59,7 @@ class Pictures:
         self._largest = largest
         self._segmentation = segmentation
         self.render = render
+        self._drawn_later: mujoco.MjData | None = None
 
     def floats(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
         """One number per pixel (height, width): metres, shares, or the first channel of another image from 0 to 1.
@@ -65,7 +69,7 @@ class Pictures:
         kind, shown = known_type(image_type), self._shown(scene)
         if kind in _DEPTHS:
             return self._depth(camera, kind, shown)
-        return (self.bgr(camera, kind, shown)[..., 2] / np.float32(255)).astype(np.float32)
+        return (self.bgr(camera, kind, scene)[..., 2] / np.float32(255)).astype(np.float32)
 
     def bgr(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
         """Blue, green, red (height, width, 3); of the present, or of a `scene` that was kept."""
@@ -83,12 +87,9 @@ class Pictures:
             share = np.minimum(share / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
         return _gray(np.rint(share * 255).astype(np.uint8))
 
-    def kept(self) -> mujoco.MjData:
+    def kept(self) -> NDArray[np.float64]:
         """What there is to see now, to be drawn later."""
-        shown = self._shown(None)
-        kept = mujoco.MjData(self._simulation.world.model)
-        kept.qpos[:] = shown.qpos
-        return kept
+        return self._shown(None).qpos.copy()
 
     def warm_up(self) -> None:
         """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
@@ -114,32 +115,53 @@ class Pictures:
 
     def _normals(self, camera: MountedAs, scene: mujoco.MjData) -> NDArray[np.uint8]:
         """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
-        self._check_rendering()
         lens = camera.lens(ImageType.SURFACE_NORMALS)
+        self._check_drawable(lens)
         eye = camera.eye(vehicle_pose(scene, camera.carrier))
-        directions = pixel_rays(lens) @ eye.matrix().T
-        hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
-        rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
-        rgb[hits.geoms < 0] = 0
-        return np.ascontiguousarray(rgb.reshape(lens.height, lens.width, 3)[..., ::-1])
+        picture, rows = np.empty((lens.height, lens.width, 3), np.uint8), max(RAYS_AT_ONCE // lens.width, 1)
+        for top in range(0, lens.height, rows):  # a ray takes a hundred bytes on its way
+            directions = pixel_rays(lens, range(top, min(top + rows, lens.height))) @ eye.matrix().T
+            hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
+            rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
+            rgb[hits.geoms < 0] = 0
+            picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]
+        return picture
 
     def _pointed(self, camera: MountedAs, image_type: int, scene: mujoco.MjData) -> MountedCamera:
         """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
-        self._check_rendering()
-        pointed = self._simulation.world.mounted_camera(*self._largest)
+        lens = camera.lens(image_type)
+        self._check_drawable(lens)
+        width, height = self._largest
+        fit = (width, height) if width * height <= MOST_PIXELS else (lens.width, lens.height)
+        pointed = self._simulation.world.mounted_camera(*fit)
         own = camera.mount == FRONT_CENTER and not camera.external and camera.carrier == 0
-        pointed.point(
-            None if own else camera.eye(vehicle_pose(scene, camera.carrier)), camera.lens(image_type)
-        )
+        pointed.point(None if own else camera.eye(vehicle_pose(scene, camera.carrier)), lens)
         return pointed
 
-    def _check_rendering(self) -> None:
+    def _check_drawable(self, lens: Lens) -> None:
         if not self.render:
             raise ValueError("rendering is switched off")
+        if not can_draw(lens):
+            raise ValueError(
+                f"a picture of {lens.width} x {lens.height} is too large: it may have {MOST_PIXELS:,} pixels"
+            )
 
     def _shown(self, scene: Scene) -> mujoco.MjData:
         """What there is to see: what was kept, the present, or what a modelled renderer shows."""
-        return scene or self._simulation.frames.scene(self._simulation.world.data)
+        world = self._simulation.world
+        if scene is None:
+            return self._simulation.frames.scene(world.data)
+        if len(scene) != world.model.nq:
+            raise ValueError("a vehicle was added meanwhile; ask again")
+        if self._drawn_later is None or len(self._drawn_later.qpos) != len(scene):
+            self._drawn_later = mujoco.MjData(world.model)
+        self._drawn_later.qpos[:] = scene
+        return self._drawn_later
+
+
+def can_draw(lens: Lens) -> bool:
+    """Whether its pictures are not too large."""
+    return lens.width * lens.height <= MOST_PIXELS
 
 
 def known_type(image_type: int) -> ImageType:
@@ -151,11 +173,11 @@ def known_type(image_type: int) -> ImageType:
         raise ValueError(f"image type {image_type} is not available; there are {known}") from None
 
 
-def pixel_rays(lens: Lens) -> NDArray[np.float64]:
-    """Unit vectors (height, width, 3), FRD, through the middles of the pixels."""
+def pixel_rays(lens: Lens, rows: range) -> NDArray[np.float64]:
+    """Unit vectors (rows, width, 3), FRD, through the middles of the pixels of some rows."""
     pixel = 2 * math.tan(math.radians(lens.fov_deg) / 2) / lens.width
     right = (np.arange(lens.width) + 0.5 - lens.width / 2) * pixel
-    down = (np.arange(lens.height) + 0.5 - lens.height / 2) * pixel
+    down = (np.array(rows) + 0.5 - lens.height / 2) * pixel
     rays = np.stack(np.broadcast_arrays(1.0, right[None, :], down[:, None]), axis=-1)
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 

@@ -16,15 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
+from uavaccel.errors import UserError
 from uavaccel.sim.watched import WatchedWorld
+from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
 from uavaccel.wire.image_files import image_file
+from uavaccel.wire.pictures import known_type
 from uavaccel.wire.scenery import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
 FILE_NAME = "airsim_rec.txt"
 IMAGES = "images"
-_BREAKS = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]")  # what would end a field or a line of the file
+FOLDERS_AT_ONCE = 20
 
 
 class Recorder:
@@ -39,16 +42,32 @@ class Recorder:
         self._scenery = scenery
         self._simulation = scenery.simulation
         self._settings = scenery.settings.recording
-        self._vehicle = _BREAKS.sub(" ", scenery.settings.vehicle)
+        self._check_cameras()
+        self._vehicle = scenery.settings.vehicle
         self._folder = folder
         self._say = say
         self._file: IO[str] | None = None
         self._images: dict[int, str] = {}  # names of the files by tick
         self._last_pose: list[float] | None = None
         self._stop_watching: Callable[[], None] = lambda: None
+        self._folders, self._counted_ns = 0, 0
 
-    def start(self) -> None:
-        """Begin a recording, and a file of its own; one that runs is stopped."""
+    def _check_cameras(self) -> None:
+        """Raise UserError, naming the key, for an image of the settings that cannot be taken."""
+        for number, wanted in enumerate(self._settings.cameras):
+            try:
+                self._scenery.cameras().named(wanted.camera_name)
+                known_type(wanted.image_type)
+            except ValueError as error:
+                raise UserError(f"Recording.Cameras.{number}: {error}") from None
+
+    def start(self, wall_ns: int = 0) -> None:
+        """Begin a recording, and a file of its own; one that runs is stopped.
+
+        Raises ValueError for more than FOLDERS_AT_ONCE files, and one for each second of wall time besides.
+        """
+        if self._folder is not None:
+            self._count_folder(wall_ns)
         self.stop()
         if self._folder is not None:
             here = _new_folder(self._folder)
@@ -62,6 +81,17 @@ class Recorder:
         except Exception:
             self.stop()
             raise
+
+    def _count_folder(self, wall_ns: int) -> None:
+        """Else a client would fill the disk with folders, a hundred a second."""
+        passed = (wall_ns - self._counted_ns) // NS_PER_S
+        self._folders = max(self._folders - passed, 0)
+        self._counted_ns += passed * NS_PER_S
+        if self._folders >= FOLDERS_AT_ONCE:
+            raise ValueError(
+                "recordings are begun too often: each has a folder of its own; wait for a second"
+            )
+        self._folders += 1
 
     def stop(self) -> None:
         """End it; the file has all samples."""
@@ -104,8 +134,17 @@ class Recorder:
         self._images.clear()
         self._take_images(world.tick)
         self._stop_watching = world.watch(
-            self._simulation.profile.recorder_ticks, self._take_images, world.tick
+            self._simulation.profile.recorder_ticks, self._take_images_or_end, world.tick
         )
+
+    def _take_images_or_end(self, tick: int) -> None:
+        """In the middle of a flight, which goes on."""
+        try:
+            self._take_images(tick)
+        except (OSError, ValueError, UserError) as error:
+            self._say(f"warning: the recording of images ends here: {error}")
+            self._stop_watching()
+            self._stop_watching = lambda: None
 
     def _take_images(self, tick: int) -> None:
         if self._file is None:

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
+MAX_HEAD_BYTES = 128  # in which the method's name is
 MAX_ITEMS = 1 << 14  # of an array: room is made for as many as it announces, at every level of nesting
 
 
 _FLOAT32, _ARRAY32 = 0xCA, b"\xdd"  # MessagePack's
+_PACKED_FLOAT = 5  # bytes of one
 
 
 class RpcError(Exception):
@@ -30,7 +32,14 @@ class RpcError(Exception):
 
 
 class ProtocolError(Exception):
-    """Bytes that are no msgpack-rpc; the connection cannot go on."""
+    """Bytes that are no msgpack-rpc; the connection cannot go on.
+
+    `message_id` is that of the request of which they were to be one, where that is known.
+    """
+
+    def __init__(self, text: str, message_id: int | None = None) -> None:
+        super().__init__(text)
+        self.message_id = message_id
 
 
 @dataclass(frozen=True)
@@ -46,14 +55,7 @@ class Decoder:
     """Turns a byte stream into requests, or responses; raises ProtocolError on anything else."""
 
     def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES, max_items: int = MAX_ITEMS) -> None:
-        self._unpacker = msgpack.Unpacker(
-            raw=False,
-            unicode_errors="surrogateescape",  # clients of msgpack 0.5 send bytes as text
-            strict_map_key=False,
-            max_buffer_size=max_message_bytes,
-            max_array_len=max_items,
-            max_map_len=max_items,
-        )
+        self._unpacker = msgpack.Unpacker(max_buffer_size=max_message_bytes, **_unpacking(max_items))
 
     def messages(self, data: bytes) -> Iterator[list[Any]]:
         """Whole messages that `data` completes."""
@@ -67,8 +69,40 @@ class Decoder:
             raise ProtocolError(f"not msgpack: {error}") from error
 
 
-def parse_request(message: list[Any]) -> RpcRequest:
+def _unpacking(max_items: int) -> dict[str, Any]:
+    """How messages are read; clients of msgpack 0.5 send bytes as text."""
+    how = {"raw": False, "unicode_errors": "surrogateescape", "strict_map_key": False}
+    return {**how, "max_array_len": max_items, "max_map_len": max_items}
+
+
+_OF_REQUESTS = _unpacking(MAX_ITEMS)
+
+
+def unpack_request(message: bytes) -> RpcRequest:
+    """The request in a whole message. Raises ProtocolError if there is none."""
+    try:
+        return parse_request(msgpack.unpackb(message, **_OF_REQUESTS))
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
+        raise ProtocolError(f"not msgpack: {error}") from error
+
+
+def method_of(message: bytes) -> str:
+    """The method that a whole message calls, before it is unpacked; empty where it is no request."""
+    head = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape", max_buffer_size=0)
+    try:
+        head.feed(message[:MAX_HEAD_BYTES])
+        for _ in range(head.read_array_header() - 2):
+            head.skip()
+        method = head.unpack()
+    except (ValueError, msgpack.UnpackException):
+        return ""
+    return method if isinstance(method, str) else ""
+
+
+def parse_request(message: Any) -> RpcRequest:
     """The request that a message is. Raises ProtocolError if it is none."""
+    if not isinstance(message, list):
+        raise ProtocolError("not a msgpack-rpc request")
     if len(message) == 4 and message[0] == REQUEST and type(message[1]) is int:
         message_id, method, params = message[1], message[2], message[3]
     elif len(message) == 3 and message[0] == NOTIFY:
@@ -91,6 +125,17 @@ def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
     if error is not None:  # it may quote bytes that were no text
         error = error.encode("utf-8", "replace").decode()
     return pack([RESPONSE, message_id, error, result])
+
+
+def bulk_bytes(value: Any) -> int:
+    """About how many bytes a result will have for what is large in it: bytes and arrays, as pictures and recordings."""
+    if isinstance(value, np.ndarray):
+        return _PACKED_FLOAT * value.size
+    if isinstance(value, bytes):
+        return len(value)
+    if isinstance(value, dict):
+        return sum(bulk_bytes(part) for part in value.values() if isinstance(part, (bytes, np.ndarray)))
+    return sum(map(bulk_bytes, value)) if isinstance(value, list) and value and type(value[0]) is dict else 0
 
 
 def pack(value: Any) -> bytes:
@@ -120,7 +165,7 @@ def _pieces(packer: msgpack.Packer, value: Any) -> Iterator[bytes]:
 
 def _packed_floats(numbers: NDArray[Any]) -> bytes:
     """A MessagePack array: its head, then a type's mark and four big-endian bytes per number."""
-    packed = np.empty((numbers.size, 5), np.uint8)
+    packed = np.empty((numbers.size, _PACKED_FLOAT), np.uint8)
     packed[:, 0] = _FLOAT32
     packed[:, 1:] = numbers.astype(">f4").reshape(-1, 1).view(np.uint8)
     return _ARRAY32 + numbers.size.to_bytes(4, "big") + packed.tobytes()

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from functools import cached_property
 from typing import Any
 
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.name_pattern import NamePattern
 from uavaccel.sim.scene_objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
-from uavaccel.wire.pictures import Pictures
+from uavaccel.wire.pictures import Pictures, can_draw
 from uavaccel.wire.segmentation import Segmentation
 from uavaccel.wire.settings import Settings
 
@@ -50,17 +50,25 @@ class Scenery:
         return self.simulation.world.vehicles[self.number_of(name)]
 
     def largest_picture(self) -> tuple[int, int]:
-        """Width and height within which all pictures fit."""
+        """Width and height within which all pictures fit that can be drawn."""
         own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
-        lenses = [*own, *self._external_cameras.lenses()]
+        lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_draw(lens)]
         return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
 
     def _names(self) -> list[str]:
         return [vehicle.name for vehicle in self.simulation.world.vehicles]
 
-    def vehicles_matching(self, pattern: str) -> list[str]:
-        """Names of the vehicles that a regular expression matches, whatever its case."""
-        return [name for name in self._names() if re.fullmatch(pattern, name, re.IGNORECASE)]
+    def named(self, name: str) -> list[str]:
+        """Objects, then vehicles, that have this name, whatever its case."""
+        return [each for each in self._all_names() if each.lower() == name.lower()]
+
+    def named_like(self, pattern: str) -> list[str]:
+        """Those whose whole name a regular expression matches. Raises ValueError for what is none."""
+        expression = NamePattern(pattern)
+        return [name for name in self._all_names() if expression.matches(name)]
+
+    def _all_names(self) -> list[str]:
+        return [*self.objects.names(), *self._names()]
 
     @cached_property
     def _external_cameras(self) -> Cameras:

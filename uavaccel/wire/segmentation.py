@@ -6,7 +6,7 @@ Sources: AirSim v1.8.1, AirBlueprintLib.cpp (IDs of names), docs/seg_rgbs.txt (c
 from __future__ import annotations
 
 import csv
-import re
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
@@ -48,28 +48,22 @@ class Segmentation:
         self._all()[geoms] = number
         self._given |= dict.fromkeys(geoms, number)
 
-    def set_id(self, name: str, number: int, is_pattern: bool) -> bool:
-        """Whether an object of that name, or any that a regular expression matches, has got the ID."""
+    def set_id(self, names: Iterable[str], number: int) -> bool:
+        """Give an ID to the objects and vehicles of these names; whether there is one."""
         if not NOT_DRAWN <= number <= HIGHEST_ID:
             raise ValueError(f"object_id must be {NOT_DRAWN} to {HIGHEST_ID}, not {number}")
-        geoms = [geom for found in self._matching(name, is_pattern) for geom in self._geoms(found)]
+        geoms = [geom for name in names for geom in self._geoms(name)]
         self._give(geoms, number)
         return bool(geoms)
 
-    def id(self, name: str) -> int:
-        """An object's ID; -1 without one of that name."""
-        geoms = [geom for found in self._matching(name, False) for geom in self._geoms(found)]
+    def id(self, names: Iterable[str]) -> int:
+        """The ID of the first of these objects and vehicles; -1 without one."""
+        geoms = [geom for name in names for geom in self._geoms(name)]
         return int(self._all()[geoms[0]]) if geoms else NOT_DRAWN
 
     def spawned(self, name: str) -> None:
         """A new object has the ID of its name."""
         self._give(self._geoms(name), id_of_name(name))
-
-    def _matching(self, name: str, is_pattern: bool) -> list[str]:
-        pattern = name if is_pattern else re.escape(name)
-        named = [vehicle.name for vehicle in self._world.vehicles]
-        vehicles = [vehicle for vehicle in named if re.fullmatch(pattern, vehicle, re.IGNORECASE)]
-        return self._objects.matching(pattern) + vehicles
 
     def _geoms(self, name: str) -> list[int]:
         geom = self._objects.geom(name)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.standstill import cpu_time_s
 from uavaccel.units import NS_PER_S
 
 START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop on a loaded machine; of that without any work
@@ -61,7 +62,7 @@ class WatchedServer:
     def answered(self) -> None:
         """What it is asked next is a new question: its silence begins anew."""
         self._heard_ns = self._worked_ns = self._clock.now_ns()
-        self._cpu_s = self._cpu_time_s()
+        self._cpu_s = cpu_time_s(self._process.pid)
 
     def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
         """Raise ServerGoneError if it has ended, or has been silent for `idle_s` without work, or `busy_s` with.
@@ -71,21 +72,13 @@ class WatchedServer:
         status = self._process.poll()
         if status is not None:
             raise ServerGoneError(f"the server's process ended with status {status}")
-        now_ns, cpu_s = self._clock.now_ns(), self._cpu_time_s()
+        now_ns, cpu_s = self._clock.now_ns(), cpu_time_s(self._process.pid)
         if cpu_s != self._cpu_s:
             self._cpu_s, self._worked_ns = cpu_s, now_ns
         idle, silent = (now_ns - since for since in (self._worked_ns, self._heard_ns))
         if idle > idle_s * NS_PER_S or silent > busy_s * NS_PER_S:
             self._process.kill()  # it would not end by itself
             raise ServerGoneError(f"the server's process did not answer for {silent / NS_PER_S:.1f} s")
-
-    def _cpu_time_s(self) -> float | None:
-        """What it has computed so far; None where the system does not say."""
-        try:
-            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            return None
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def _first_line(self) -> bytes:
         stdout = self._process.stdout

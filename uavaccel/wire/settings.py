@@ -17,6 +17,7 @@ from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
+from uavaccel.files import parse_json
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
@@ -166,11 +167,9 @@ def read_settings(path: Path) -> Settings:
             text = file.read(LARGEST_BYTES + 1)
         if len(text) > LARGEST_BYTES:
             raise UserError(f"{path}: longer than {LARGEST_BYTES >> 20} MiB, so no settings")
-        mapping = json.loads(text.decode("utf-8-sig"))
+        mapping = parse_json(text.decode("utf-8-sig"))
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
-    except RecursionError:
-        raise UserError(f"{path}: not settings: nested too deeply") from None
     except ValueError as error:
         raise UserError(f"{path}: not JSON: {error}") from None
     if not isinstance(mapping, dict):

@@ -52,9 +52,11 @@ class VehicleApi:
         place, attitude = types.pose(pose)
         if math.isnan(sum(place) + sum(attitude)):
             raise ValueError("pose must be finite")
+        if not isinstance(name, str):
+            raise ValueError(f"vehicle_name must be a text, not {type(name).__name__}")
         there = [vehicle.place_m for vehicle in self._simulation.world.vehicles]
         start = standing(free_place(place, there), euler_from_quaternion(attitude)[2])
-        self._simulation.add_vehicles([Newcomer(str(name), *start)])
+        self._simulation.add_vehicles([Newcomer(name, *start)])
         return True
 
     def pose(self, vehicle: Any = "") -> dict[str, Any]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.bounds import APART_M
+from uavaccel.sim.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import HERE, Newcomer, Start
 from uavaccel.sim.world import START_M
@@ -26,6 +26,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
     A vehicle without X, Y and Z hovers 10 m up, ready to be flown; one with them starts there, idle, as in AirSim.
     """
     world = simulation.world
+    _check_names(settings)
     world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
     newcomers, key = [], ""
@@ -44,6 +45,19 @@ def populate(simulation: Simulation, settings: Settings) -> None:
             simulation.add_vehicles(newcomers)
     except UserError as error:
         raise UserError(f"Vehicles{key}: {error}") from None
+
+
+def _check_names(settings: Settings) -> None:
+    """Raise UserError, naming the key, for a vehicle or a camera that cannot be called so."""
+    named = [("Vehicles", "a vehicle", name) for name in settings.vehicles]
+    for vehicle, given in settings.vehicles.items():
+        named += [(f"Vehicles.{vehicle}.Cameras", "a camera", name) for name in given.cameras if name]
+    named += [("ExternalCameras", "a camera", name) for name in settings.external_cameras]
+    for key, kind, name in named:
+        try:
+            check_name(name, kind=kind)
+        except UserError as error:
+            raise UserError(f"{key}: {error}") from None
 
 
 def starting(vehicle: Vehicle) -> tuple[Start, Vector]:

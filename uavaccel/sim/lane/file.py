@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config, validate
-from uavaccel.errors import UserError
+from uavaccel.sim.bounds import check_wind
 from uavaccel.sim.lane.layout import (
     GROUND_TEXTURES,
     HULL_RADIUS_M,
@@ -68,6 +68,30 @@ class LaneFile(Config):
     scenery: Scenery = "plain"
     """forest: each texture is a kind of bark, of wood beyond the walls, of ground."""
 
+    @model_validator(mode="after")
+    def _can_be_flown(self) -> Self:
+        check_wind(self.wind_m_s)
+        if clearance_m(self.layout(), (0.0, 0.0)) <= 0.0:
+            raise ValueError(f"an obstacle is within {HULL_RADIUS_M:g} m of the start at x_m = y_m = 0")
+        return self
+
+    def layout(self) -> LaneLayout:
+        """As the simulation takes it."""
+        posts = self.obstacles
+        return LaneLayout(
+            x_m=np.array([post.x_m for post in posts], float),
+            y_m=np.array([post.y_m for post in posts], float),
+            half_width_m=np.array([post.radius_m or post.half_side_m for post in posts], float),
+            round=np.array([post.radius_m is not None for post in posts], bool),
+            texture=np.array([OBSTACLE_TEXTURES.index(post.texture) for post in posts], int),
+            wall_texture=WALL_TEXTURES.index(self.wall_texture),
+            ground_texture=GROUND_TEXTURES.index(self.ground_texture),
+            light=self.light,
+            sun_azimuth_rad=self.sun_azimuth_rad,
+            wind_m_s=self.wind_m_s,
+            scenery=self.scenery,
+        )
+
 
 def parse_lane(lane: Any) -> Any:
     """A mapping, or the name of a YAML file that holds one, as a LaneFile; anything else, such as a seed, unchanged.
@@ -85,21 +109,4 @@ def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
 
     Raises UserError if a key or a value is wrong, or if an obstacle stands where the drone starts.
     """
-    lane = validate(LaneFile, mapping, source)
-    posts = lane.obstacles
-    layout = LaneLayout(
-        x_m=np.array([post.x_m for post in posts], float),
-        y_m=np.array([post.y_m for post in posts], float),
-        half_width_m=np.array([post.radius_m or post.half_side_m for post in posts], float),
-        round=np.array([post.radius_m is not None for post in posts], bool),
-        texture=np.array([OBSTACLE_TEXTURES.index(post.texture) for post in posts], int),
-        wall_texture=WALL_TEXTURES.index(lane.wall_texture),
-        ground_texture=GROUND_TEXTURES.index(lane.ground_texture),
-        light=lane.light,
-        sun_azimuth_rad=lane.sun_azimuth_rad,
-        wind_m_s=lane.wind_m_s,
-        scenery=lane.scenery,
-    )
-    if clearance_m(layout, (0.0, 0.0)) <= 0.0:
-        raise UserError(f"{source}: an obstacle is within {HULL_RADIUS_M:g} m of the start at x_m = y_m = 0")
-    return layout
+    return validate(LaneFile, mapping, source).layout()

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import sys
 from typing import Any
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
+from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.slots import anonymous_memory, slot_dtype
 from uavaccel.sim.scene import load_scene
+from uavaccel.standstill import FIRST_LOOKS, LOOK_S, Standstill
+from uavaccel.units import NS_PER_S
 
-STOP_S = 10.0
+STOP_S = 3.0
 END_S = 2.0  # between the end of its pipes and of the process
 
 
@@ -51,11 +56,18 @@ class RenderService:
             os.close(descriptor)
 
     def ready(self) -> GlRenderer:
-        """Who draws. Raises UserError where OpenGL is missing, RuntimeError where the process has ended."""
+        """Who draws. Raises UserError where OpenGL is missing, RendererGoneError where nobody gets to."""
         assert self.process.stdout is not None
+        standstill = Standstill()
+        while not select.select([self.process.stdout], [], [], LOOK_S)[0]:
+            if standstill.look([self.process.pid], looks=FIRST_LOOKS):
+                self.process.kill()
+                raise RendererGoneError("the renderer stands still, and did not get to drawing")
         line = self.process.stdout.readline()
         if not line:
-            raise RuntimeError(f"the renderer ended with status {self.process.wait()} before it could draw")
+            raise RendererGoneError(
+                f"the renderer ended with status {self.process.wait()} before it could draw"
+            )
         answer = json.loads(line)
         if "error" in answer:
             raise UserError(answer["error"])
@@ -89,12 +101,15 @@ class RenderService:
         stop(self.process)
 
 
-def stop(process: subprocess.Popen[Any]) -> None:
-    """Wait for a process that is about to end; kill it if it does not."""
-    try:
-        process.wait(STOP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
+def stop(*processes: subprocess.Popen[Any]) -> None:
+    """Wait for processes that are about to end; kill those that do not, after STOP_S for all together."""
+    clock = MonotonicClock()
+    end_ns = clock.now_ns() + round(STOP_S * NS_PER_S)
+    for process in processes:
+        try:
+            process.wait(max(end_ns - clock.now_ns(), 0) / NS_PER_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()

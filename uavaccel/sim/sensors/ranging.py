@@ -11,7 +11,7 @@ from typing import Annotated, Literal, NamedTuple
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.poses import Pose, from_degrees
@@ -46,6 +46,14 @@ class DistanceSettings(_Mounted):
     min_distance: NotNegative = 0.2
     max_distance: Positive = 40.0
     uncorrelated_noise_sigma: NotNegative = NOISE_M
+
+    @model_validator(mode="after")
+    def _distances_rise(self) -> DistanceSettings:
+        if self.min_distance > self.max_distance:
+            raise ValueError(
+                f"MinDistance must be at most MaxDistance: {self.min_distance:g} and {self.max_distance:g}"
+            )
+        return self
 
 
 class DistanceSensor:
