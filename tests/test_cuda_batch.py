@@ -13,7 +13,6 @@ import torch as th
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -25,7 +24,6 @@ FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
     (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
     (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
-    (Gates, {"t_move_s": 0.4, "t_sample_s": 0.2, "half_width_m": 1.5, "max_commands": 12}),
 ]
 
 
