@@ -39,7 +39,9 @@ class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._nothing = View(STATE, NO_LOOKS, events.sensor_of(draw_pixels(PRESETS["clean"], (144, 256), 0)), NO_PIXELS)
+        self._nothing = View(
+            STATE, NO_LOOKS, events.sensor_of(draw_pixels(PRESETS["clean"], (144, 256), 0)), NO_PIXELS
+        )
 
     def __getattr__(self, name: str) -> Any:
         work: Callable[..., None] = getattr(type(self), f"run_{name}")
@@ -66,17 +68,31 @@ class Kernels:
     def run_project(self, lanes: Any, *_: Any) -> None:
         """What draws does."""
 
-    def run_start(self, lanes: Any, faces: Any, plan: Any, games: Any, now: Any, pixels: Any) -> None:
+    def run_start(
+        self, lanes: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any
+    ) -> None:
         view = View(DVS, plan.looks, plan.sensor, pixels)
         CPU.begin(lanes, now.game[lanes], view, games, now, self._of(0, 1))
 
     def run_see(
-        self, lanes: Any, tick_ns: int, take: int, faces: Any, plan: Any, games: Any, now: Any, pixels: Any, frames: Any
+        self,
+        lanes: Any,
+        tick_ns: int,
+        take: int,
+        faces: Any,
+        shown: Any,
+        plan: Any,
+        games: Any,
+        now: Any,
+        pixels: Any,
+        frames: Any,
     ) -> None:
         assert take
         frames[lanes] = 128
         view = View(DVS, plan.looks, plan.sensor, pixels)
         self._fly(lanes, self._of(0, tick_ns), view, games, now, frames[:, None, None])
+
+    run_find = run_project
 
     def run_note(self, lanes: Any, *_: Any) -> None:
         """What sees does."""
@@ -114,13 +130,19 @@ def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
     return tensor, shared(tensor).view(arrays.dtype)
 
 
+def _size(name: str) -> int:
+    """Of grids and rooms, of which nothing here makes use."""
+    if not name.isupper():
+        raise AttributeError(name)
+    return 1
+
+
 @pytest.fixture
 def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
-    sizes = {"SLOTS": 1, "WARP": 32, "PIXELS": 1, "FLYING_THREADS": 32, "SEEING_THREADS": 256}
-    functions = {"shared": shared, "on_device": on_device, "stream": lambda: None}
-    module.__dict__.update(sizes, **functions, Plan=Plan, compiled=lambda usual: Kernels())
+    functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
+    module.__dict__.update(functions, Plan=Plan, compiled=lambda usual: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     _forget()

@@ -13,7 +13,6 @@ import torch as th
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -25,7 +24,6 @@ FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
     (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
     (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
-    (Gates, {"t_move_s": 0.4, "t_sample_s": 0.2, "half_width_m": 1.5, "max_commands": 12}),
 ]
 
 
@@ -53,16 +51,22 @@ def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[
                 actions = actions_of(batch.single_action_space, random)
                 flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
                 expected = other.step(actions)
-                for tensor, array in zip(flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True):
+                for tensor, array in zip(
+                    flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True
+                ):
                     np.testing.assert_array_equal(tensor.numpy(), array)
                 # PyTorch takes a number times a flag in single precision, as tasks' rewards have them
                 np.testing.assert_allclose(flown[1].numpy(), expected[1], rtol=0, atol=1e-7)
                 np.testing.assert_array_equal(flown[4]["commands"].numpy(), expected[4]["commands"])
-                np.testing.assert_array_equal(flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"]))
+                np.testing.assert_array_equal(
+                    flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"])
+                )
                 over = expected[2] | expected[3]
                 ends += over.sum()
                 for lane in np.flatnonzero(over):
-                    np.testing.assert_array_equal(flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane])
+                    np.testing.assert_array_equal(
+                        flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane]
+                    )
                 if over.any():
                     assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"])
     assert ends > LANES
@@ -82,16 +86,16 @@ def test_resets_take_options_and_actions_are_looked_at() -> None:
     from uavaccel.envs.cuda_batch import CudaBatch
 
     with closing(CudaBatch(ObstacleLane, 2, observation="state", max_commands=1)) as batch:
-        with pytest.raises(UserError, match="^reset the environments before their first step$"):
+        with pytest.raises(UserError, match=r"^reset the environments before their first step$"):
             batch.step([2, 2])
         for _ in range(2):
             batch.reset(options={"lane": 7})
             infos = batch.step([2, 2])[4]
             assert infos["final_info"]["lane"].tolist() == [7, 7]
         for wrong in ([2, 5], [2], [2.0, 2.0], np.array([-1, 0])):
-            with pytest.raises(UserError, match="^actions .* are not in the action space"):
+            with pytest.raises(UserError, match=r"^actions .* are not in the action space"):
                 batch.step(wrong)
-    with pytest.raises(UserError, match="^autoreset_mode: with device = cuda it is SameStep$"):
+    with pytest.raises(UserError, match=r"^autoreset_mode: with device = cuda it is SameStep$"):
         CudaBatch(ObstacleLane, 2, observation="state", autoreset_mode="NextStep")
 
 
@@ -114,7 +118,10 @@ def test_make_vec_says_which_simulator_flies() -> None:
         ({"simulator": "kernel"}, "simulator = 'kernel' is unknown; there are mujoco, kernels"),
         ({"simulator": "kernels", "device": "gpu"}, "device = 'gpu' is unknown; there are cpu, cuda"),
         ({"device": "cuda"}, "device = cuda: simulator = mujoco flies on the CPU"),
-        ({"simulator": "kernels", "device": "cuda"}, "device = cuda: (needs numba-cuda: pip install|PyTorch finds no GPU)"),
+        (
+            {"simulator": "kernels", "device": "cuda"},
+            "device = cuda: (needs numba-cuda: pip install|PyTorch finds no GPU)",
+        ),
         ({"simulator": "kernels", "renderer": "own"}, "renderer: is of simulator = mujoco"),
         ({"simulator": "kernels", "render_mode": "rgb_array"}, "render_mode: is of simulator = mujoco"),
         ({"simulator": "kernels", "timing": "wall"}, "simulator = kernels: timing wall"),

@@ -55,7 +55,9 @@ def test_rows_are_the_exact_simulators_and_reports_say_who_flew(
     report_runs([other.path, exact.path])
     assert str(other.path / "simulators.md") in capsys.readouterr().out
     page = (other.path / "simulators.md").read_text()
-    assert "on the 5 lanes that both flew: 5 end alike, won or lost, 5 with the same actions throughout" in page
+    assert (
+        "on the 5 lanes that both flew: 5 end alike, won or lost, 5 with the same actions throughout" in page
+    )
     assert page.index("mujoco (modelled)") < page.index(f"kernels ({said})")
     report_runs([exact.path, exact.path])
     assert not (exact.path / "simulators.md").exists()
@@ -127,4 +129,8 @@ def test_more_processes_around_one_batch_are_refused() -> None:
 def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
     ends = [32, 33, 64, 31]
     blocks = lanes.Blocks(ends).of(np.array([0, 2, 3]))
-    assert [(members.tolist(), rows.tolist()) for members, rows in blocks] == [([3], [31]), ([0], [0]), ([2], [0])]
+    assert [(members.tolist(), rows.tolist()) for members, rows in blocks] == [
+        ([3], [31]),
+        ([0], [0]),
+        ([2], [0]),
+    ]

@@ -12,6 +12,7 @@ from rich.console import Console
 from uavaccel.bench import images as bench_images
 from uavaccel.bench import speed as bench
 from uavaccel.bench.batch import BatchSize, bench_batch
+from uavaccel.bench.kernels import bench_kernels
 from uavaccel.bench.machine import check_machine
 from uavaccel.cli.paths import check_file
 from uavaccel.clock import calendar_time
@@ -30,6 +31,7 @@ BENCHES: dict[str, Bench] = {
     "dvs": bench_images.bench_dvs,
     "event-camera": bench_images.bench_event_camera,
     "batch": bench_batch,
+    "kernels": bench_kernels,
 }
 
 console = Console(highlight=False, markup=False, soft_wrap=True)

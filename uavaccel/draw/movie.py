@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import av
-
 from uavaccel.draw.canvas import Bgr
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
@@ -25,6 +23,8 @@ def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Call
     H.264 in 4:2:0, the index in front: it plays from the first byte on. One thread and no dates, so that equal films
     are equal files. Raises UserError where it cannot be written.
     """
+    import av  # what makes no film needs no FFmpeg
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file, _encoding(file.name, size, frames_per_s) as add:
@@ -35,6 +35,8 @@ def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Call
 
 @contextmanager
 def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[Callable[[Bgr], None]]:
+    import av
+
     with av.open(name, "w", format="mp4", options={"movflags": "+faststart", "fflags": "+bitexact"}) as file:
         stream = file.add_stream("libx264", rate=frames_per_s, options=X264)
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"

@@ -1,8 +1,8 @@
 """Gymnasium environments; importing this package registers them, and so does Gymnasium when it is imported.
 
 `gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0")` imports it first, in whatever process. `make_vec` flies many
-of one kind in a batch, in the exact simulator or with `simulator="kernels"` over arrays; with `vectorization_mode` "sync"
-or "async", in Gymnasium's own vectors.
+of one kind in a batch, in the exact simulator or, with `simulator="kernels"`, over arrays; with `vectorization_mode`
+"sync" or "async", in Gymnasium's own vectors.
 """
 
 from gymnasium.envs.registration import register, registry

@@ -8,9 +8,9 @@ from typing import Any, Literal, get_args
 from gymnasium.vector import VectorEnv
 
 from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.kernel_plan import Simulator
 from uavaccel.errors import UserError
 
-Simulator = Literal["mujoco", "kernels"]
 Device = Literal["cpu", "cuda"]
 EXACT, KERNELS = get_args(Simulator)
 CPU, CUDA = get_args(Device)

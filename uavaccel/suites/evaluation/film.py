@@ -33,7 +33,8 @@ def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 def film_lane(config: EvaluateConfig, lane: int) -> Film:
     """The game of that lane once more: the same one in `virtual` and `lockstep`, a new one in `wall`.
 
-    It is flown in the exact simulator, as its title says where the evaluation was not. Raises UserError for a policy that sees no events, in `wall`.
+    It is flown in the exact simulator, as its title says where the evaluation was not. Raises UserError for a policy
+    that sees no events, in `wall`.
     """
     task = config.task
     agent = FilmedAgent(make_agent(config.agent, task))

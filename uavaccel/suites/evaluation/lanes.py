@@ -49,7 +49,9 @@ def check_kernels(config: EvaluateConfig) -> None:
     if config.simulator == EXACT:
         return
     if config.task.timing == "virtual":
-        raise UserError("simulator = kernels: timing virtual is not flown there; add --set task.timing=lockstep")
+        raise UserError(
+            "simulator = kernels: timing virtual is not flown there; add --set task.timing=lockstep"
+        )
     check_flyable(config.task, 1)
 
 

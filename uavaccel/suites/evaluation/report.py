@@ -42,9 +42,7 @@ def write_report(run: RunDirectory) -> Summary:
 def _beside_the_papers(summary: Summary) -> Table:
     """Its success, and the best of the paper's trainings with each command (Table I)."""
     own = f"{summary['success_ratio']:.1%} [{100 * summary['wilson_low']:.0f}, {100 * summary['wilson_high']:.0f}]"
-    rows: list[tuple[str, ...]] = [
-        (str(summary["agent"]), own, str(summary["games"]), how_flown(summary))
-    ]
+    rows: list[tuple[str, ...]] = [(str(summary["agent"]), own, str(summary["games"]), how_flown(summary))]
     for command, by_clock in published.SUCCESSES.items():
         best = max(by_clock.values())
         low, high = wilson_interval(best, published.GAMES)

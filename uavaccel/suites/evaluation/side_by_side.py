@@ -36,7 +36,11 @@ def _pairs(runs: Sequence[RunDirectory]) -> Iterator[tuple[RunDirectory, RunDire
     """The exact simulator's run first."""
     for pair in combinations(runs, 2):
         exact, other = sorted(pair, key=lambda run: _simulator(run) != EXACT)
-        if _simulator(exact) == EXACT != _simulator(other) and _who(exact) == _who(other) and _shared(exact, other):
+        if (
+            _simulator(exact) == EXACT != _simulator(other)
+            and _who(exact) == _who(other)
+            and _shared(exact, other)
+        ):
             yield exact, other
 
 
@@ -59,11 +63,12 @@ def _blocks(exact: RunDirectory, other: RunDirectory) -> list[Block]:
     shared = _shared(exact, other)
     lines = [_line(run, [pair[side] for pair in shared]) for side, run in enumerate((exact, other))]
     won = np.array([[row["is_success"] for row in pair] for pair in shared], bool)
+    same_end = int((won[:, 0] == won[:, 1]).sum())
     alike = sum(ours["actions"] == theirs["actions"] for ours, theirs in shared)
     test = mcnemar_exact(won[:, 0], won[:, 1])
     said = (
-        f"{exact.config()['agent']} on the {len(shared)} lanes that both flew: {int((won[:, 0] == won[:, 1]).sum())} end "
-        f"alike, won or lost, {alike} with the same actions throughout; exact McNemar p = {test.p_value:.3g}."
+        f"{exact.config()['agent']} on the {len(shared)} lanes that both flew: {same_end} end alike, "
+        f"won or lost, {alike} with the same actions throughout; exact McNemar p = {test.p_value:.3g}."
     )
     header = ("simulator", "run", "won", "of", "median distance m", "simulated s")
     return [Paragraph(said), Table(header, lines)]

@@ -1,0 +1,208 @@
+"""How fast lanes fly over arrays, part by part: ticks, pictures, whole commands, each beside what bounds it.
+
+On the CPU a thread's parts are measured first, then commands by all threads; the bound of a command is its parts'. On a
+GPU lanes fly through `CudaLanes` as a training's do, without its recorded graph, and CUDA events time them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.envs.batch import cores
+from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.kernel_games import GameMaker
+from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
+from uavaccel.kernels import cpu, events
+from uavaccel.kernels import lanes as rows
+from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
+from uavaccel.kernels.spans import make_desk
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+from uavaccel.vision.dvs_sensor import draw_pixels
+
+REPEATS = 5
+TICKS = 50_000
+PICTURES = 100
+CPU_LANES, GPU_LANES = (64,), (512, 4096)
+COMMANDS, GPU_COMMANDS = 4, 20
+AHEAD = 2
+NONE_SEEN = {"observation": "state", "t_sample_s": 1.0}
+MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # a command of 50 of them: next to no flight
+
+
+def bench_kernels() -> Iterator[Measurement]:
+    """The CPU's parts, then its commands; then a GPU's. Raises UserError where there is none."""
+    yield from bench_on_cores()
+    check_simulator(KERNELS, CUDA)
+    yield from bench_on_gpu()
+
+
+# --- CPU ----------------------------------------------------------------------------------------------------------
+
+
+class Bare(NamedTuple):
+    """One lane's arrays, without an environment around them."""
+
+    games: rows.Games
+    now: rows.Flights
+    view: cpu.View
+    plan: cpu.Command
+
+
+def one_lane(task: LaneTask) -> Bare:
+    """A lane at the start of its first game."""
+    maker = GameMaker(task)
+    games, now = rows.game_rows(1, maker.surroundings.most), rows.flights(1)
+    maker.write(maker.draw(np.random.default_rng(0), 0), games, 0)
+    kind = cpu.DVS if task.observation == "dvs" else cpu.STATE
+    sensor = events.sensor_of(draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed))
+    pixels = events.pixels_of(int(kind == cpu.DVS), task.dvs_parameters)
+    view, plan = (
+        cpu.View(kind, maker.looks or NO_LOOKS, sensor, pixels),
+        plan_of(task, maker.surroundings.hull),
+    )
+    first = np.arange(1)
+    cpu.CPU.look_at_starts(games, first)
+    cpu.CPU.begin(first, first, view, games, now, plan)
+    return Bare(games, now, view, plan)
+
+
+def bench_on_cores() -> Iterator[Measurement]:
+    """A thread's ticks and pictures, and commands by all threads."""
+    ticks_per_s = 1.0 / median(_tick_s() for _ in range(REPEATS))
+    exact = World("lane", NATIVE)
+    exact_per_s = TICKS / elapsed_s(lambda: exact.advance(TICKS))
+    exact.close()
+    note = "hovering, clearance looked after; beside it the exact simulator's, with mj_step"
+    yield Measurement("kernels: flight, one thread", ticks_per_s, "ticks/s", exact_per_s, note)
+    gray_s, dvs_s = _picture_s()
+    yield Measurement("kernels: picture, one thread", 1 / gray_s, "frames/s", note="gray, 256 x 144")
+    yield Measurement("kernels: DVS, one thread", 1 / dvs_s, "frames/s", note="clean, the picture given")
+    both_s = median(_seen_s() for _ in range(REPEATS))
+    note = "bound: picture and DVS one after the other"
+    yield Measurement("kernels: picture and DVS", 1 / both_s, "frames/s", 1 / (gray_s + dvs_s), note)
+    task, threads = LaneTask(), cores()
+    ticks = int(plan_of(task, np.zeros(3)).slices.sum())
+    parts_s = ticks / ticks_per_s + task.frames_per_command * both_s
+    for lanes in CPU_LANES:
+        per_s = lanes * COMMANDS / _commands_s(lanes)
+        note = f"{threads} threads; bound: {ticks} ticks and {task.frames_per_command} frames each"
+        yield Measurement(f"kernels: commands, {lanes} lanes", per_s, "commands/s", threads / parts_s, note)
+
+
+def _fly(bare: Bare, slices: Any, samples: int, seen: bool) -> None:
+    frames = np.empty((1, samples, 1, 36, 64) if seen else (0, samples, 1, 0, 0), np.uint8)
+    states = np.zeros((1, samples, cpu.SAMPLE_FIELDS))
+    plan = bare.plan._replace(slices=np.full(samples, slices))
+    cpu.CPU.fly(np.arange(1), np.zeros((1, 3)), bare.view, bare.games, bare.now, plan, frames, states)
+
+
+def _tick_s() -> float:
+    """Seconds of a tick."""
+    bare = one_lane(LaneTask(**NONE_SEEN))
+    _fly(bare, 1, 1, seen=False)
+    return elapsed_s(lambda: _fly(bare, TICKS, 1, seen=False)) / TICKS
+
+
+def _seen_s() -> float:
+    """Seconds of a frame that is drawn and seen by the event camera; it flies a tick for each."""
+    bare = one_lane(LaneTask())
+    _fly(bare, 1, 1, seen=True)
+    return elapsed_s(lambda: _fly(bare, 1, PICTURES, seen=True)) / PICTURES
+
+
+def _picture_s() -> tuple[float, float]:
+    """Seconds of a gray picture, and of the DVS of one that is given."""
+    bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    camera = bare.games.cameras[0]
+
+    def draw(number: int) -> None:
+        cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, desk, picture)
+
+    def see(number: int) -> None:
+        cpu.see_single(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
+
+    draw(0)  # compiled
+    see(0)
+    return _each_s(draw), _each_s(see)
+
+
+def _each_s(work: Callable[[int], None]) -> float:
+    return median(elapsed_s(partial(work, number)) for number in range(1, PICTURES + 1))
+
+
+def _commands_s(lanes: int) -> float:
+    """Seconds of COMMANDS commands of each lane, games that end and begin included."""
+    with closing(KernelBatch(ObstacleLane, lanes, autoreset_mode="SameStep")) as batch:
+        batch.reset(seed=0)
+        actions = np.full(lanes, AHEAD)
+
+        def fly() -> None:
+            for _ in range(COMMANDS):
+                batch.step_async(actions)
+                batch.step_wait()
+
+        fly()
+        return elapsed_s(fly)
+
+
+# --- GPU ----------------------------------------------------------------------------------------------------------
+
+
+def bench_on_gpu() -> Iterator[Measurement]:
+    """Ticks, pictures and commands of many lanes at once."""
+    import torch as th
+
+    device, task = th.cuda.get_device_name(), LaneTask()
+    chain_s = _round_s(1, LaneTask(**NONE_SEEN))
+    for lanes in GPU_LANES:
+        ticks = int(plan_of(task, np.zeros(3)).slices.sum())
+        flight_s = _round_s(lanes, LaneTask(**NONE_SEEN))
+        per_s, bound = lanes * ticks / flight_s, lanes * ticks / chain_s
+        note = f"{device}; bound: the chain of one lane's {ticks} ticks, {chain_s * 1e3:.2f} ms, judged too"
+        yield Measurement(f"GPU: flight, {lanes} lanes", per_s, "ticks/s", bound, note)
+        colour_s, dvs_s = (
+            _round_s(lanes, LaneTask(**MANY_PICTURES, observation=what)) / 50 for what in ("colour", "dvs")
+        )
+        note = "bound: pictures in colour, which no event camera sees"
+        yield Measurement(
+            f"GPU: picture and DVS, {lanes} lanes", lanes / dvs_s, "frames/s", lanes / colour_s, note
+        )
+        command_s = _round_s(lanes, task)
+        yield Measurement(f"GPU: a command of {lanes} lanes", command_s * 1e3, "ms")
+        parts_s = flight_s + task.frames_per_command * dvs_s
+        note = "without learning, first metres of games; bound: its flight and its frames"
+        yield Measurement(
+            f"GPU: commands, {lanes} lanes", lanes / command_s, "commands/s", lanes / parts_s, note
+        )
+
+
+def _round_s(lanes: int, task: LaneTask) -> float:
+    """Seconds of a command of all lanes, by CUDA events; their games stay the first ones, which last long enough."""
+    import torch as th
+
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+    flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
+    flying.seed(range(lanes))
+    flying.send([flying.draw(lane) for lane in range(lanes)])
+    flying.begin()
+    actions = th.full((lanes,), AHEAD, device=CUDA)
+    flying.fly(actions)  # compiled
+    begun, ended = (th.cuda.Event(enable_timing=True) for _ in range(2))
+    rounds = GPU_COMMANDS if task.t_move_s < 1.0 else COMMANDS  # before a lane can touch something
+    begun.record()
+    for _ in range(rounds):
+        flying.fly(actions)
+    ended.record()
+    th.cuda.synchronize()
+    return float(begun.elapsed_time(ended)) / 1e3 / rounds
