@@ -24,11 +24,12 @@ from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_in
 from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
-from uavaccel.kernels.flight import fly_ticks
+from uavaccel.kernels.flight import TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
@@ -262,7 +263,7 @@ def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyp
 def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore[no-untyped-def]
     """Show each lane that is `going` its first picture, which makes no events."""
     lane, y, x = pixels_of_thread()
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     game = now.game[lane]
     camera = camera_of(games, game)
@@ -306,18 +307,17 @@ def see_noisily(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # t
 def see_events(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Let the event cameras see a picture; where `take`, their events since the last time are a frame (L, 36, 64)."""
     lane, y, x = pixels_of_thread()
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     across, down, game = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE), now.game[lane]
-    state = now.state[lane]
-    if state.collision_tick != NEVER:
+    if now.watch[lane, TOUCHED] != NOTHING:
         if take != 0 and x % BLOCK_SIDE == 0:
             frames[lane, down, across] = NEUTRAL_LEVEL
         return
     camera, base, own, seen, total = camera_of(games, game), pixels.base[lane], faces[lane], shown[lane], np.int32(0)
     noisy = camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0 or camera[events.HOT] > 0.0
     if noisy or camera[events.READ] > 0.0 or pixels.filtered.size:
-        seeds, moment_ns = games.seeds[game], state.tick * tick_ns
+        seeds, moment_ns = games.seeds[game], now.state[lane].tick * tick_ns
         filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
         dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
         for half in range(2):
@@ -330,12 +330,10 @@ def see_events(going, tick_ns, take, faces, shown, plan, games, now, pixels, fra
     else:
         for half in range(2):
             top = np.int32(y + 2 * half)
-            levels = grey_quad(own, seen, plan, top, x)
             row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
-            total += see_plainly(levels[0], camera, plan.sensor, base, row, column)
-            total += see_plainly(levels[1], camera, plan.sensor, base, row, right)
-            total += see_plainly(levels[2], camera, plan.sensor, base, below, column)
-            total += see_plainly(levels[3], camera, plan.sensor, base, below, right)
+            before = base[row, column], base[row, right], base[below, column], base[below, right]
+            levels = grey_quad(own, seen, plan, top, x)
+            total += see_plainly(levels, before, camera, plan.sensor, base, row, column)
     total = np.int32(total)
     total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
     if x % BLOCK_SIDE == 0:
