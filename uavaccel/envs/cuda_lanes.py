@@ -287,9 +287,9 @@ class CudaLanes:
             return
         grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
         frames = kernels.shared(self._frames[sample, :, 0])
-        launch.see[(*grid, stream)](
-            going, self.tick_ns, int(take), faces, shown, self._plan, games, now, self._pixels_there, frames
-        )
+        seen = (int(take), faces, shown, self._plan, games, now, self._pixels_there, frames)
+        launch.see[(*grid, stream)](going, *seen)
+        launch.see_noise[(*grid, stream)](going, self.tick_ns, *seen)
         per_lane = _grid(self.count, kernels.FLYING_THREADS)
         launch.note[(*per_lane, stream)](going, self.tick_ns, now, self._pixels_there)
 

@@ -23,11 +23,12 @@ from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_in
 from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
-from uavaccel.kernels.flight import fly_ticks
+from uavaccel.kernels.flight import TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
@@ -266,7 +267,7 @@ def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyp
 def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore[no-untyped-def]
     """Show each lane that is `going` its first picture, which makes no events."""
     lane, y, x = pixels_of_thread()
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     game = now.game[lane]
     camera = camera_of(games, game)
@@ -297,7 +298,7 @@ def begin_pixel(level, camera, sensor, pixels, lane, row, column):  # type: igno
 
 
 @cuda.jit(device=True)
-def see_noisily(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # type: ignore[no-untyped-def]
+def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # type: ignore[no-untyped-def]
     """Two pixels beside each other, of a camera with noise or a low-pass."""
     normals, draws = events.drawn(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
     later = x % BLOCK_SIDE != 0
@@ -307,52 +308,67 @@ def see_noisily(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # t
     return signed + events.see_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, dt_s)
 
 
-def see_events(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """Let the event cameras see a picture; where `take`, their events since the last time are a frame (L, 36, 64)."""
-    lane, y, x = pixels_of_thread()
-    if lane >= len(going) or going[lane] == 0:
-        return
-    across, down, game = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE), now.game[lane]
-    state = now.state[lane]
-    if state.collision_tick != NEVER:
-        if take != 0 and x % BLOCK_SIDE == 0:
-            frames[lane, down, across] = NEUTRAL_LEVEL
-        return
-    camera, base, own, seen, total = (
-        camera_of(games, game),
-        pixels.base[lane],
-        faces[lane],
-        shown[lane],
-        np.int32(0),
-    )
-    noisy = camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0 or camera[events.HOT] > 0.0
-    if noisy or camera[events.READ] > 0.0 or pixels.filtered.size:
-        seeds, moment_ns = games.seeds[game], state.tick * tick_ns
-        filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-        dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
-        for half in range(2):
-            top = np.int32(y + 2 * half)
-            levels = grey_quad(own, seen, plan, top, x)
-            if camera[events.READ] > 0.0:
-                levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
-            total += see_noisily(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
-            total += see_noisily(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, dt_s)
-    else:
-        for half in range(2):
-            top = np.int32(y + 2 * half)
-            levels = grey_quad(own, seen, plan, top, x)
-            row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
-            total += see_plainly(levels[0], camera, plan.sensor, base, row, column)
-            total += see_plainly(levels[1], camera, plan.sensor, base, row, right)
-            total += see_plainly(levels[2], camera, plan.sensor, base, below, column)
-            total += see_plainly(levels[3], camera, plan.sensor, base, below, right)
-    total = np.int32(total)
+@cuda.jit(device=True)
+def is_plain(camera, pixels):  # type: ignore[no-untyped-def]
+    """Whether a camera has neither noise nor a low-pass."""
+    quiet = camera[events.LEAK] <= 0.0 and camera[events.SHOT] <= 0.0 and camera[events.HOT] <= 0.0
+    return quiet and camera[events.READ] <= 0.0 and pixels.filtered.size == 0
+
+
+@cuda.jit(device=True)
+def gather(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
+    """Add the events of a thread, and of the one beside it, to their block; where `take`, they are a frame's."""
     total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
     if x % BLOCK_SIDE == 0:
-        before = pixels.gathered[lane, down, across]
+        across, down = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE)
+        total = np.int32(total + pixels.gathered[lane, down, across])
         if take != 0:
-            frames[lane, down, across] = events.level_of(before + total)
-        pixels.gathered[lane, down, across] = 0 if take != 0 else before + total
+            frames[lane, down, across] = events.level_of(total)
+        pixels.gathered[lane, down, across] = 0 if take != 0 else total
+
+
+def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+    """Let plain event cameras see a picture; where `take`, events since the last time are a frame (L, 36, 64)."""
+    lane, y, x = pixels_of_thread()
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
+        return
+    if now.watch[lane, TOUCHED] != NOTHING:
+        if take != 0 and x % BLOCK_SIDE == 0:
+            frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
+        return
+    camera = camera_of(games, now.game[lane])
+    if not is_plain(camera, pixels):
+        return
+    base, total = pixels.base[lane], np.int32(0)
+    for half in range(2):
+        top = np.int32(y + 2 * half)
+        row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
+        before = base[row, column], base[row, right], base[below, column], base[below, right]
+        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        total = np.int32(total + see_plainly(levels, before, camera, plan.sensor, base, row, column))
+    gather(total, take, lane, y, x, pixels, frames)
+
+
+def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+    """`see_events` for the cameras that have noise or a low-pass: a kernel of its own, as it takes more registers."""
+    lane, y, x = pixels_of_thread()
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.watch[lane, TOUCHED] != NOTHING:
+        return
+    game = now.game[lane]
+    camera, seeds = camera_of(games, game), games.seeds[game]
+    if is_plain(camera, pixels):
+        return
+    base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
+    filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
+    dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
+    for half in range(2):
+        top = np.int32(y + 2 * half)
+        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        if camera[events.READ] > 0.0:
+            levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
+        total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
+        total += noisy_pair(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, dt_s)
+    gather(np.int32(total), take, lane, y, x, pixels, frames)
 
 
 def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
@@ -400,8 +416,8 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
     frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
 
 
-LIMITS = {start_events: 64, see_events: 64}
-"""Registers a thread; what a noisy camera needs beyond these goes to memory, the usual path has enough."""
+LIMITS = {start_events: 80, see_events: 72}
+"""Registers a thread, so that enough of them wait for memory at the same time."""
 
 
 class Kernels(NamedTuple):
@@ -414,6 +430,7 @@ class Kernels(NamedTuple):
     find: Any
     start: Any
     see: Any
+    see_noise: Any
     note: Any
     show: Any
 
@@ -429,6 +446,7 @@ def compiled(usual: Any) -> Kernels:
         find_shown,
         start_events,
         see_events,
+        see_noise,
         note_seen,
         show_lanes,
     )

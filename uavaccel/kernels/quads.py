@@ -15,14 +15,18 @@ from numba import njit
 from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.rays import (
+    BYTE,
     I0,
     I1,
     I2,
     I4,
     I8,
     I15,
+    I16,
+    MOST_TEXELS,
     ONE,
     SHORTEST_W,
+    ZERO,
     Faces,
     Float,
     Integer,
@@ -32,13 +36,19 @@ from uavaccel.kernels.rays import (
     linear,
     lit,
     luma,
-    sky_colour,
+    sky_index,
     texel_index,
 )
+from uavaccel.kernels.spans import HUGE
 from uavaccel.vision.dvs_kernels import advanced, count_single_pixel
+from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
+from uavaccel.vision.rounding import times
 
 Four = tuple[Integer, Integer, Integer, Integer]
-Draw = tuple[Float, Float]
+Place = tuple[Float, Float]
+Patch = tuple[Integer, Float, Float, Float, Float, Integer, Integer, Integer]
+"""Of a texture: its level's first texel; texels per metre and at the edge, across and down; size, last, level."""
+Light = tuple[Float, Float, Float, Float, Float, Float]
 
 
 @njit(error_model="numpy")
@@ -49,42 +59,28 @@ def on_face(faces: Faces, face: Integer, x: Float, y: Float) -> tuple[Float, Flo
 
 
 @njit(error_model="numpy")
-def luma_on(
-    faces: Faces, face: Integer, level: Integer, texels: Texels, base: Integer, size: Integer, place: Draw
-) -> Integer:
-    """Luma of a pixel, from its metres across and down a face."""
-    along, down = place
-    u = along * faces[face, at.TU] + faces[face, at.TU + 1]
-    v = down * faces[face, at.TV] + faces[face, at.TV + 1]
-    texel = np.int32(texels[np.uint32(texel_index(u, v, level, base, size))])
+def texel_on(patch: Patch, place: Place) -> Integer:
+    """Where the texel of a pixel lies, as `texel_index` has it."""
+    u, v = place[0] * patch[1] + patch[2], place[1] * patch[3] + patch[4]
+    column = np.int32(np.int32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & patch[6]) >> patch[7])
+    row = np.int32(np.int32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & patch[6]) >> patch[7])
+    return np.int32(np.int32(patch[0] + np.int32(row << patch[5])) + column)
+
+
+@njit(error_model="numpy")
+def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
+    """Luma of a texel, metres from where a face's light begins."""
     red, green, blue = lit(
-        texel,
-        faces[face, at.COLOUR] + faces[face, at.SLOPE] * along,
-        faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
-        faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
+        texel, light[0] + light[3] * along, light[1] + light[4] * along, light[2] + light[5] * along
     )
     return luma(red, green, blue)
 
 
 @njit(error_model="numpy")
-def sky_luma(faces: Faces, texels: Texels, textures: Textures, row: Integer, column: Integer) -> Integer:
-    """Luma of a pixel that shows the sky."""
-    red, green, blue = sky_colour(faces, texels, textures, row, column)
-    return luma(red, green, blue)
-
-
-@njit(error_model="numpy")
 def face_lumas(
-    faces: Faces,
-    face: Integer,
-    mine: Integer,
-    texels: Texels,
-    textures: Textures,
-    row: Integer,
-    column: Integer,
-    lumas: Four,
+    faces: Faces, face: Any, texels: Texels, textures: Textures, row: Integer, column: Integer
 ) -> Four:
-    """`lumas`, with those of the pixels that show a face: bits of `mine`."""
+    """Luma of a quad's pixels on a face; of those that it does not cover, any number."""
     x, y, texture = np.float32(column), np.float32(row), np.uint32(faces[face, at.TEXTURE])
     base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
     p00, p01 = on_face(faces, face, x, y), on_face(faces, face, x + ONE, y)
@@ -93,40 +89,60 @@ def face_lumas(
     level = level_of(
         (p11[0] - p10[0]) * tu, (p11[1] - p10[1]) * tv, (p00[0] - p10[0]) * tu, (p00[1] - p10[1]) * tv, size
     )
-    l00, l01, l10, l11 = lumas
-    if mine & I1 != 0:
-        l00 = luma_on(faces, face, level, texels, base, size, p00)
-    if mine & I2 != 0:
-        l01 = luma_on(faces, face, level, texels, base, size, p01)
-    if mine & I4 != 0:
-        l10 = luma_on(faces, face, level, texels, base, size, p10)
-    if mine & I8 != 0:
-        l11 = luma_on(faces, face, level, texels, base, size, p11)
-    return l00, l01, l10, l11
+    first, width = texel_index(ZERO, ZERO, level, base, size), size & I15
+    last, down = np.int32(np.int32(I1 << width) - I1), level & I15
+    patch = (first, tu, faces[face, at.TU + 1], tv, faces[face, at.TV + 1], width, last, down)
+    t00, t01 = texels[np.uint32(texel_on(patch, p00))], texels[np.uint32(texel_on(patch, p01))]
+    t10, t11 = texels[np.uint32(texel_on(patch, p10))], texels[np.uint32(texel_on(patch, p11))]
+    light = (
+        faces[face, at.COLOUR],
+        faces[face, at.COLOUR + 1],
+        faces[face, at.COLOUR + 2],
+        faces[face, at.SLOPE],
+        faces[face, at.SLOPE + 1],
+        faces[face, at.SLOPE + 2],
+    )
+    return (
+        luma_on(np.int32(t00), light, p00[0]),
+        luma_on(np.int32(t01), light, p01[0]),
+        luma_on(np.int32(t10), light, p10[0]),
+        luma_on(np.int32(t11), light, p11[0]),
+    )
 
 
 @njit(error_model="numpy")
-def sky_lumas(
-    faces: Faces,
-    mine: Integer,
-    texels: Texels,
-    textures: Textures,
-    row: Integer,
-    column: Integer,
-    lumas: Four,
-) -> Four:
-    """`lumas`, with those of the pixels that show the sky: bits of `mine`."""
-    l00, l01, l10, l11 = lumas
-    below, right = np.int32(row + I1), np.int32(column + I1)
-    if mine & I1 != 0:
-        l00 = sky_luma(faces, texels, textures, row, column)
-    if mine & I2 != 0:
-        l01 = sky_luma(faces, texels, textures, row, right)
-    if mine & I4 != 0:
-        l10 = sky_luma(faces, texels, textures, below, column)
-    if mine & I8 != 0:
-        l11 = sky_luma(faces, texels, textures, below, right)
-    return l00, l01, l10, l11
+def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) -> Integer:
+    """Where the texel of a pixel lies in the sky."""
+    return sky_index(
+        linear(faces, I0, at.RAYS, x, y),
+        linear(faces, I0, at.RAYS + 3, x, y),
+        linear(faces, I0, at.RAYS + 6, x, y),
+        base,
+        size,
+    )
+
+
+@njit(error_model="numpy")
+def plain_luma(texel: Integer) -> Integer:
+    """Luma of a texel in no light but its own."""
+    return luma(texel & BYTE, np.int32(texel >> I8) & BYTE, np.int32(texel >> I16) & BYTE)
+
+
+@njit(error_model="numpy")
+def sky_lumas(faces: Faces, texels: Texels, textures: Textures, row: Integer, column: Integer) -> Four:
+    """Luma of a quad's pixels in the sky."""
+    x, y = np.float32(column), np.float32(row)
+    base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
+    t00 = texels[np.uint32(sky_texel(faces, x, y, base, size))]
+    t01 = texels[np.uint32(sky_texel(faces, x + ONE, y, base, size))]
+    t10 = texels[np.uint32(sky_texel(faces, x, y + ONE, base, size))]
+    t11 = texels[np.uint32(sky_texel(faces, x + ONE, y + ONE, base, size))]
+    return (
+        plain_luma(np.int32(t00)),
+        plain_luma(np.int32(t01)),
+        plain_luma(np.int32(t10)),
+        plain_luma(np.int32(t11)),
+    )
 
 
 @njit(error_model="numpy")
@@ -135,19 +151,23 @@ def quad_lumas(
 ) -> Four:
     """Luma of the pixels (row, column), (row, column + 1), and of the two below, which show these faces; both even."""
     f00, f01, f10, f11 = shown
-    lumas, left = (I0, I0, I0, I0), I15
+    l00, l01, l10, l11 = I0, I0, I0, I0
+    left = I15
     while left != 0:  # once for most quads
         face = f00 if left & I1 != 0 else (f01 if left & I2 != 0 else (f10 if left & I4 != 0 else f11))
-        mine = I1 if f00 == face else I0
-        mine = np.int32(mine | (I2 if f01 == face else I0))
-        mine = np.int32(mine | (I4 if f10 == face else I0))
-        mine = np.int32(mine | (I8 if f11 == face else I0))
-        left = np.int32(left & ~mine)
         if face == 0:
-            lumas = sky_lumas(faces, mine, texels, textures, row, column, lumas)
+            n00, n01, n10, n11 = sky_lumas(faces, texels, textures, row, column)
         else:
-            lumas = face_lumas(faces, face, mine, texels, textures, row, column, lumas)
-    return lumas
+            n00, n01, n10, n11 = face_lumas(faces, np.uintp(face), texels, textures, row, column)
+        if f00 == face:
+            l00, left = n00, np.int32(left & ~I1)
+        if f01 == face:
+            l01, left = n01, np.int32(left & ~I2)
+        if f10 == face:
+            l10, left = n10, np.int32(left & ~I4)
+        if f11 == face:
+            l11, left = n11, np.int32(left & ~I8)
+    return l00, l01, l10, l11
 
 
 @njit(error_model="numpy")
@@ -169,12 +189,39 @@ def quick_count(log: Float, base: Float, positive: Float, negative: Float) -> In
 
 
 @njit(error_model="numpy")
-def see_plainly(level: Integer, camera: Any, sensor: Any, base: Any, y: Any, x: Any) -> Integer:
-    """`events.see_pixel` for a camera without noise: a write only where there are events."""
-    before = base[y, x]
-    positive = events.threshold(before, camera[events.POSITIVE], camera[events.SIGMA], sensor.up[y, x])
-    negative = events.threshold(before, camera[events.NEGATIVE], camera[events.SIGMA], sensor.down[y, x])
-    signed = events.due(sensor.logs[np.uint32(level)], before, positive, negative)
+def threshold_of(nominal: Float, sigma: Float, least: Float, normal: Float) -> Float:
+    """`events.single_threshold` without a branch; `least` is MIN_THRESHOLD, or without a sigma below all."""
+    return max(nominal + times(sigma, normal), least)
+
+
+@njit(error_model="numpy")
+def see_plainly(
+    lumas: Four, before: tuple[Float, Float, Float, Float], camera: Any, sensor: Any, base: Any, y: Any, x: Any
+) -> Integer:
+    """`events.see_pixel` for a quad and a camera without noise: ON minus OFF events; writes where there are some."""
+    sigma, rise, fall = np.float32(camera[events.SIGMA]), camera[events.POSITIVE], camera[events.NEGATIVE]
+    rise, fall, least = np.float32(rise), np.float32(fall), MIN_THRESHOLD if sigma != ZERO else -HUGE
+    below, right = y + np.uintp(1), x + np.uintp(1)
+    up00 = threshold_of(rise, sigma, least, sensor.up[y, x])
+    up01 = threshold_of(rise, sigma, least, sensor.up[y, right])
+    up10 = threshold_of(rise, sigma, least, sensor.up[below, x])
+    up11 = threshold_of(rise, sigma, least, sensor.up[below, right])
+    down00 = threshold_of(fall, sigma, least, sensor.down[y, x])
+    down01 = threshold_of(fall, sigma, least, sensor.down[y, right])
+    down10 = threshold_of(fall, sigma, least, sensor.down[below, x])
+    down11 = threshold_of(fall, sigma, least, sensor.down[below, right])
+    log00, log01 = sensor.logs[np.uint32(lumas[0])], sensor.logs[np.uint32(lumas[1])]
+    log10, log11 = sensor.logs[np.uint32(lumas[2])], sensor.logs[np.uint32(lumas[3])]
+    total = see_one(log00, before[0], up00, down00, base, y, x)
+    total = np.int32(total + see_one(log01, before[1], up01, down01, base, y, right))
+    total = np.int32(total + see_one(log10, before[2], up10, down10, base, below, x))
+    return np.int32(total + see_one(log11, before[3], up11, down11, base, below, right))
+
+
+@njit(error_model="numpy")
+def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Any, y: Any, x: Any) -> Integer:
+    """A pixel's events."""
+    signed = quick_count(log, before, positive, negative)
     if signed != 0:
         base[y, x] = advanced(before, signed, positive, negative)
     return signed
