@@ -6,12 +6,13 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import msgpack
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 
 FILE_NAME = "messages.jsonl"
 LONG_BYTES = 200  # of a state or an image, of which polling scripts ask a million
@@ -27,11 +28,15 @@ class DifferenceError(UserError):
 class MessageLog:
     """Writes calls and answers in order. With a `reference`, a folder, stops at the first line that is not as there.
 
-    Raises DifferenceError then.
+    Raises DifferenceError then; UserError where it cannot be written, and, since scripts catch what calls raise, from
+    then on.
     """
 
     def __init__(self, folder: Path, reference: Path | None = None) -> None:
-        self._file = (folder / FILE_NAME).open("w", encoding="utf-8", newline="\n")
+        self._path = folder / FILE_NAME
+        self._refused: UserError | None = None
+        with naming(self._path):
+            self._file = self._path.open("w", encoding="utf-8", newline="\n")
         self._expected = None if reference is None else _lines(reference / FILE_NAME)
         self.calls = 0
 
@@ -49,7 +54,8 @@ class MessageLog:
 
     def _write(self, row: Mapping[str, Any]) -> None:
         line = _encode(row)
-        self._file.write(line + "\n")
+        with self._writing():
+            self._file.write(line + "\n")
         if self._expected is not None and (expected := next(self._expected, "(has ended)")) != line:
             raise differs(self.calls, expected, line)
 
@@ -58,8 +64,22 @@ class MessageLog:
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), self._file.fileno())
 
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        if self._refused is not None:
+            raise self._refused
+        try:
+            with naming(self._path):
+                yield
+        except UserError as error:
+            self._refused = error
+            self.abandon()  # its end would complain of it again
+            raise
+
     def close_file(self) -> None:
-        self._file.close()
+        """Raises UserError if not all of it could be written."""
+        with self._writing():
+            self._file.close()
 
     def close(self) -> None:
         """Raises DifferenceError if the reference has more lines."""
