@@ -1,24 +1,23 @@
-"""Gymnasium environments; importing this package registers them, and so does Gymnasium when it is imported.
+"""Gymnasium environments; importing this package registers them.
 
 `gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0")` imports it first, in whatever process. `make_vec` flies many
 of one kind in a batch; with `vectorization_mode` "sync" or "async", in Gymnasium's own vectors.
 """
 
-from gymnasium.envs.registration import register, registry
+from gymnasium.envs.registration import register
 
-# id: module and class, and what makes a batch
-ENVIRONMENTS = {
-    "uavaccel/ObstacleLane-v0": ("obstacle_lane:ObstacleLane", "batch:obstacle_lanes"),
-    "uavaccel/Hover-v0": ("hover:Hover", "batch:hovers"),
-    "uavaccel/Gates-v0": ("gates:Gates", "batch:gates"),
-}
-
-
-def register_environments() -> None:
-    """Let Gymnasium know them: its entry point, `gymnasium.envs`, calls this where the package is installed."""
-    for name, (one, many) in ENVIRONMENTS.items():
-        if name not in registry:
-            register(name, entry_point=f"uavaccel.envs.{one}", vector_entry_point=f"uavaccel.envs.{many}")
-
-
-register_environments()
+register(
+    "uavaccel/ObstacleLane-v0",
+    entry_point="uavaccel.envs.obstacle_lane:ObstacleLane",
+    vector_entry_point="uavaccel.envs.batch:obstacle_lanes",
+)
+register(
+    "uavaccel/Hover-v0",
+    entry_point="uavaccel.envs.hover:Hover",
+    vector_entry_point="uavaccel.envs.batch:hovers",
+)
+register(
+    "uavaccel/Gates-v0",
+    entry_point="uavaccel.envs.gates:Gates",
+    vector_entry_point="uavaccel.envs.batch:gates",
+)
