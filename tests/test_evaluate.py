@@ -261,7 +261,10 @@ def test_reading_a_policy_runs_no_code(weights: Any, tmp_path: Path, monkeypatch
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("[" * 100_000, r"a damaged policy, not JSON: nested too deeply; .*"), ("[]", "describes no policy: .*")],
+    [
+        ("[" * 100_000, r"a damaged policy, not JSON: nested too deeply; .*"),
+        ("[]", "describes no policy: .*"),
+    ],
 )
 def test_a_manifest_that_is_none_is_one_line(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text(text)
