@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 
 from uavaccel.draw.canvas import Bgr
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 
 # Of x264, for pictures half of text and edges: bits go where the error is, so numbers that count up stay legible.
@@ -23,7 +23,7 @@ def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Call
     """Write an MP4 of pictures of `size` (width, height), whole or not at all: call what is given with each.
 
     H.264 in 4:2:0, the index in front: it plays from the first byte on. One thread and no dates, so that equal films
-    are equal files. Raises UserError where it cannot be written.
+    are equal files. Raises UserError where it cannot be written, at the end too where that was caught before.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,9 +43,23 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
         context.color_primaries = context.color_trc = context.colorspace = BT709
         context.color_range = LIMITED_RANGE
 
+        refused: list[UserError] = []
+
+        def encode(frame: av.VideoFrame | None) -> None:
+            if (
+                refused
+            ):  # a file whose beginning could not be written is none that PyAV survives to go on with
+                raise refused[0]
+            try:
+                with naming(Path(name)):
+                    file.mux(stream.encode(frame))
+            except UserError as error:
+                refused.append(error)
+                raise
+
         def add(picture: Bgr) -> None:
             frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-            file.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace=BT709)))
+            encode(frame.reformat(format="yuv420p", dst_colorspace=BT709))
 
         yield add
-        file.mux(stream.encode(None))
+        encode(None)
