@@ -43,18 +43,16 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
         context.color_primaries = context.color_trc = context.colorspace = BT709
         context.color_range = LIMITED_RANGE
 
-        refused: list[UserError] = []
+        refused: list[str] = []
 
         def encode(frame: av.VideoFrame | None) -> None:
-            if (
-                refused
-            ):  # a file whose beginning could not be written is none that PyAV survives to go on with
-                raise refused[0]
+            if refused:  # PyAV does not survive more for a file whose beginning could not be written
+                raise UserError(refused[0])
             try:
                 with naming(Path(name)):
                     file.mux(stream.encode(frame))
             except UserError as error:
-                refused.append(error)
+                refused.append(str(error))
                 raise
 
         def add(picture: Bgr) -> None:

@@ -6,9 +6,8 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import msgpack
 
@@ -34,7 +33,7 @@ class MessageLog:
 
     def __init__(self, folder: Path, reference: Path | None = None) -> None:
         self._path = folder / FILE_NAME
-        self._refused: UserError | None = None
+        self._refused = ""
         with naming(self._path):
             self._file = self._path.open("w", encoding="utf-8", newline="\n")
         self._expected = None if reference is None else _lines(reference / FILE_NAME)
@@ -54,8 +53,11 @@ class MessageLog:
 
     def _write(self, row: Mapping[str, Any]) -> None:
         line = _encode(row)
-        with self._writing():
+        self._check()
+        try:
             self._file.write(line + "\n")
+        except OSError as error:
+            self._refuse(error)
         if self._expected is not None and (expected := next(self._expected, "(has ended)")) != line:
             raise differs(self.calls, expected, line)
 
@@ -64,22 +66,27 @@ class MessageLog:
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), self._file.fileno())
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        if self._refused is not None:
-            raise self._refused
-        try:
-            with naming(self._path):
-                yield
-        except UserError as error:
-            self._refused = error
-            self.abandon()  # its end would complain of it again
-            raise
-
     def close_file(self) -> None:
         """Raises UserError if not all of it could be written."""
-        with self._writing():
+        self._check()
+        try:
             self._file.close()
+        except OSError as error:
+            self._refuse(error)
+
+    def _check(self) -> None:
+        if self._refused:
+            raise UserError(self._refused)
+
+    def _refuse(self, error: OSError) -> NoReturn:
+        if not self._file.closed:
+            self.abandon()  # its end would complain of it again
+        try:
+            with naming(self._path):
+                raise error
+        except UserError as refused:
+            self._refused = str(refused)
+            raise
 
     def close(self) -> None:
         """Raises DifferenceError if the reference has more lines."""
