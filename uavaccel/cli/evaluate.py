@@ -82,10 +82,13 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
 def film_extremes(run: RunDirectory) -> None:
     """The best game and the worst as films and contact sheets."""
     from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluation.film import best_first
     from uavaccel.suites.evaluation.suite import Evaluation
 
     order = best_first(run.rows())
+    if run.config().get("simulator", EXACT) != EXACT:
+        console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for name, row in {"best": order[0], "worst": order[-1]}.items():
         _, film = Evaluation().film(run, row["case"])
         for path in (

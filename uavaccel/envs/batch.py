@@ -1,4 +1,4 @@
-"""Many environments of one task side by side, for `gymnasium.make_vec` and for learners: processes, and one renderer.
+"""Many environments of one task side by side in the exact simulator: processes, and one renderer.
 
 Each flies as it would alone, to the last bit: the same commands, transport, physics and sensors. Where OpenGL has a GPU
 one process draws for all of them, since contexts only take turns on it; in software each process draws for itself.
@@ -61,7 +61,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         space = self.single_observation_space
         self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
-        self.processes = min(processes or 2 * _cores(), num_envs)
+        self.processes = min(processes or 2 * cores(), num_envs)
         options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
@@ -223,26 +223,6 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
     return [None if each is None else int(each) for each in seed]
 
 
-def _cores() -> int:
+def cores() -> int:
+    """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def obstacle_lanes(num_envs: int = 1, **keys: Any) -> LaneBatch:
-    """`gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=...)`."""
-    from uavaccel.envs.obstacle_lane import ObstacleLane
-
-    return LaneBatch(ObstacleLane, num_envs, **keys)
-
-
-def hovers(num_envs: int = 1, **keys: Any) -> LaneBatch:
-    """`gymnasium.make_vec("uavaccel/Hover-v0", num_envs=...)`."""
-    from uavaccel.envs.hover import Hover
-
-    return LaneBatch(Hover, num_envs, **keys)
-
-
-def gates(num_envs: int = 1, **keys: Any) -> LaneBatch:
-    """`gymnasium.make_vec("uavaccel/Gates-v0", num_envs=...)`."""
-    from uavaccel.envs.gates import Gates
-
-    return LaneBatch(Gates, num_envs, **keys)

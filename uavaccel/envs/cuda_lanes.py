@@ -6,6 +6,7 @@ they are, so that it can be recorded as a CUDA graph. A lane whose next game has
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from uavaccel.envs.kernel_plan import check_flyable, slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import age_levels
+from uavaccel.errors import UserError
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels.cpu import COLOUR, DEPTH, DVS, STATE
@@ -28,6 +30,7 @@ from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER
+from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 from uavaccel.vision.observation import BLOCK_SIDE
@@ -62,6 +65,11 @@ class CudaLanes:
 
     def __init__(self, task: Any, count: int, device: th.device, renews: bool = True) -> None:
         check_flyable(task, count)
+        if (task.timing, task.profile, task.command) != ("lockstep", "native", "tcsc"):
+            raise UserError(
+                f"device = {device.type}: flies TCSC in lockstep with profile native, not {task.command} in "
+                f"{task.timing} with {task.profile}; use device = cpu"
+            )
         self.task, self.count, self.device, self.renews = task, count, device, renews
         self.maker = GameMaker(task)
         self.kernels = kernels.compiled(self.maker.usual)
@@ -70,9 +78,11 @@ class CudaLanes:
         self._wall_ns = th.tensor(np.cumsum(wall_ns), device=device)
         self._ends = th.tensor(np.cumsum(self.slices), device=device)
         self.kind = STATE if task.blank_images else KINDS[task.observation]
+        self.action_space = task.action_space()
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
+        self._drawn_by: list[dict[int, str]] = [{} for _ in range(count)]
         self._written = [0] * count
         self._allocate()
 
@@ -94,7 +104,9 @@ class CudaLanes:
             kernels.shared(self._hull), looks_there.texels, looks_there.textures, looks_there, sensor_there
         )
         self._kept = looks, sensor  # the memory behind what numba sees
-        self._faces = th.zeros((count if self.kind != STATE else 1, kernels.SLOTS, FIELDS), device=device)
+        lookers = count if self.kind != STATE else 1
+        self._faces = th.zeros((lookers, kernels.SLOTS, FIELDS), device=device)
+        self._seen_faces = th.zeros((lookers, ROWS, COLUMNS), dtype=th.int16, device=device)
         self._flight = self.now.state.view(th.float64)  # (L, numbers) of FLIGHT_DTYPE, all of eight bytes
         self._ticks_of = self.now.state.view(th.int64)
         self._zeros = th.zeros(count, dtype=th.int64, device=device)
@@ -139,9 +151,10 @@ class CudaLanes:
 
     # --- games, drawn by the host -----------------------------------------------------------------
 
-    def seed(self, seeds: Sequence[int | None]) -> None:
-        """Draw all games anew, those of lane i from its own seed."""
-        for lane, seed in enumerate(seeds):
+    def seed(self, seeds: int | Sequence[int | None]) -> None:
+        """Draw all games anew, those of lane i from the i-th seed, or from the first one plus i."""
+        each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
+        for lane, seed in enumerate(each):
             self._generators[lane], self._games[lane] = seeding.np_random(seed)[0], 0
             self._drawn[lane].clear()
             self._written[lane] = 0
@@ -150,12 +163,14 @@ class CudaLanes:
     def draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
         """Draw a lane's next game into the host's rows; which row."""
         number = self._written[lane]
+        before = json.dumps(self._generators[lane].bit_generator.state)
         drawn = self.maker.draw(self._generators[lane], self._games[lane], options)
         self._games[lane] += 1
         row = lane * AHEAD + number % AHEAD
         self.maker.write(drawn, self._host, row)
-        self._drawn[lane].pop(number - AHEAD, None)
-        self._drawn[lane][number] = drawn
+        for kept in (self._drawn[lane], self._drawn_by[lane]):
+            kept.pop(number - AHEAD, None)
+        self._drawn[lane][number], self._drawn_by[lane][number] = drawn, before
         self._written[lane] = number + 1
         return row
 
@@ -187,7 +202,9 @@ class CudaLanes:
         drawn = [self._drawn[row // AHEAD][self._number_of(row)] for row in which.tolist()]
         courses = [{name: each for name, each in game.course.items() if name != CONDITIONS} for game in drawn]
         if self._starts is None:
-            self._starts = {name: _room(courses[0][name], self.count * AHEAD, self.device) for name in courses[0]}
+            self._starts = {
+                name: _room(courses[0][name], self.count * AHEAD, self.device) for name in courses[0]
+            }
             self._course = {name: _room(courses[0][name], self.count, self.device) for name in courses[0]}
         for name, room in self._starts.items():
             _fill(room, there, np.array([course[name] for course in courses]))
@@ -200,8 +217,15 @@ class CudaLanes:
 
     # --- a round ----------------------------------------------------------------------------------
 
+    @property
+    def begun_yet(self) -> bool:
+        """Whether games are under way."""
+        return bool(self._written[0])
+
     def begin(self) -> None:
-        """Begin the first games everywhere."""
+        """Draw and begin the first games everywhere."""
+        if not self.begun_yet:
+            self.send([self.draw(lane) for lane in range(self.count)])
         self.going.zero_()
         self._renew(th.ones(self.count, dtype=th.bool, device=self.device))
 
@@ -252,16 +276,19 @@ class CudaLanes:
             return
         self._project(self.going)
         launch, stream = self.kernels, kernels.stream()
-        grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
-        going, faces = kernels.shared(self.going), kernels.shared(self._faces)
+        going, faces, shown = self._looked_at(self.going)
         games, now = self._games_there, self._now_there
         if self.kind != DVS:
+            grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
             frames = kernels.shared(self._frames[sample])
-            launch.show[(*grid, stream)](going, self.kind, self.tick_ns, faces, self._plan, games, now, frames)
+            launch.show[(*grid, stream)](
+                going, self.kind, self.tick_ns, faces, shown, self._plan, games, now, frames
+            )
             return
+        grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
         frames = kernels.shared(self._frames[sample, :, 0])
         launch.see[(*grid, stream)](
-            going, self.tick_ns, int(take), faces, self._plan, games, now, self._pixels_there, frames
+            going, self.tick_ns, int(take), faces, shown, self._plan, games, now, self._pixels_there, frames
         )
         per_lane = _grid(self.count, kernels.FLYING_THREADS)
         launch.note[(*per_lane, stream)](going, self.tick_ns, now, self._pixels_there)
@@ -277,6 +304,12 @@ class CudaLanes:
             self._now_there,
             kernels.shared(self._faces),
         )
+        grid = _grid(self.count * COLUMNS, kernels.COLUMN_THREADS)
+        self.kernels.find[(*grid, kernels.stream())](*self._looked_at(which))
+
+    def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
+        """Which lanes look, their faces, and the face that each pixel shows."""
+        return kernels.shared(which), kernels.shared(self._faces), kernels.shared(self._seen_faces)
 
     def _land(self, states: Sequence[th.Tensor | None]) -> None:
         """Judge the command, show what was seen of it, and begin new games where one is over."""
@@ -348,7 +381,11 @@ class CudaLanes:
     def _tell(self, over: th.Tensor, touched: th.Tensor) -> None:
         """Write down the games for the host."""
         told = self.ended
-        told[:, AT.over], told[:, AT.success], told[:, AT.touched] = over.double(), self.success.double(), touched.double()
+        told[:, AT.over], told[:, AT.success], told[:, AT.touched] = (
+            over.double(),
+            self.success.double(),
+            touched.double(),
+        )
         told[:, AT.commands], told[:, AT.place : AT.place + 3] = self.commands.double(), self._place.T
         told[:, AT.spent_ns], told[:, AT.reward] = self._spent_ns.double(), self.returns
         told[:, AT.game] = (self.begun - 1).double()
@@ -365,16 +402,17 @@ class CudaLanes:
         launch, stream = self.kernels, kernels.stream()
         per_lane = _grid(self.count, kernels.FLYING_THREADS)
         which = kernels.shared(self._renewed)
-        launch.begin[(*per_lane, stream)](which, kernels.shared(self._rows), self._games_there, self._now_there)
+        launch.begin[(*per_lane, stream)](
+            which, kernels.shared(self._rows), self._games_there, self._now_there
+        )
         for name, starts in self._starts.items():
             _put(self._course[name], _taken(starts, self._rows), renewed)
         first = self.blank.expand(self.count, *self.frame_shape)
         if self.kind == DVS:
             self._project(self._renewed)
-            grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
+            grid = _grid(self.count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
             launch.start[(*grid, stream)](
-                which,
-                kernels.shared(self._faces),
+                *self._looked_at(self._renewed),
                 self._plan,
                 self._games_there,
                 self._now_there,
@@ -398,13 +436,14 @@ class CudaLanes:
             fields = th.stack([*self.task.fields(state, self._course)], 1).float()
             return fields.reshape(self.count, *self.frame_shape)
         self._project(self._renewed)
-        grid = _grid(self.count * kernels.PIXELS, kernels.SEEING_THREADS)
+        grid = _grid(self.count * kernels.BLOCKS, kernels.SEEING_THREADS)
         frames = th.zeros_like(self._frames[0])
         self.kernels.show[(*grid, kernels.stream())](
             kernels.shared(self._renewed),
             self.kind,
             self.tick_ns,
             kernels.shared(self._faces),
+            kernels.shared(self._seen_faces),
             self._plan,
             self._games_there,
             self._now_there,
@@ -423,6 +462,61 @@ class CudaLanes:
 
     def _contact(self) -> th.Tensor:
         return self._flight[:, _CONTACT : _CONTACT + 3]
+
+    # --- saving, as stable-baselines3's vectors are asked for it --------------------------------------
+
+    @property
+    def num_envs(self) -> int:
+        return self.count
+
+    def env_method(self, name: str, *arguments: Any, indices: Sequence[int] | None = None) -> list[Any]:
+        """`get_state`, or `set_state` with a state, of some lanes (all)."""
+        which = range(self.count) if indices is None else indices
+        return [getattr(self, name)(lane, *arguments) for lane in which]
+
+    def get_state(self, lane: int) -> State:
+        """A lane's running game, and what its next ones are drawn from, for np.savez."""
+        flown = int(self.begun[lane]) - 1
+        state: State = {
+            "drawn_by": self._drawn_by[lane][flown],
+            "flown": flown,
+            "written": self._written[lane],
+        }
+        state["games"] = self._games[lane] - (self._written[lane] - flown)
+        return state | {name: tensor[..., lane].cpu().numpy() for name, tensor in self._lanes_last().items()}
+
+    def set_state(self, lane: int, state: Mapping[str, Any]) -> Any:
+        """Go on with what `get_state` gave; the last observation."""
+        generator = self._generators[lane] = seeding.np_random(0)[0]
+        generator.bit_generator.state = json.loads(str(state["drawn_by"]))
+        self._games[lane], self._written[lane] = int(state["games"]), int(state["flown"])
+        self.send([self.draw(lane) for _ in range(int(state["flown"]), int(state["written"]))])
+        for name, tensor in self._lanes_last().items():
+            tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
+        self.available[lane] = int(state["written"])
+        return self.observations[lane].cpu().numpy()
+
+    def _lanes_last(self) -> dict[str, th.Tensor]:
+        """All that changes while games are flown, the lane as the last axis."""
+        parts = {f"now.{name}": each for name, each in self.now._asdict().items()}
+        parts |= {f"pixels.{name}": each for name, each in self.pixels._asdict().items() if len(each)}
+        names = (
+            "observations",
+            "going",
+            "begun",
+            "commands",
+            "_actions",
+            "_taken_ns",
+            "returns",
+            "_spent_ns",
+        )
+        parts |= {name: getattr(self, name) for name in names}
+        last = {name: each.movedim(0, -1) for name, each in parts.items()}
+        courses = {f"course.{number}": each for number, each in enumerate(_tensors(self._course))}
+        return last | courses | {"place": self._place}
+
+    def close(self) -> None:
+        """The device's memory goes with the tensors."""
 
     # --- what the host is told --------------------------------------------------------------------
 
@@ -466,6 +560,12 @@ def _leaves(arrays: Any) -> list[Any]:
     return [arrays] if not isinstance(arrays, tuple) else [leaf for each in arrays for leaf in _leaves(each)]
 
 
+def _tensors(course: Any) -> list[th.Tensor]:
+    if isinstance(course, dict):
+        return [tensor for each in course.values() for tensor in _tensors(each)]
+    return [tensor for each in course for tensor in _tensors(each)] if isinstance(course, list) else [course]
+
+
 def _room(example: Any, count: int, device: th.device) -> Any:
     if isinstance(example, (list, tuple)):
         return [_room(each, count, device) for each in example]
@@ -497,4 +597,3 @@ def _copied(course: Any) -> Any:
     if isinstance(course, dict):
         return {name: _copied(each) for name, each in course.items()}
     return [_copied(each) for each in course] if isinstance(course, list) else course.clone()
-

@@ -5,6 +5,7 @@ Each flies as it would in the exact simulator, and sees what the kernels draw in
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,19 +22,19 @@ from uavaccel.envs.checks import make_task, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
-from uavaccel.envs.kernel_plan import check_flyable, plan_of, slices_of
+from uavaccel.envs.kernel_plan import check_flyable, plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import NO_ACTION, age_levels
 from uavaccel.errors import UserError
-from uavaccel.kernels import cpu, events
+from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
-from uavaccel.vision.observation import BLOCK_SIDE
 
 KINDS = {"state": cpu.STATE, "dvs": cpu.DVS, "colour": cpu.COLOUR, "depth": cpu.DEPTH}
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
@@ -55,7 +56,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs)
+        check_flyable(self.task, num_envs, clocks=True)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -65,8 +66,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
-        self._plan, self._wall_ns = plan_of(self.task, self._maker.surroundings.hull), slices_of(self.task)[1]
         self._allocate()
+        self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != cpu.STATE)
         self._threads = min(threads or _cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
@@ -74,6 +75,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._generators: list[Any] = [None] * num_envs
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
+        self._drawn_by: list[Any] = [None] * num_envs  # states of the generators before the running games
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
@@ -90,13 +92,15 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
         self._pictures = drawn  # of one type whatever is observed: machine code is made for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
-        self._observations = np.zeros((count, *space.shape), space.dtype)
+        self._observations = np.zeros((count, *(space.shape or ())), space.dtype)
         self._last = np.zeros_like(self._observations)
         self._directions = np.zeros((count, 3))
+        self._place = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)
         self._commands = np.zeros(count, np.int64)
-        self._taken_ticks = np.zeros((count, samples * task.history), np.int64)
-        self._spent_ns = np.zeros(count, np.int64)
+        self._taken_ns = np.zeros((count, samples * task.history), np.int64)
+        self._present_ns = np.zeros(count, np.int64)
+        self._clocks = timeline.clocks(count, samples)
         self._host_s = np.zeros(count)
         self._over = np.zeros(count, bool)
         self._told = task.told()
@@ -157,10 +161,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]
         idle = which[self._over[which]]
-        rewards, terminated, truncated = (
-            np.zeros(self.num_envs),
-            *(np.zeros(self.num_envs, bool) for _ in "et"),
-        )
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, dict[str, Any]] = {}
         if len(going):
             judged = self._land(going)
@@ -186,13 +188,70 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         seen = self._observations[which]
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
+    def charge(self, lane: int, duration_s: float, phase: str = "inference") -> None:
+        """Work of an agent's since its last command: in `virtual` ADSC flies on meanwhile. Nothing elsewhere."""
+        if self.task.timing == "virtual" and self._drawn:
+            duration_ns = round(duration_s * NS_PER_S)
+            timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
+
     def observations(self) -> NDArray[Any]:
         """The present observation of every environment."""
         return self._observations.copy()
 
+    def call_each(
+        self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
+    ) -> list[Any]:
+        """`charge`, `get_state`, or `set_state` with a state each, of some environments (all)."""
+        methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
+        if name not in methods:
+            raise UserError(f"simulator = kernels: {name} is the exact simulator's; use simulator = mujoco")
+        which = range(self.num_envs) if lanes is None else lanes
+        return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def _get_state(self, lane: int) -> State:
+        """A lane's running game, all of it, for np.savez: another batch of this task goes on to the same bytes."""
+        state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
+        state |= {"drawn_by": json.dumps(self._drawn_by[lane]), "games": self._games[lane]}
+        state["course"] = json.dumps(one_course(self._course, lane))
+        return state | {name: array[lane].copy() for name, array in self._rows_of_lanes().items()}
+
+    def _set_state(self, lane: int, state: Mapping[str, Any]) -> NDArray[Any]:
+        """Go on with what `_get_state` gave; the last observation."""
+        generator = self._generators[lane] = seeding.np_random(0)[0]
+        generator.bit_generator.state = json.loads(str(state["drawn_by"]))
+        self._games[lane] = int(state["games"])
+        if not self._drawn:
+            self._drawn = [self._draw_anything() for _ in range(self.num_envs)]
+            self._course = stacked([each.course for each in self._drawn])
+        self._drawn[lane] = self._draw(lane)
+        generator.bit_generator.state = json.loads(str(state["generator"]))
+        put_course(self._course, lane, json.loads(str(state["course"])))
+        for name, array in self._rows_of_lanes().items():
+            array[lane] = state[name]
+        self._find(np.array([lane]))
+        return self._observations[lane].copy()
+
+    def _draw_anything(self) -> Drawn:
+        """A game that nobody flies, for the shape of its course."""
+        return self._maker.draw(np.random.default_rng(0), 0)
+
+    def _rows_of_lanes(self) -> dict[str, NDArray[Any]]:
+        """All that changes while games are flown: arrays (L, ...)."""
+        arrays = {
+            f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
+        }
+        arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
+        arrays |= {f"clocks.{name}": array for name, array in self._clocks._asdict().items()}
+        arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
+        names = ("observations", "actions", "commands", "taken_ns", "present_ns", "over")
+        return arrays | {name: getattr(self, f"_{name}") for name in names}
+
     # --- inside -----------------------------------------------------------------------------------
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> Drawn:
+        self._drawn_by[lane] = self._generators[lane].bit_generator.state
         drawn = self._maker.draw(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn
@@ -208,17 +267,20 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
         cpu.CPU.look_at_starts(self._rows, lanes)
+        self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
-            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan)
+            self._pool.submit(
+                cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks
+            )
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
             part.result()
         self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
-        self._spent_ns[lanes], self._host_s[lanes], self._taken_ticks[lanes] = 0, 0.0, 0
-        self._place = self._places()
+        self._host_s[lanes], self._taken_ns[lanes], self._present_ns[lanes] = 0.0, 0, 0
+        self._find(lanes)
         first = self._first_frames(lanes)
-        frames = self._taken_ticks.shape[1]
+        frames = self._taken_ns.shape[1]
         self._show(lanes, np.concatenate([first] * frames, axis=1))
         return [self._info(int(lane), False) for lane in lanes]
 
@@ -252,58 +314,62 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             self._rows,
             self._now,
             self._plan,
+            self._clocks,
             self._pictures,
             self._samples,
         )
 
     def _land(self, lanes: NDArray[np.int64]) -> Judged:
         """What became of a command, and what is seen of it."""
-        before = Moments(None, [axis[lanes] for axis in self._place], None, None, self._course_of(lanes))
+        before = Moments(
+            None, [axis[lanes].copy() for axis in self._place], None, None, self._course_of(lanes)
+        )
         self._commands[lanes] += 1
-        self._place = self._places()
+        self._find(lanes)
         flown = self._moments(lanes)
         judged = judge(self.task, before, flown)
         if self.task.observation == "state" and not self.task.blank_images:
             self._put_features(lanes)
         for name, value in judged.course.items():
             _assign(self._course[name], lanes, value)
-        samples = self._plan.slices
-        ends = np.cumsum(samples)
-        hit_tick = np.where(flown.touched, self._now.state["collision_tick"][lanes], np.iinfo(np.int64).max)
-        begun = (self._commands[lanes] - 1) * ends[-1]
-        seen = begun[:, None] + ends < hit_tick[:, None]
-        flown_slices = np.minimum(seen.sum(axis=1) + 1, len(ends))
-        self._spent_ns[lanes] += np.cumsum(self._wall_ns)[flown_slices - 1]
-        present = begun + ends[flown_slices - 1]
-        taken = np.where(seen, begun[:, None] + ends, present[:, None])
-        self._taken_ticks[lanes] = np.concatenate([self._taken_ticks[lanes], taken], axis=1)[:, len(ends) :]
-        self._present = present
+        self._note_times(lanes)
         shape = (len(lanes), -1, *self._blank.shape[1:])
         fresh = self._frames[lanes].reshape(shape)
         kept = self._observations[lanes][:, fresh.shape[1] : fresh.shape[1] * self.task.history]
         self._show(lanes, np.concatenate([kept, fresh], axis=1))
         return judged
 
+    def _note_times(self, lanes: NDArray[np.int64]) -> None:
+        """What time it is after a command, and of which time its frames are (envs/told)."""
+        tick_ns, clocks = self._plan.tick_ns, self._clocks
+        seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
+        now_ns = self._now.state["tick"][lanes] * tick_ns
+        if self.task.command == "adsc" and self.task.timing == "virtual":  # TCSC's clock stands
+            since_ns = self._plan.timing.rules[timeline.PROCESSING_NS] * self._moments(lanes).free
+            now_ns = now_ns + np.rint(since_ns * float(self.task.clock_speed)).astype(np.int64)
+        taken_ns = np.where(seen, clocks.ticks[lanes] * tick_ns, now_ns[:, None])
+        self._present_ns[lanes] = now_ns
+        self._taken_ns[lanes] = np.concatenate([self._taken_ns[lanes], taken_ns], axis=1)[:, seen.shape[1] :]
+
     def _show(self, lanes: NDArray[np.int64], frames: NDArray[Any]) -> None:
         """An observation of frames, oldest first, and of what the agent is told."""
         self._observations[lanes, : frames.shape[1]] = frames
         if self._told is None:
             return
-        fresh = self._commands[lanes] == 0
-        present = np.where(fresh, 0, 0 if fresh.all() else self._present)
-        ages = age_levels((present[:, None] - self._taken_ticks[lanes]) * self._plan.tick_ns)
+        ages = age_levels(self._present_ns[lanes, None] - self._taken_ns[lanes])
         for plane, what in enumerate(self.task.knows, frames.shape[1]):
             if what == "last_action":
                 self._observations[lanes, plane] = self._told.actions_shown()[self._actions[lanes]]
             else:
                 self._observations[lanes, plane] = ages[:, self._told.rows_frames()][:, :, None]
 
-    def _places(self) -> list[NDArray[np.float64]]:
-        """Where the vehicles are, or where they touched something: north, east, down (L,)."""
-        state = self._now.state
+    def _find(self, lanes: NDArray[np.int64]) -> None:
+        """Note where vehicles are, or where they touched something; others may be flying."""
+        state = self._now.state[lanes]
         touched = state["collision_tick"] != rows.NEVER
         places = np.where(touched[:, None], state["contact_position"], state["position"])
-        return [places[:, axis].copy() for axis in range(3)]
+        for axis in range(3):
+            self._place[axis][lanes] = places[:, axis]
 
     def _moments(self, lanes: NDArray[np.int64]) -> Moments:
         touched = self._now.state["collision_tick"][lanes] != rows.NEVER
@@ -329,10 +395,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def _put_features(self, lanes: NDArray[np.int64]) -> None:
         """Frames of observation "state", but for what comes after a touch."""
-        hit = self._now.state["collision_tick"][lanes]
-        ends = (self._commands[lanes] - 1)[:, None] * self._plan.slices.sum() + np.cumsum(self._plan.slices)
         for sample in range(self._frames.shape[1]):
-            seen = lanes[ends[:, sample] <= np.where(hit == rows.NEVER, np.iinfo(np.int64).max, hit)]
+            seen = lanes[sample < self._clocks.taken[lanes]]
             if len(seen):
                 self._frames[seen, sample] = self._features(seen, self._samples[seen, sample])
 
@@ -346,14 +410,15 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         if CONDITIONS in drawn.course:
             course[CONDITIONS] = drawn.course[CONDITIONS]
         moment = Moment(None, place, hit, int(self._commands[lane]), course)  # type: ignore[arg-type]
-        spent_s = int(self._spent_ns[lane]) / NS_PER_S
+        clock = self._clocks.row[lane].tolist()
+        spent_s = [spent_ns / NS_PER_S for spent_ns in clock[timeline.FIRST_PHASE :]]
         info = {
             "is_success": bool(won),
             "position_m": list(place),
             "collision": hit,
             "commands": moment.commands,
-            "wall_s": spent_s,
-            "phase_s": {**dict.fromkeys(PHASES, 0.0), "simulation": spent_s},
+            "wall_s": (clock[timeline.NOW] - clock[timeline.START]) / NS_PER_S,
+            "phase_s": dict(zip(PHASES, spent_s, strict=True)),
             **self.task.info(moment),
         }
         if self.task.report_host_times:

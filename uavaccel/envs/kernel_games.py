@@ -1,4 +1,4 @@
-"""Games for lanes over arrays: what a task draws for each, in the order in which `FlightEnv` draws it, as rows of numbers."""
+"""Games for lanes over arrays: what a task draws, in the order in which `FlightEnv` draws it, as rows of numbers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
+from uavaccel.envs.kernel_plan import profile_of
 from uavaccel.envs.task import Course, Task
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row
@@ -18,7 +19,6 @@ from uavaccel.kernels.fields import Looks
 from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.looks import fill_scene, read_looks
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 from uavaccel.vision.image_noise import noise_seed
 from uavaccel.wire.image_api import lane_layout
@@ -39,7 +39,7 @@ class GameMaker:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self._world = World(task.scene, PROFILES[task.profile])
+        self._world = World(task.scene, profile_of(task))
         self.surroundings: Surroundings = read_surroundings(self._world.model)
         self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
         self.usual = self._world.parameters.copy()

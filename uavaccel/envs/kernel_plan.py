@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +12,30 @@ from numpy.typing import NDArray
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
+from uavaccel.kernels import latencies as wire
+from uavaccel.kernels import timeline
 from uavaccel.kernels.cpu import Command
-from uavaccel.sim.profile import PROFILES
-from uavaccel.units import ceil_div, exact
+from uavaccel.kernels.latencies import Latencies
+from uavaccel.kernels.timeline import Timing
+from uavaccel.sim.profile import PROFILES, Profile
+from uavaccel.units import NS_PER_S, ceil_div, exact
+from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, ZERO_LATENCY, LatencyConfig
+from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
+
+MOST_DIGITS = 1_000_000  # of a clock's speed as a fraction: its products have to fit 64 bits for hours
+
+Simulator = Literal["mujoco", "kernels"]
+"""Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
 
 
-def check_flyable(task: Task, lanes: int) -> None:
-    """Raise UserError, one line, for what only the exact simulator flies."""
+def check_flyable(task: Task, lanes: int, clocks: bool = False) -> None:
+    """Raise UserError, one line, for what only the exact simulator flies.
+
+    `clocks`: whether lanes have clocks of their own (kernels/timeline); without, all pass the same ticks.
+    """
     if lanes < 1:
         raise UserError(f"num_envs = {lanes}: must be at least 1")
-    why = _why_not(task)
+    why = _why_not(task) or (_why_no_clock(task) if clocks else _why_not_together(task))
     if why:
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
 
@@ -28,8 +43,6 @@ def check_flyable(task: Task, lanes: int) -> None:
 def _why_not(task: Task) -> str:
     if task.timing == "wall":
         return "timing wall needs a server of its own"
-    if task.timing == "virtual" or task.profile != "native":
-        return f"timing {task.timing} with profile {task.profile} is not flown there"
     if task.list_events:
         return "list_events keeps no events one by one there"
     if task.scenery != "plain":
@@ -52,6 +65,83 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(ticks), np.array(wall_ns)
 
 
-def plan_of(task: Task, hull: Any) -> Command:
-    """A command of the task's, for vehicles with this hull."""
-    return Command(slices_of(task)[0], task.dvs_ticks or 0, PROFILES[task.profile].tick_ns, hull)
+def _why_not_together(task: Task) -> str:
+    if (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc"):
+        return ""
+    return f"{task.command} with timing {task.timing} and profile {task.profile} is not flown there"
+
+
+def _why_no_clock(task: Task) -> str:
+    speeds = _speed(task), exact(task.clock_speed)
+    if any(max(speed.as_integer_ratio()) > MOST_DIGITS for speed in speeds):
+        return f"clock_speed = {task.clock_speed} has more digits than lanes' clocks"
+    return ""
+
+
+def _latency(task: Task) -> LatencyConfig:
+    """What messages and ticks cost: nothing in lockstep."""
+    return task.latency if task.timing == "virtual" else ZERO_LATENCY
+
+
+def profile_of(task: Task) -> Profile:
+    """How the task's simulation steps."""
+    return _latency(task).platform.profile(task.profile, task.clock_speed)
+
+
+def _speed(task: Task) -> Fraction:
+    """Simulated seconds per wall second."""
+    return _latency(task).platform.executor().speed(exact(task.clock_speed), profile_of(task).tick_ns)
+
+
+def plan_of(task: Task, hull: Any, pictures: bool) -> Command:
+    """A command of the task's, for vehicles with this hull; `pictures`: whether the lanes draw any."""
+    profile = profile_of(task)
+    hold = profile.command_ticks(task.t_move_s) + profile.hover_after_ticks
+    timing = timing_of(task, pictures)
+    return Command(slices_of(task)[0], task.dvs_ticks or 0, profile.tick_ns, hull, hold, timing)
+
+
+def timing_of(task: Task, pictures: bool) -> Timing:
+    """How a command of the task's passes on a lane's clock."""
+    due_ns = samples_due(task.t_move_s, task.t_sample_s)
+    slices_ns = [later - earlier for earlier, later in pairwise([0, *due_ns])]
+    offsets_ns = [round(each / float(task.clock_speed)) for each in due_ns]
+    return Timing(_rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(_latency(task)))
+
+
+def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
+    profile, speed, asked = profile_of(task), _speed(task), exact(task.clock_speed)
+    latency, rules = _latency(task), np.zeros(timeline.RULES, np.int64)
+    platform, virtual = latency.platform, task.timing == "virtual"
+    rules[timeline.IS_ADSC] = task.command == "adsc"
+    rules[timeline.EXACT_PAUSES], rules[timeline.TICK_NS] = profile.exact_pauses, profile.tick_ns
+    rules[timeline.SPEED], rules[timeline.TICK_WALL] = speed.numerator, profile.tick_ns * speed.denominator
+    rules[timeline.ASKED], rules[timeline.ASKED_UNDER] = asked.numerator, asked.denominator
+    rules[timeline.COMMAND_TICKS] = profile.command_ticks(task.t_move_s)
+    rules[timeline.T_TH_NS] = task.t_th_ns
+    rules[timeline.STALL_NS], rules[timeline.FRAME_NS] = round(platform.stall_us * 1e3), platform.frame_ns()
+    rules[timeline.STALE_POSE] = bool(platform.frame_ns()) and platform.frames.stale_pose
+    rules[timeline.AFTER_CONTINUE] = platform.frames.after_continue
+    rules[timeline.IMAGES] = task.sensor().picture is not None
+    rules[timeline.GUARDED] = pictures and virtual
+    rules[timeline.PROCESSING_NS] = round(task.image_processing_s * NS_PER_S) if virtual else 0
+    rules[timeline.LAYS_OUT] = task.layout(task.draw(np.random.default_rng(0), {})) is not None
+    rules[timeline.LATENCY] = virtual
+    rules[timeline.FAULTS] = platform.faults != FaultConfig()
+    return rules
+
+
+def _tables(latency: LatencyConfig) -> Latencies:
+    """The tables that a call's latencies are drawn from, by channel and wait (wire/latency.Latency)."""
+    tables = np.zeros((wire.TABLES, len(latency.quantiles)))
+    for first, of in ((wire.REQUEST, latency.request_us), (wire.REPLY, latency.reply_us)):
+        for place, channel in enumerate(wire.CHANNELS):
+            for wait, name in enumerate([channel, *(f"{channel}@{each}ms" for each in WAITS_MS)]):
+                known = name if name in of else channel if channel in of else DEFAULT
+                tables[first + place * wire.WAITS + wait] = of[known]
+    tables[wire.ISSUE], tables[wire.TIMER] = latency.issue_us, latency.timer_us
+    tables[wire.FRAME] = 2 * latency.platform.frame_ns() / 1e3 * np.array(latency.quantiles)
+    faults = latency.platform.faults
+    shares = np.cumsum([faults.dropped, faults.stalled, faults.late])
+    delays = np.array([RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0])
+    return Latencies(np.array(latency.quantiles), tables, np.array(BETWEEN_NS), shares, delays)

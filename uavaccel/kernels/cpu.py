@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from uavaccel.kernels import events
+from uavaccel.kernels import events, timeline
 from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
@@ -23,9 +23,11 @@ from uavaccel.kernels.lanes import (
 )
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.sim.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
+from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 from uavaccel.vision.observation import BLOCK_SIDE
 
@@ -33,6 +35,7 @@ STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
 SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
 NS = 1e-9
 SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
+DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 
 
 @njit(nogil=True)
@@ -267,6 +270,9 @@ class Command(NamedTuple):
     tick_ns: int
     hull: Any
     """(3,) (kernels/flight)."""
+    hold_ticks: int
+    """After which position hold sets in unless another command came."""
+    timing: Timing
 
 
 def see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
@@ -312,15 +318,57 @@ def look_at_events(
 
 
 @njit(nogil=True, error_model="numpy")
-def _begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
+def _begin_lanes(
+    lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
+) -> None:
     """Let lanes begin the games of these rows."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    frame, timing = np.empty((3, ROWS // BLOCK_SIDE, COLUMNS // BLOCK_SIDE), np.uint8), plan.timing
     for place in range(len(lanes)):
         lane, game = lanes[place], rows[place]
         begin(lane, game, games, now)
+        row, scale = clocks.row[lane], clocks.scale[lane]
+        timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
+        clocks.brightness[lane] = np.nan
         if view.kind == DVS:
             draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
+        elif timing.rules[timeline.GUARDED]:
+            draw_frame(lane, view, games, now, plan, desk, frame)
+        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, desk, picture, frame)
+        timeline.show_start(row, scale, timing, suspect)
+
+
+@njit(nogil=True, error_model="numpy")
+def draw_frame(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+) -> None:
+    """What a lane sees now, in colour or of depth."""
+    if view.kind == COLOUR:
+        draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frame)
+    elif view.kind == DEPTH:
+        draw_depth(lane, view.looks, games, now, desk, frame)
+
+
+@njit(nogil=True, error_model="numpy")
+def guard(lane: int, view: View, clocks: Clocks, desk: Any, picture: Any, frame: Any) -> bool:
+    """Whether the guard asks for the picture on a lane's desk again (vision/guard); the next one is compared with it.
+
+    The brightness of a colour picture is its frame's but for rounding.
+    """
+    if view.kind == DVS:
+        bright = picture.mean()
+    elif view.kind == COLOUR:
+        bright = 0.0
+        for channel in range(3):
+            bright += LUMA_WEIGHTS[channel] * frame[channel].mean()
+    else:
+        depths = np.empty((ROWS, COLUMNS), np.float32)
+        draw_depths(desk, depths)
+        bright = depths.mean()
+    suspect = timeline.is_suspect(bright, clocks.brightness[lane], DARKEST, MOST_CHANGE)
+    clocks.brightness[lane] = bright
+    return suspect
 
 
 @njit(nogil=True, error_model="numpy")
@@ -338,7 +386,42 @@ def fly_sample(
         if not touched(lane, now):
             look_at_events(lane, view, games, now, plan, desk, picture)
     fly(lane, left, games, now, plan.hull)
-    return plan.event_ticks > 0 and left == 0
+    return plan.event_ticks > 0 and now.state[lane].tick % plan.event_ticks == 0
+
+
+@njit(nogil=True, error_model="numpy")
+def fly_to(
+    lane: int,
+    tick: int,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    clocks: Clocks,
+    desk: Any,
+    picture: Any,
+) -> bool:
+    """The same up to a tick, remembering the pose that pictures show until the next one of Unreal's frames."""
+    shown = clocks.row[lane, timeline.SHOWN]
+    if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
+        fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, desk, picture)
+        for axis in range(3):
+            clocks.shown[lane, axis] = now.state[lane].position[axis]
+        for part in range(4):
+            clocks.shown[lane, 3 + part] = now.state[lane].quaternion[part]
+    return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
+
+
+@njit(nogil=True, error_model="numpy")
+def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> None:
+    """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
+    if plan.timing.rules[timeline.STALE_POSE] == 0 or clocks.row[lane, timeline.SHOWN] < 0:
+        return
+    state, shown = now.state[lane], clocks.shown[lane]
+    for axis in range(3):
+        shown[axis], state.position[axis] = state.position[axis], shown[axis]
+    for part in range(4):
+        shown[3 + part], state.quaternion[part] = state.quaternion[part], shown[3 + part]
 
 
 @njit(nogil=True)
@@ -361,26 +444,60 @@ def _fly_lanes(
     games: Games,
     now: Flights,
     plan: Command,
+    clocks: Clocks,
     frames: Any,
     samples: Any,
 ) -> None:
     """Fly a command each: frames (L, S, ...) of the samples before a touch, states (L, S, SAMPLE_FIELDS) of all."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
     for lane in lanes:
+        row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
+        tick = timeline.issue(row, scale, timing)
+        fly_to(lane, tick, view, games, now, plan, clocks, desk, picture)
         command(lane, directions, games, now)
-        for sample in range(len(plan.slices)):
-            seen = fly_sample(lane, plan.slices[sample], view, games, now, plan, desk, picture)
+        now.state[lane].hover_tick = tick + plan.hold_ticks
+        sample = 0
+        while row[timeline.LAST] == 0:
+            tick = timeline.reach(row, scale, timing, sample)
+            seen = fly_to(lane, tick, view, games, now, plan, clocks, desk, picture)
             take_state(lane, now, samples[lane, sample])
-            if touched(lane, now) or view.kind == STATE:
-                continue
-            if view.kind == COLOUR:
-                draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, sample])
-            elif view.kind == DEPTH:
-                draw_depth(lane, view.looks, games, now, desk, frames[lane, sample])
-            else:
-                if not seen:
-                    look_at_events(lane, view, games, now, plan, desk, picture)
-                take_events(lane, view.pixels, frames[lane, sample])
+            hit, suspect = touched(lane, now), False
+            if not hit:
+                clocks.ticks[lane, sample] = tick
+                if view.kind != STATE:
+                    frame = frames[lane, sample]
+                    look_at_sample(lane, seen, view, games, now, plan, clocks, desk, picture, frame)
+                    if timing.rules[timeline.GUARDED]:
+                        suspect = guard(lane, view, clocks, desk, picture, frame)
+            timeline.leave(row, scale, timing, hit, suspect)
+            sample += 1
+        clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
+        timeline.switch(row, timeline.NO_PHASE)
+
+
+@njit(nogil=True, error_model="numpy")
+def look_at_sample(
+    lane: int,
+    seen: bool,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    clocks: Clocks,
+    desk: Any,
+    picture: Any,
+    frame: Any,
+) -> None:
+    """The frame of a sample; the event camera may have seen its moment."""
+    if not seen:
+        turn_to_shown(lane, now, plan, clocks)
+        if view.kind == DVS:
+            look_at_events(lane, view, games, now, plan, desk, picture)
+        else:
+            draw_frame(lane, view, games, now, plan, desk, frame)
+        turn_to_shown(lane, now, plan, clocks)
+    if view.kind == DVS:
+        take_events(lane, view.pixels, frame)
 
 
 @njit(nogil=True)
@@ -397,10 +514,7 @@ def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Comman
     """Frames (L, 1, ...) of the present moment, in colour or of depth."""
     desk = make_desk()
     for lane in lanes:
-        if view.kind == COLOUR:
-            draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, 0])
-        elif view.kind == DEPTH:
-            draw_depth(lane, view.looks, games, now, desk, frames[lane, 0])
+        draw_frame(lane, view, games, now, plan, desk, frames[lane, 0])
 
 
 class EntryPoints(NamedTuple):
@@ -425,14 +539,14 @@ def _compile(stamp: int) -> EntryPoints:
             _look_at_starts(games, rows)
 
     @entry_point
-    def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
+    def begin_lanes(lanes, rows, view, games, now, plan, clocks):  # type: ignore[no-untyped-def]
         if stamp:
-            _begin_lanes(lanes, rows, view, games, now, plan)
+            _begin_lanes(lanes, rows, view, games, now, plan, clocks)
 
     @entry_point
-    def fly_lanes(lanes, directions, view, games, now, plan, frames, samples):  # type: ignore[no-untyped-def]
+    def fly_lanes(lanes, directions, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
         if stamp:
-            _fly_lanes(lanes, directions, view, games, now, plan, frames, samples)
+            _fly_lanes(lanes, directions, view, games, now, plan, clocks, frames, samples)
 
     @entry_point
     def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]

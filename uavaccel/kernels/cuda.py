@@ -13,32 +13,32 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 from numba import cuda, types
-from numba.core.errors import NumbaPerformanceWarning
 from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
-from uavaccel.kernels.flight import fly_ticks
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
+from uavaccel.kernels.flight import fly_ticks
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
-from uavaccel.kernels.rays import colour_of, covers, linear, luma, touches
+from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
+from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 
-PIXELS = at.ROWS * at.COLUMNS
+BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
+BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
-TILE_ROWS, TILE_COLUMNS = 4, 8  # the pixels of a warp
-TILES_ACROSS = at.COLUMNS // TILE_COLUMNS
-TILES = PIXELS // WARP
-BLOCK_STEPS = (1, 2, 8, 16)  # between the threads of a block of 4 x 4 pixels
-FLYING_THREADS, SEEING_THREADS = 32, 256  # of a block of CUDA's
+FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
+SEEING_THREADS_A_LANE = at.ROWS * at.COLUMNS // 8
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -52,8 +52,13 @@ def _times(a, b):  # type: ignore[no-untyped-def]
     return lambda a, b: libdevice.dmul_rn(a, b)
 
 
+def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    of_type = quick_count if log == types.float32 else count_double_pixel
+    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
 for _function, _chosen in events.BY_TYPE:
-    overload(_function)(_chosen)
+    overload(_function)(_due if _function is events.due else _chosen)
 
 
 class Plan(NamedTuple):
@@ -87,10 +92,15 @@ def flying(usual: Any) -> Any:
 
     What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
     """
-    tick_s, gravity, arm, keep = (float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep"))
+    tick_s, gravity, arm, keep = (
+        float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep")
+    )
     drag, slow = tuple(map(float, usual["drag_factor_m2"])), float(usual["drag_min_velocity_m_s"])
     ground, sea = float(usual["ground_altitude_m"]), float(usual["sea_density_kg_m3"])
-    place_gain, speed_gain = tuple(map(float, usual["position_gain"])), tuple(map(float, usual["velocity_gain"]))
+    place_gain, speed_gain = (
+        tuple(map(float, usual["position_gain"])),
+        tuple(map(float, usual["velocity_gain"])),
+    )
     angle_gain, rate_gain = tuple(map(float, usual["angle_gain"])), tuple(map(float, usual["rate_gain"]))
     gather, remember = float(usual["z_integral_gain"]), float(usual["z_integral_keep"])
     fastest, steepest = float(usual["velocity_limit_m_s"]), float(usual["tilt_limit_rad"])
@@ -166,39 +176,35 @@ def first_slot(solids, solid):  # type: ignore[no-untyped-def]
     return slot
 
 
-@cuda.jit(device=True)
-def face_at(faces, y, x):  # type: ignore[no-untyped-def]
-    """The face that a thread's pixel shows, 0 for the sky (rays.nearest_face).
+def find_shown(going, faces, shown):  # type: ignore[no-untyped-def]
+    """The face of each pixel, (L, 144, 256) int16, of the lanes that are `going`: a thread a column.
 
-    The threads of a warp have the pixels of a tile: each asks of other faces whether the tile may show them.
+    The threads of a warp have columns beside each other: each looks at other faces for all of them.
     """
-    place, column, row = cuda.laneid, np.float32(x), np.float32(y)
-    left, top = np.float32(x - place % TILE_COLUMNS), np.float32(y - place // TILE_COLUMNS)
-    right, bottom = left + np.float32(TILE_COLUMNS - 1), top + np.float32(TILE_ROWS - 1)
-    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
-    total = int(faces[0, at.COUNT])
+    thread, thread_place = cuda.grid(1), np.uintp(cuda.threadIdx.x)
+    lane, column = thread // at.COLUMNS, np.int32(thread % at.COLUMNS)
+    room = Column(
+        cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.int32),
+        cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.float32),
+        cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.float32),
+        cuda.shared.array((MOST_PIECES, COLUMN_THREADS), types.int32),
+    )
+    if lane >= len(going) or going[lane] == 0:
+        return
+    own, mine, count = faces[lane], np.int32(cuda.laneid), np.int32(0)
+    left, total = np.float32(column - mine), np.int32(own[0, at.COUNT])
+    right = left + np.float32(WARP - 1)
     for first in range(1, total, WARP):
-        face = first + place
-        found = face < total and touches(faces, face, top, bottom, left, right)
+        face = np.int32(first + mine)
+        found = face < total and own[face, at.NEAREST_W] > np.float32(0.0)
+        found = found and own[face, at.FIRST_COLUMN] <= right and own[face, at.LAST_COLUMN] >= left
         those = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
         while those != 0:
-            face = first + cuda.ffs(those) - 1
+            face = np.int32(first + cuda.ffs(those) - 1)
             those &= those - 1
-            w = linear(faces, face, at.W, column, row)
-            if w > best and w <= near and covers(faces, face, column, row):
-                best, shown = w, face
-    return shown
-
-
-@cuda.jit(device=True)
-def grey_at(faces, plan, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
-    """Luma of a pixel, as a noisy camera reads it."""
-    face = face_at(faces, y, x)
-    red, green, blue = colour_of(faces, face, plan.texels, plan.textures, y, x)
-    level = int(luma(red, green, blue))
-    if camera[events.READ] > 0.0:
-        return noisy_at(level, camera, seeds, moment_ns, y * at.COLUMNS + x)
-    return level
+            count = add_interval(own, face, column, room, thread_place, count)
+    settle(own[0, at.FAR_W], room, thread_place, count)
+    fill_column(room, thread_place, shown[lane], np.uintp(column))
 
 
 @cuda.jit(device=True)
@@ -210,67 +216,143 @@ def noisy_at(level, camera, seeds, moment_ns, value):  # type: ignore[no-untyped
 
 
 @cuda.jit(device=True)
-def pixel_of(thread):  # type: ignore[no-untyped-def]
-    """Lane, row and column of a thread's pixel: a warp has a tile of 4 rows of 8."""
-    tile, place = thread // WARP, thread % WARP
-    lane, tile = tile // TILES, tile % TILES
-    y = TILE_ROWS * (tile // TILES_ACROSS) + place // TILE_COLUMNS
-    return lane, y, TILE_COLUMNS * (tile % TILES_ACROSS) + place % TILE_COLUMNS
+def camera_of(games, game):  # type: ignore[no-untyped-def]
+    """A game's camera, in registers."""
+    row = games.cameras[game]
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
 
 
 @cuda.jit(device=True)
-def block_sum(value):  # type: ignore[no-untyped-def]
-    """The sum over a block of 4 x 4 pixels, half a tile."""
-    for step in BLOCK_STEPS:
-        value += cuda.shfl_xor_sync(WHOLE_WARP, value, step)
-    return value
+def pixels_of_thread():  # type: ignore[no-untyped-def]
+    """Lane, and the first row and column of the 4 x 2 pixels of a thread.
+
+    A warp has 16 x 16 pixels, so that few of its threads see other faces than the rest; two threads beside each other
+    have a block.
+    """
+    thread, threads = np.uint32(cuda.grid(1)), np.uint32(SEEING_THREADS_A_LANE)
+    lane, place = np.uint32(thread // threads), np.uint32(thread % threads)
+    tile, mine = np.uint32(place >> np.uint32(5)), np.uint32(place & np.uint32(31))
+    y = np.int32(((tile >> np.uint32(4)) << np.uint32(4)) + ((mine >> np.uint32(3)) << np.uint32(2)))
+    x = np.int32(((tile & np.uint32(15)) << np.uint32(4)) + ((mine & np.uint32(7)) << np.uint32(1)))
+    return np.uintp(lane), y, x
 
 
-def start_events(going, faces, plan, games, now, pixels):  # type: ignore[no-untyped-def]
+@cuda.jit(device=True)
+def grey_quad(faces, shown, plan, y, x):  # type: ignore[no-untyped-def]
+    """Luma of a quad's pixels."""
+    row, column = np.uintp(y), np.uintp(x)
+    below, right = np.uintp(y + 1), np.uintp(x + 1)
+    those = (
+        np.int32(shown[row, column]),
+        np.int32(shown[row, right]),
+        np.int32(shown[below, column]),
+        np.int32(shown[below, right]),
+    )
+    return quad_lumas(faces, those, plan.texels, plan.textures, y, x)
+
+
+@cuda.jit(device=True)
+def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
+    """A quad's levels as a noisy camera reads them."""
+    value = y * at.COLUMNS + x
+    return (
+        np.int32(noisy_at(levels[0], camera, seeds, moment_ns, value)),
+        np.int32(noisy_at(levels[1], camera, seeds, moment_ns, value + 1)),
+        np.int32(noisy_at(levels[2], camera, seeds, moment_ns, value + at.COLUMNS)),
+        np.int32(noisy_at(levels[3], camera, seeds, moment_ns, value + at.COLUMNS + 1)),
+    )
+
+
+def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore[no-untyped-def]
     """Show each lane that is `going` its first picture, which makes no events."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    lane, y, x = pixels_of_thread()
     if lane >= len(going) or going[lane] == 0:
         return
     game = now.game[lane]
-    level = grey_at(faces[lane], plan, games.cameras[game], games.seeds[game], 0, y, x)
-    log = plan.sensor.logs[level]
-    pixels.base[lane, y, x] = log
-    if pixels.filtered.size:
-        pixels.filtered[lane, y, x] = log
-    if pixels.last_s.size:
-        pixels.last_s[lane, y, x] = -np.float32(games.cameras[game, events.REFRACTORY])
-    if y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0:
-        pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] = 0
-    if y == 0 and x == 0:
+    camera = camera_of(games, game)
+    for half in range(2):
+        top = np.int32(y + 2 * half)
+        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        if camera[events.READ] > 0.0:
+            levels = noisy_quad(levels, camera, games.seeds[game], 0, top, x)
+        begin_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
+        begin_pixel(levels[1], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x + 1))
+        begin_pixel(levels[2], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x))
+        begin_pixel(levels[3], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x + 1))
+    if x % BLOCK_SIDE == 0:
+        pixels.gathered[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = 0
+    if x == 0 and y == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
-def see_events(going, tick_ns, take, faces, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+@cuda.jit(device=True)
+def begin_pixel(level, camera, sensor, pixels, lane, row, column):  # type: ignore[no-untyped-def]
+    """What a pixel knows after its first picture."""
+    log = sensor.logs[np.uint32(level)]
+    pixels.base[lane, row, column] = log
+    if pixels.filtered.size:
+        pixels.filtered[lane, row, column] = log
+    if pixels.last_s.size:
+        pixels.last_s[lane, row, column] = -np.float32(camera[events.REFRACTORY])
+
+
+@cuda.jit(device=True)
+def see_noisily(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # type: ignore[no-untyped-def]
+    """Two pixels beside each other, of a camera with noise or a low-pass."""
+    normals, draws = events.drawn(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
+    later = x % BLOCK_SIDE != 0
+    first = (normals[2], draws[2]) if later else (normals[0], draws[0])
+    second = (normals[3], draws[3]) if later else (normals[1], draws[1])
+    signed = events.see_pixel(levels[0], camera, sensor, base, filtered, first, y, x, dt_s)
+    return signed + events.see_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, dt_s)
+
+
+def see_events(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Let the event cameras see a picture; where `take`, their events since the last time are a frame (L, 36, 64)."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    lane, y, x = pixels_of_thread()
     if lane >= len(going) or going[lane] == 0:
         return
-    state, game = now.state[lane], now.game[lane]
-    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
+    across, down, game = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE), now.game[lane]
+    state = now.state[lane]
     if state.collision_tick != NEVER:
-        if take != 0 and first:
+        if take != 0 and x % BLOCK_SIDE == 0:
             frames[lane, down, across] = NEUTRAL_LEVEL
         return
-    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
-    dt_s = moment_ns * NS - pixels.time_s[lane]
-    filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    level = grey_at(faces[lane], plan, camera, seeds, moment_ns, y, x)
-    block, place = (y * at.COLUMNS + x) // BLOCK_SIDE, x % BLOCK_SIDE
-    normals, draws = events.drawn(camera, seeds[EVENT_SEED], pixels.clock[lane] + 1, block)
-    draw = normals[place], draws[place]
-    signed = events.see_pixel(level, camera, plan.sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
-    total = block_sum(np.int32(signed))
-    if first:
-        total += pixels.gathered[lane, down, across]
+    camera, base, own, seen, total = (
+        camera_of(games, game),
+        pixels.base[lane],
+        faces[lane],
+        shown[lane],
+        np.int32(0),
+    )
+    noisy = camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0 or camera[events.HOT] > 0.0
+    if noisy or camera[events.READ] > 0.0 or pixels.filtered.size:
+        seeds, moment_ns = games.seeds[game], state.tick * tick_ns
+        filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
+        dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
+        for half in range(2):
+            top = np.int32(y + 2 * half)
+            levels = grey_quad(own, seen, plan, top, x)
+            if camera[events.READ] > 0.0:
+                levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
+            total += see_noisily(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
+            total += see_noisily(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, dt_s)
+    else:
+        for half in range(2):
+            top = np.int32(y + 2 * half)
+            levels = grey_quad(own, seen, plan, top, x)
+            row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
+            total += see_plainly(levels[0], camera, plan.sensor, base, row, column)
+            total += see_plainly(levels[1], camera, plan.sensor, base, row, right)
+            total += see_plainly(levels[2], camera, plan.sensor, base, below, column)
+            total += see_plainly(levels[3], camera, plan.sensor, base, below, right)
+    total = np.int32(total)
+    total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
+    if x % BLOCK_SIDE == 0:
+        before = pixels.gathered[lane, down, across]
         if take != 0:
-            frames[lane, down, across] = events.level_of(total)
-            total = 0
-        pixels.gathered[lane, down, across] = total
+            frames[lane, down, across] = events.level_of(before + total)
+        pixels.gathered[lane, down, across] = 0 if take != 0 else before + total
 
 
 def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
@@ -281,30 +363,45 @@ def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
         pixels.time_s[lane] = now.state[lane].tick * tick_ns * NS
 
 
-def show_lanes(going, kind, tick_ns, faces, plan, games, now, frames):  # type: ignore[no-untyped-def]
+def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type: ignore[no-untyped-def]
     """Frames (L, channels, 36, 64) in colour or of depth: means of blocks of 4 x 4 pixels; blank after a touch."""
-    lane, y, x = pixel_of(cuda.grid(1))
+    thread = cuda.grid(1)
+    lane, block = thread // BLOCKS, thread % BLOCKS
     if lane >= len(going) or going[lane] == 0:
         return
-    state, game, number = now.state[lane], now.game[lane], BLOCK_SIDE**2
-    down, across, first = y // BLOCK_SIDE, x // BLOCK_SIDE, y % BLOCK_SIDE == 0 and x % BLOCK_SIDE == 0
-    free, face = state.collision_tick == NEVER, face_at(faces[lane], y, x)
+    across, down, state, game = block % BLOCK_COLUMNS, block // BLOCK_COLUMNS, now.state[lane], now.game[lane]
+    free, camera, seeds = state.collision_tick == NEVER, camera_of(games, game), games.seeds[game]
+    moment_ns, number, depth_sum = state.tick * tick_ns, BLOCK_SIDE**2, np.float32(0.0)
+    red_sum = green_sum = blue_sum = 0
+    for pixel in range(16):
+        y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
+        face = np.int32(shown[lane, y, x])
+        if kind == DEPTH:
+            w = (
+                linear(faces[lane], face, at.W, np.float32(x), np.float32(y))
+                if face
+                else faces[lane, 0, at.FAR_W]
+            )
+            depth_sum += min(np.float32(1.0) / w, SEEN_FAR_M)
+        else:
+            red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
+            if camera[events.READ] > 0.0:
+                value = 3 * (y * at.COLUMNS + x)
+                red = noisy_at(int(red), camera, seeds, moment_ns, value)
+                green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
+                blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
+            red_sum, green_sum, blue_sum = red_sum + red, green_sum + green, blue_sum + blue
     if kind == DEPTH:
-        w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
-        total = block_sum(min(np.float32(1.0) / w, SEEN_FAR_M))
-        if first:
-            shade = int(round(total / np.float32(number) * np.float32(255.0 / 50.0)))
-            frames[lane, 0, down, across] = shade if free else 0
+        shade = int(round(depth_sum / np.float32(number) * np.float32(255.0 / 50.0)))
+        frames[lane, 0, down, across] = shade if free else 0
         return
-    camera, seeds, moment_ns = games.cameras[game], games.seeds[game], state.tick * tick_ns
-    colour = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
-    for channel in range(3):
-        level = int(colour[channel])
-        if camera[events.READ] > 0.0:
-            level = noisy_at(level, camera, seeds, moment_ns, 3 * (y * at.COLUMNS + x) + channel)
-        mean = int(round(block_sum(np.int32(level)) / number))
-        if first:
-            frames[lane, channel, down, across] = mean if free else 0
+    frames[lane, 0, down, across] = int(round(red_sum / number)) if free else 0
+    frames[lane, 1, down, across] = int(round(green_sum / number)) if free else 0
+    frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
+
+
+LIMITS = {start_events: 64, see_events: 64}
+"""Registers a thread; what a noisy camera needs beyond these goes to memory, the usual path has enough."""
 
 
 class Kernels(NamedTuple):
@@ -314,6 +411,7 @@ class Kernels(NamedTuple):
     command: Any
     fly: Any
     project: Any
+    find: Any
     start: Any
     see: Any
     note: Any
@@ -322,18 +420,21 @@ class Kernels(NamedTuple):
 
 def compiled(usual: Any) -> Kernels:
     """The kernels, from numba's cache if they are there, for vehicles of `usual` parameters, a record."""
-    warnings.filterwarnings("ignore", category=NumbaPerformanceWarning)  # few lanes leave a GPU idle: so be it
+    warnings.filterwarnings("ignore", message=".*under-utilization")  # few lanes leave a GPU idle: so be it
     functions = (
         begin_lanes,
         command_lanes,
         flying(usual),
         project_lanes,
+        find_shown,
         start_events,
         see_events,
         note_seen,
         show_lanes,
     )
-    return Kernels(*(cuda.jit(function, cache=True) for function in functions))
+    return Kernels(
+        *(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions)
+    )
 
 
 def stream() -> Any:

@@ -226,7 +226,15 @@ for _function, _chosen in BY_TYPE:
 
 @njit(error_model="numpy")
 def see(
-    levels: Four, camera: Any, sensor: Any, base: Any, filtered: Any, noise: tuple[int, int], y: int, x: int, dt_s: float
+    levels: Four,
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    filtered: Any,
+    noise: tuple[int, int],
+    y: int,
+    x: int,
+    dt_s: float,
 ) -> int:
     """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
 
@@ -251,7 +259,7 @@ def see_pixel(
     y: int,
     x: int,
     dt_s: float,
-) -> int:
+) -> Any:
     """One pixel of `see`; `draw` are its numbers of this frame, for the leak and for shot noise."""
     positive = threshold(base[y, x], camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
     negative = threshold(base[y, x], camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
@@ -289,7 +297,7 @@ def add_shot(
     positive: Any,
     negative: Any,
     draw: np.float32,
-) -> int:
+) -> Any:
     """Shot noise of a pixel, which then memorises the present intensity: ON minus OFF events."""
     noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
     if noise != 0:

@@ -125,7 +125,9 @@ def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     game, row = now.game[lane], now.body[lane]
     body = row[POSE:MOTION], row[MOTION:FORCE], row[FORCE:ACCELERATION], row[ACCELERATION:]
     solids, count = games.solids[game], games.counts[game]
-    fly_ticks(games.parameters[game], now.state[lane], body, solids, count, hull, now.watch[lane], ticks, True)
+    fly_ticks(
+        games.parameters[game], now.state[lane], body, solids, count, hull, now.watch[lane], ticks, True
+    )
 
 
 @njit

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
+from uavaccel.envs.kernel_plan import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Count
 from uavaccel.limits import Cost, Games, Processes, Seed
@@ -20,8 +21,10 @@ class LearnerConfig(Config):
 
     seed: Seed = 0
     games: Games = 5000
+    simulator: Simulator = "mujoco"
+    """mujoco, the exact one, or kernels: lanes over arrays, in threads or, with device cuda, on the GPU."""
     environments: Processes = 1
-    """Lanes flown side by side, each in a process of its own; 1 with wall, where neighbours would disturb."""
+    """Lanes flown side by side, of mujoco each in a process of its own; 1 with wall, where neighbours would disturb."""
     turns: Processes = 1
     """Groups of the lanes that take turns, of double_dqn: while one decides and is learned from, the others fly."""
     task: LaneTask = LaneTask()
@@ -58,6 +61,23 @@ class LearnerConfig(Config):
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
         return self
+
+    @model_validator(mode="after")
+    def _kernels_can_fly(self) -> LearnerConfig:
+        if self.simulator == "kernels":
+            check_flyable(self.task, self.environments)
+            if self.on_device and (self.algorithm != "double_dqn" or self.task.observation == "state"):
+                raise ValueError("simulator kernels with device cuda needs algorithm double_dqn and pictures")
+            if self.on_device and self.turns > 1:
+                raise ValueError(
+                    "turns must be 1 with simulator kernels and device cuda: all lanes fly at once"
+                )
+        return self
+
+    @property
+    def on_device(self) -> bool:
+        """Whether lanes and learner are together on a GPU."""
+        return self.simulator == "kernels" and self.device.startswith("cuda")
 
     @model_validator(mode="after")
     def _turns_have_lanes(self) -> LearnerConfig:

@@ -11,6 +11,7 @@ The host launches rounds in chunks, and draws new games and keeps rows while the
 
 from __future__ import annotations
 
+import os
 import random
 from collections import deque
 from typing import Any
@@ -32,7 +33,7 @@ from uavaccel.rl.learner import Game, LearnerState, falling, learning_rhythm
 from uavaccel.rl.mirror import turned_actions
 from uavaccel.units import NS_PER_S
 
-CHUNK = 16  # rounds between two looks of the host
+CHUNK = 8  # rounds between two looks of the host
 EAGER = 2  # rounds of each kind before it is recorded: what is compiled and chosen at first use
 COUNTERS = ("games", "rounds", "updates")
 
@@ -40,7 +41,8 @@ COUNTERS = ("games", "rounds", "updates")
 class DeviceDQN:
     """The learner of `simulator: kernels` with `device: cuda`; `policy` holds networks and optimizer as DoubleDQN's."""
 
-    def __init__(self, config: LearnerConfig, lanes: CudaLanes, seeds: list[int]) -> None:
+    def __init__(self, config: LearnerConfig, lanes: CudaLanes) -> None:
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS is not repeatable
         th.use_deterministic_algorithms(True)
         th.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
         th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
@@ -49,12 +51,8 @@ class DeviceDQN:
         random.seed(config.seed)
         th.manual_seed(config.seed)
         self.policy: Any = first_policy(config, lambda _: self.options.learning_rate).to(self.device)
-        for group in self.policy.optimizer.param_groups:
-            group["lr"] = th.tensor(self.options.learning_rate, device=self.device)
+        self._let_rates_be_tensors()
         self._allocate()
-        lanes.seed(list(seeds))
-        lanes.refill([2 - lanes_ahead()] * lanes.count)
-        lanes.begin()
         self.games = self.rounds = self.updates = 0
         self.returns: list[float] = []
         self.holding = False
@@ -63,7 +61,11 @@ class DeviceDQN:
         self._eager: dict[tuple[bool, ...], int] = {}
         self._side = th.cuda.Stream()
         self._unread: deque[tuple[Any, ...]] = deque()
-        self._host_s, self._clock = 0.0, MonotonicClock()
+        self._clock = MonotonicClock()
+
+    def _let_rates_be_tensors(self) -> None:
+        for group in self.policy.optimizer.param_groups:
+            group["lr"] = th.tensor(float(group["lr"]), device=self.device)
 
     def _allocate(self) -> None:
         lanes, options = self.lanes, self.options
@@ -94,6 +96,8 @@ class DeviceDQN:
 
     def advance(self) -> list[Game]:
         """A chunk of rounds is launched, and the one before is read: the games that ended in it."""
+        if not self.lanes.begun_yet:
+            self.lanes.begin()
         if not self.holding:
             self._launch()
         if len(self._unread) < 2 and not self.holding:
@@ -208,16 +212,20 @@ class DeviceDQN:
         self._line.copy_((self._line + 1) % CHUNK)
         self._done += self.lanes.ended[:, AT.over].sum()
         done = (self._done / config.games).clamp(max=1.0)
-        fall = (options.exploration_final_eps - options.exploration_initial_eps) / options.exploration_fraction
+        fall = (
+            options.exploration_final_eps - options.exploration_initial_eps
+        ) / options.exploration_fraction
         epsilon = options.exploration_initial_eps + done * fall
         over = done > options.exploration_fraction
         self._epsilon.copy_(th.where(over, options.exploration_final_eps, epsilon))
         rate_now = falling(options.learning_rate, config.final_learning_rate_share, 1.0 - done)  # type: ignore[arg-type]
         for group in self.policy.optimizer.param_groups:
-            group["lr"].copy_(th.where(done >= 1.0, 0.0, rate_now))  # what is learned is of the games asked for
+            group["lr"].copy_(
+                th.where(done >= 1.0, 0.0, rate_now)
+            )  # what is learned is of the games asked for
 
     def _read(self) -> list[Game]:
-        """The games of the oldest chunk that was flown, up to as many as are wanted; new ones are drawn in their place."""
+        """The games of the oldest chunk flown, up to as many as are wanted; new ones are drawn in their place."""
         read, log, begun, begun_ns = self._unread.popleft()
         read.synchronize()
         over = log[..., AT.over].numpy()
@@ -233,21 +241,32 @@ class DeviceDQN:
         if games:
             share_s = spent_s / len(games)
             for game in games:
-                game.info["host_phase_s"]["simulation"] = share_s  # type: ignore[index]
+                game.info["host_phase_s"]["simulation"] = share_s
         self.lanes.refill(begun.tolist())
         return games
 
     # --- going on after a stop ----------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        raise NotImplementedError
+        """Networks, optimizer, ring, counters; the generators are saved with the checkpoint."""
+        tensors = {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "torch": th.get_rng_state(),
+            "schedule": {"done": self._done, "epsilon": self._epsilon},
+        }
+        return LearnerState(
+            tensors, self.replay.get_state(), {name: getattr(self, name) for name in COUNTERS}
+        )
 
     def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
-        raise NotImplementedError
-
-
-def lanes_ahead() -> int:
-    """Games that a lane has at most."""
-    from uavaccel.envs.cuda_lanes import AHEAD
-
-    return AHEAD
+        """Take what `get_state` gave; what the lanes show is with them."""
+        self.policy.load_state_dict(state.tensors["policy"])
+        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
+        self._let_rates_be_tensors()
+        th.set_rng_state(state.tensors["torch"].cpu())
+        self._done.copy_(state.tensors["schedule"]["done"])
+        self._epsilon.copy_(state.tensors["schedule"]["epsilon"])
+        self.replay.set_state(state.arrays)
+        for name in COUNTERS:
+            setattr(self, name, state.counters[name])

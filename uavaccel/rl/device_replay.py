@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 from numba import cuda
+from numpy.typing import NDArray
 
 from uavaccel.kernels.cuda import shared, stream
 from uavaccel.rl.network import HALF_CONTRAST
@@ -36,7 +37,9 @@ class Windows(NamedTuple):
 class DeviceReplay:
     """A ring of `rows` rounds of `lanes` lanes; `place` is the row being flown, `filled` rows before it are whole."""
 
-    def __init__(self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device) -> None:
+    def __init__(
+        self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device
+    ) -> None:
         self.rows, self.lanes, self.device = rows, lanes, device
         self.observations = th.zeros((rows, lanes, *shape), dtype=dtype, device=device)
         self.actions = th.zeros((rows, lanes), dtype=th.int64, device=device)
@@ -84,6 +87,18 @@ class DeviceReplay:
             weights.float(),
             mirrored,
         )
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """All of it that is filled, as arrays."""
+        return {name: getattr(self, name).cpu().numpy() for name in RING}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take what `get_state` gave."""
+        for name in RING:
+            getattr(self, name).copy_(th.from_numpy(state[name]))
+
+
+RING = ("observations", "actions", "rewards", "over", "cut", "flown", "place", "filled")
 
 
 def patches_of(frames: int, rows: int, columns: int) -> tuple[int, int, int]:

@@ -7,17 +7,20 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import torch as th
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.kernel_plan import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
 
 class BatchVecEnv(VecEnv):
     """A batch with autoreset SAME_STEP as stable-baselines3's algorithms take it."""
 
-    def __init__(self, batch: LaneBatch) -> None:
+    def __init__(self, batch: LaneBatch | KernelBatch) -> None:
         self.batch = batch
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
@@ -52,6 +55,7 @@ class BatchVecEnv(VecEnv):
         return self.env_method(attr_name, indices=indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        assert isinstance(self.batch, LaneBatch), "lanes over arrays have no attributes of their own"
         self.batch.set_each(attr_name, value, list(self._get_indices(indices)))
 
     def env_method(
@@ -78,17 +82,23 @@ class BatchVecEnv(VecEnv):
 Lanes = VecEnv  # what a learner flies: step_async, step_wait, env_method
 
 
-def make_lanes(task: LaneTask, count: int) -> Lanes:
-    """`count` environments of a task, whose infos have host times.
+def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", device: str = "cpu") -> Any:
+    """The environments of a training, whose infos have host times; on a GPU, where the learner is too.
 
     In `wall` the one lane is flown in this process, so that nothing learns beside it and disturbs its clock.
     """
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     if task.timing == "wall":
         return DummyVecEnv([partial(ObstacleLane, **keywords)])
-    return BatchVecEnv(LaneBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+    if simulator == "mujoco":
+        return BatchVecEnv(LaneBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+    if not device.startswith("cuda"):
+        return BatchVecEnv(KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+    from uavaccel.envs.cuda_lanes import CudaLanes  # needs numba-cuda and a GPU
+
+    return CudaLanes(task, count, th.device(device))
 
 
-def seed_lanes(environment: VecEnv, seed: int) -> None:
-    """Seeds far apart for environments of different trainings: stable-baselines3 counts up by one from the first."""
-    environment.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)
+def seed_lanes(lanes: Any, seed: int) -> None:
+    """Seeds far apart for environments of different trainings, which count up by one from the first."""
+    lanes.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)

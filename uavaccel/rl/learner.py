@@ -36,16 +36,33 @@ class LearnerState:
     counters: dict[str, Any]
 
 
+class SavedLanes(Protocol):
+    """What a checkpoint asks of lanes, whoever flies them."""
+
+    action_space: Any
+
+    @property
+    def num_envs(self) -> int: ...
+
+    def env_method(self, name: str, *arguments: Any, indices: Any = None) -> list[Any]:
+        """`get_state`, or `set_state` with a state, of some lanes (all)."""
+        ...
+
+
 class Learner(Protocol):
     """Flies lanes and learns from them."""
 
     config: LearnerConfig
-    lanes: Lanes
     games: int
     returns: list[float]
     stopwatch: Stopwatch
     holding: bool
     """Whether it is to come to rest soon, for a checkpoint."""
+
+    @property
+    def lanes(self) -> Any:
+        """What it flies: `SavedLanes`."""
+        ...
 
     @property
     def policy(self) -> BasePolicy:

@@ -83,7 +83,7 @@ def count_double_pixel(log: float, base: float, positive: float, negative: float
 
 
 @njit(cache=True, error_model="numpy")
-def advanced(base: Float, signed: np.int32, positive: Float, negative: Float) -> Float:
+def advanced(base: Float, signed: Any, positive: Float, negative: Float) -> Float:
     """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
 
     v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.

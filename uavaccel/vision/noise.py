@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-LEAK_JITTER, SHOT_NOISE, READ_NOISE = 1, 2, 3  # what is drawn: streams of their own
+LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # what is drawn: streams of their own
 PIXELS = 4  # of a block
 
 _MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)

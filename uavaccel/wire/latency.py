@@ -45,7 +45,7 @@ CHANNELS = {
     "simGetImage": "image",
 }
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
-_BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
+BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
 SHIPPED = {"native": "latency.yaml", "airsim": "latency_airsim.yaml"}  # by profile
 _NO_FAULTS = FaultConfig()
@@ -66,7 +66,7 @@ def channel_of(method: str, params: Sequence[Any]) -> str:
 
 def after_wait(channel: str, wait_ns: int) -> str:
     """The channel's name once the last command, or continue-for, has been waited for so long: "pause@10ms"."""
-    return f"{channel}@{WAITS_MS[bisect_left(_BETWEEN_NS, wait_ns)]}ms"
+    return f"{channel}@{WAITS_MS[bisect_left(BETWEEN_NS, wait_ns)]}ms"
 
 
 def _known_channels() -> list[str]:

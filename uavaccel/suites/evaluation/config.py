@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.simulators import KERNELS, Device, Simulator
 from uavaccel.limits import Cost, Games, Processes
 from uavaccel.rl.agents import DEFAULT, trained_keys
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS
@@ -25,6 +26,10 @@ class EvaluateConfig(Experiment):
     first_lane: Annotated[int, Field(ge=0)] = 0
     environments: Processes = 1
     """Lanes flown side by side, with one renderer where there is a GPU; 1 with wall. Rows are the same."""
+    simulator: Simulator = "mujoco"
+    """mujoco: exact, seen through OpenGL; kernels: all lanes as one batch of arrays (docs/kernels.md)."""
+    device: Device = "cpu"
+    """Where the kernels fly: cpu, in threads, or cuda, on one GPU."""
     inference_s: Cost = 0.0005
     """What a decision costs the simulated wall clock of `virtual`."""
     task: LaneTask = LaneTask(split="evaluation", timing="virtual")
@@ -36,6 +41,12 @@ class EvaluateConfig(Experiment):
             raise ValueError(
                 f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {EVALUATION_SEEDS - 1}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _kernels_fly_one_batch(self) -> EvaluateConfig:
+        if self.simulator == KERNELS and self.environments > 1:
+            raise ValueError("environments is of simulator mujoco: the kernels fly all lanes as one batch")
         return self
 
     @model_validator(mode="after")

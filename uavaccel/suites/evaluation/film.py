@@ -10,6 +10,7 @@ import numpy as np
 from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import is_baseline, make_agent
 from uavaccel.sim.chase import ChaseView
@@ -32,7 +33,7 @@ def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 def film_lane(config: EvaluateConfig, lane: int) -> Film:
     """The game of that lane once more: the same one in `virtual` and `lockstep`, a new one in `wall`.
 
-    Raises UserError for a policy that sees no events, in `wall`.
+    It is flown in the exact simulator, as its title says where the evaluation was not. Raises UserError for a policy that sees no events, in `wall`.
     """
     task = config.task
     agent = FilmedAgent(make_agent(config.agent, task))
@@ -48,7 +49,8 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     attitude = np.array([sample.orientation_wxyz for sample in samples])
     on, off = count_events(images, time_s, environment.flown.dvs_parameters, task.dvs_seed)
     end = "reached the end" if info["is_success"] else f"hit {hit}" if hit else "ran out of commands"
-    title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}"
+    again = "" if config.simulator == EXACT else " in the exact simulator"
+    title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}{again}"
     layout = lane_layout(environment.flown.wire_lane(lane))
     return Film(
         title,

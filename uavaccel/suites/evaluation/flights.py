@@ -10,6 +10,7 @@ import numpy as np
 
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.simulators import EXACT
 from uavaccel.rl.agents import Agent
 from uavaccel.suites.disturbed import measured_disturbances
 from uavaccel.suites.evaluation.config import EvaluateConfig
@@ -40,15 +41,21 @@ def cases(config: EvaluateConfig) -> Iterator[Case]:
 def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> dict[str, Any]:
     """Fly the lane to its end; the game's row."""
     infos = list(fly_lane(config, environment, agent, lane))
+    return row_of(config, lane, infos[-1], [info["action"] for info in infos])
+
+
+def row_of(config: EvaluateConfig, lane: int, ended: dict[str, Any], actions: list[int]) -> dict[str, Any]:
+    """A game's row, of the info of its end; it says which simulator flew, unless that is the exact one."""
     names = ("is_success", "distance_m", "collision", "lane", "commands", "wall_s", "phase_s")
     return {
         "case": lane_case(lane),
         "suite": "evaluate",
-        **{name: infos[-1][name] for name in names},
-        **{name: infos[-1][name] for name in (CONDITIONS,) if name in infos[-1]},
-        "sim_time_s": infos[-1]["commands"] * config.task.t_move_s,
-        "actions": [info["action"] for info in infos],
-        **measured_disturbances(infos[-1]),
+        **({} if config.simulator == EXACT else {"simulator": config.simulator}),
+        **{name: ended[name] for name in names},
+        **{name: ended[name] for name in (CONDITIONS,) if name in ended},
+        "sim_time_s": ended["commands"] * config.task.t_move_s,
+        "actions": actions,
+        **measured_disturbances(ended),
     }
 
 
@@ -56,8 +63,7 @@ def fly_lane(
     config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int
 ) -> Iterator[dict[str, Any]]:
     """One game, an info after each command; the same game for the same seed and lane."""
-    seed = int(np.random.SeedSequence([config.seed, lane]).generate_state(1)[0])
-    observation, info = environment.reset(seed=seed, options={"lane": lane})
+    observation, info = environment.reset(seed=game_seed(config, lane), options={"lane": lane})
     over = False
     while not over:
         environment.charge(config.inference_s)
@@ -65,6 +71,11 @@ def fly_lane(
         observation, _, terminated, truncated, info = environment.step(action)
         over = terminated or truncated
         yield {**info, "action": action}
+
+
+def game_seed(config: EvaluateConfig, lane: int) -> int:
+    """The seed of the game on that lane."""
+    return int(np.random.SeedSequence([config.seed, lane]).generate_state(1)[0])
 
 
 def lane_case(lane: int) -> str:

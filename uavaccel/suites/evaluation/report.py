@@ -9,13 +9,13 @@ from uavaccel.config import validate
 from uavaccel.draw.document import Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.draw.survival import draw_survival
+from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.metrics.intervals import wilson_interval
-from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import published
 from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.summary import headline, summarise
+from uavaccel.suites.evaluation.summary import headline, how_flown, summarise
 from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
 from uavaccel.suites.suite import Summary
 
@@ -43,7 +43,7 @@ def _beside_the_papers(summary: Summary) -> Table:
     """Its success, and the best of the paper's trainings with each command (Table I)."""
     own = f"{summary['success_ratio']:.1%} [{100 * summary['wilson_low']:.0f}, {100 * summary['wilson_high']:.0f}]"
     rows: list[tuple[str, ...]] = [
-        (str(summary["agent"]), own, str(summary["games"]), timing_provenance(summary["timing"]))
+        (str(summary["agent"]), own, str(summary["games"]), how_flown(summary))
     ]
     for command, by_clock in published.SUCCESSES.items():
         best = max(by_clock.values())
@@ -61,7 +61,7 @@ def draw_evaluations(runs: Sequence[RunDirectory], path: Path) -> Path:
 
 
 def _source(runs: Sequence[RunDirectory]) -> str:
-    timings = {timing_provenance(run.config()["task"]["timing"]) for run in runs}
+    timings = {how_flown(run.config() | {"timing": run.config()["task"]["timing"]}) for run in runs}
     games = sorted({len(run.rows()) for run in runs})
     seeds = sorted({run.config()["seed"] for run in runs})
     told = [
@@ -72,6 +72,12 @@ def _source(runs: Sequence[RunDirectory]) -> str:
 
 
 def _name(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:
-    agent = str(run.config()["agent"])
-    alike = [other for other in runs if other.config()["agent"] == agent]
-    return agent if len(alike) == 1 else f"{agent} ({run.path})"  # folders may share their last name
+    name = _agent_and_simulator(run)
+    alike = [other for other in runs if _agent_and_simulator(other) == name]
+    return name if len(alike) == 1 else f"{name} ({run.path})"  # folders may share their last name
+
+
+def _agent_and_simulator(run: RunDirectory) -> str:
+    config = run.config()
+    by = flown_by(config.get("simulator", EXACT), config.get("device", ""))
+    return ", ".join([str(config["agent"]), *filter(None, [by])])

@@ -12,11 +12,13 @@ import torch as th
 from uavaccel.config import validate
 from uavaccel.draw.film import Film
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.simulators import KERNELS
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent, policy_sha256
 from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
+from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
 from uavaccel.suites.evaluation.summary import headline
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.suite import Flown, Row, Suite, Summary, choose_row
@@ -35,6 +37,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     def check(self, config: EvaluateConfig) -> None:
         make_agent(config.agent, config.task)
+        check_kernels(config)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Case]:
         return cases(config)
@@ -45,9 +48,11 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
         """What flies the game on a lane: an environment and the agent, or many of them side by side."""
-        if config.environments > 1:
-            left = [case.lane for case in cases(config) if case.id not in run.done_cases()]
-            with closing(GamesInBatch(config, left)) as batch:
+        if self.why_serial(config):
+            done = run.done_cases()
+            left = [case.lane for case in cases(config) if case.id not in done]
+            games = GamesOverArrays if config.simulator == KERNELS else GamesInBatch
+            with closing(games(config, left)) as batch:
                 yield batch.game
             return
         th.set_num_threads(1)
@@ -59,15 +64,18 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return opened(case.lane)
 
     def why_serial(self, config: EvaluateConfig) -> str:
-        """A batch has processes of its own."""
+        """A batch has processes of its own, or threads."""
+        if config.simulator == KERNELS:
+            return "simulator = kernels flies all lanes as one batch"
         many = config.environments
         return f"environments = {many} flies in processes of its own" if many > 1 else ""
 
     def renders(self, config: EvaluateConfig) -> bool:
-        return config.task.observation != "state"
+        return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, Any]:
-        return {"policy_sha256": policy_sha256(config.agent)}
+        by = {"simulator": config.simulator, "device": config.device}
+        return {"policy_sha256": policy_sha256(config.agent), **by}
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
@@ -84,9 +92,10 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return report.write_report(run)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        from uavaccel.suites.evaluation import report
+        from uavaccel.suites.evaluation import report, side_by_side
 
-        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON))]
+        both = side_by_side.write_simulators(runs)
+        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON)), *both]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""

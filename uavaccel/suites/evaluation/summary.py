@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.metrics.speedup import timing_provenance
@@ -31,6 +32,8 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
         "command": task.command,
         "clock_speed": task.clock_speed,
         "timing": task.timing,
+        "simulator": config.simulator,
+        **({} if config.simulator == EXACT else {"device": config.device}),
         "seed": config.seed,
         "games": len(rows),
         "successes": successes,
@@ -44,11 +47,17 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
+def how_flown(keys: Mapping[str, Any]) -> str:
+    """Measured or modelled, and by which simulator, of a summary or of a configuration's keys with its timing."""
+    by = flown_by(keys.get("simulator", EXACT), keys.get("device", ""))
+    return ", ".join([timing_provenance(keys["timing"]), *filter(None, [by])])
+
+
 def headline(summary: Summary) -> str:
     """The result in a sentence, with its interval, its clock and its seed."""
     return (
         f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
-        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {timing_provenance(summary['timing'])}, "
+        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {how_flown(summary)}, "
         f"{summary['command']} at {summary['clock_speed']:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
         f"seconds per wall second, seed {summary['seed']}"
     )

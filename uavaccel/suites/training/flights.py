@@ -56,7 +56,7 @@ class Trainer:
         self._config, self._run = config, run
         self._interrupted = False
         self._finished: deque[Flown] = deque()
-        self._lanes = make_lanes(config.task, config.environments)
+        self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device)
         try:
             self._learner = make_learner(config, self._lanes)
             seed_lanes(self._lanes, config.seed)

@@ -1,0 +1,129 @@
+"""Batches of torch tensors: the games, observations and ends of the CPU's batch, whatever device they are on."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch as th
+
+import uavaccel.envs  # noqa: F401 - registers
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.gates import Gates
+from uavaccel.envs.hover import Hover
+from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
+
+LANES = 3
+FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
+    (ObstacleLane, {"max_commands": 2, "knows": ["last_action", "frame_age"], "history": 2}),
+    (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
+    (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
+    (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
+    (Gates, {"t_move_s": 0.4, "t_sample_s": 0.2, "half_width_m": 1.5, "max_commands": 12}),
+]
+
+
+def actions_of(space: Any, random: np.random.Generator) -> Any:
+    if space.shape:
+        return random.uniform((0.2, -0.6, -0.3), (1.0, 0.6, 0.3), (LANES, 3)).astype(np.float32)
+    return random.integers(5, size=LANES)
+
+
+@pytest.mark.parametrize(("kind", "task"), FLOWN)
+@pytest.mark.usefixtures("host_kernels")
+def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[str, Any]) -> None:
+    from uavaccel.envs.cuda_batch import CudaBatch
+
+    random, ends = np.random.default_rng(0), 0
+    with (
+        closing(CudaBatch(kind, LANES, **task)) as batch,
+        closing(KernelBatch(kind, LANES, autoreset_mode="SameStep", **task)) as other,
+    ):
+        for seed in (5, None):  # without a seed games go on, but for those that were drawn ahead
+            seen, _ = batch.reset(seed=seed)
+            assert isinstance(seen, th.Tensor)
+            np.testing.assert_array_equal(seen.numpy(), other.reset(seed=seed)[0])
+            for number in range(15):
+                actions = actions_of(batch.single_action_space, random)
+                flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
+                expected = other.step(actions)
+                for tensor, array in zip(flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True):
+                    np.testing.assert_array_equal(tensor.numpy(), array)
+                # PyTorch takes a number times a flag in single precision, as tasks' rewards have them
+                np.testing.assert_allclose(flown[1].numpy(), expected[1], rtol=0, atol=1e-7)
+                np.testing.assert_array_equal(flown[4]["commands"].numpy(), expected[4]["commands"])
+                np.testing.assert_array_equal(flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"]))
+                over = expected[2] | expected[3]
+                ends += over.sum()
+                for lane in np.flatnonzero(over):
+                    np.testing.assert_array_equal(flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane])
+                if over.any():
+                    assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"])
+    assert ends > LANES
+
+
+def assert_equal_infos(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+    assert set(ours) == set(theirs)
+    for key, value in ours.items():
+        if isinstance(value, dict):
+            assert_equal_infos(value, theirs[key])
+        else:
+            np.testing.assert_array_equal(value, theirs[key])
+
+
+@pytest.mark.usefixtures("host_kernels")
+def test_resets_take_options_and_actions_are_looked_at() -> None:
+    from uavaccel.envs.cuda_batch import CudaBatch
+
+    with closing(CudaBatch(ObstacleLane, 2, observation="state", max_commands=1)) as batch:
+        with pytest.raises(UserError, match="^reset the environments before their first step$"):
+            batch.step([2, 2])
+        for _ in range(2):
+            batch.reset(options={"lane": 7})
+            infos = batch.step([2, 2])[4]
+            assert infos["final_info"]["lane"].tolist() == [7, 7]
+        for wrong in ([2, 5], [2], [2.0, 2.0], np.array([-1, 0])):
+            with pytest.raises(UserError, match="^actions .* are not in the action space"):
+                batch.step(wrong)
+    with pytest.raises(UserError, match="^autoreset_mode: with device = cuda it is SameStep$"):
+        CudaBatch(ObstacleLane, 2, observation="state", autoreset_mode="NextStep")
+
+
+def test_make_vec_says_which_simulator_flies() -> None:
+    name = "uavaccel/ObstacleLane-v0"
+    made: Any = gymnasium.make_vec(name, num_envs=2, simulator="kernels", observation="state", max_commands=1)
+    with closing(made) as batch:
+        assert isinstance(batch, KernelBatch)
+        assert batch.reset(seed=3, options={"lane": 4})[1]["lane"].tolist() == [4, 4]
+        assert batch.step(np.array([2, 2]))[3].all()
+    for name in ("uavaccel/Hover-v0", "uavaccel/Gates-v0"):
+        made = gymnasium.make_vec(name, num_envs=2, simulator="kernels")
+        with closing(made) as batch:
+            assert isinstance(batch, KernelBatch)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"simulator": "kernel"}, "simulator = 'kernel' is unknown; there are mujoco, kernels"),
+        ({"simulator": "kernels", "device": "gpu"}, "device = 'gpu' is unknown; there are cpu, cuda"),
+        ({"device": "cuda"}, "device = cuda: simulator = mujoco flies on the CPU"),
+        ({"simulator": "kernels", "device": "cuda"}, "device = cuda: (needs numba-cuda: pip install|PyTorch finds no GPU)"),
+        ({"simulator": "kernels", "renderer": "own"}, "renderer: is of simulator = mujoco"),
+        ({"simulator": "kernels", "render_mode": "rgb_array"}, "render_mode: is of simulator = mujoco"),
+        ({"simulator": "kernels", "timing": "wall"}, "simulator = kernels: timing wall"),
+    ],
+)
+def test_what_no_simulator_flies_is_one_clear_line(
+    keys: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(th.cuda, "is_available", lambda: False)
+    with pytest.raises(UserError, match=f"^{message}") as raised:
+        gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=2, **keys)
+    assert "\n" not in str(raised.value)

@@ -1,0 +1,88 @@
+"""Pictures as a GPU's threads draw them, column by column and quad by quad, against those of the CPU's loops."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numba import njit
+from numpy.typing import NDArray
+
+from tests.test_kernel_looks import drawn_views, laid_out
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.columns import (
+    MOST_INTERVALS,
+    MOST_PIECES,
+    Column,
+    add_interval,
+    fill_column,
+    settle,
+)
+from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.looks import read_looks
+from uavaccel.kernels.pictures import draw_gray
+from uavaccel.kernels.project import project
+from uavaccel.kernels.quads import quad_lumas, quick_count
+from uavaccel.resources import asset
+from uavaccel.vision.dvs_kernels import count_single_pixel
+
+
+@pytest.fixture(scope="module")
+def looks() -> Looks:
+    return read_looks(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+
+
+def room() -> Column:
+    intervals, pieces = (MOST_INTERVALS, at.COLUMNS), (MOST_PIECES, at.COLUMNS)
+    rows, w = np.zeros(intervals, np.int32), np.zeros((2, *intervals), np.float32)
+    return Column(rows, w[0], w[1], np.zeros(pieces, np.int32))
+
+
+@njit
+def draw(looks: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
+    """What each pixel shows (ROWS, COLUMNS), and its luma."""
+    for column in range(at.COLUMNS):
+        place, count = np.uintp(column), np.int32(0)
+        for face in range(1, int(faces[0, at.COUNT])):
+            if faces[face, at.NEAREST_W] > 0:
+                count = add_interval(faces, np.int32(face), np.int32(column), room, place, count)
+        settle(faces[0, at.FAR_W], room, place, count)
+        fill_column(room, place, shown, place)
+    for row in range(0, at.ROWS, 2):
+        for column in range(0, at.COLUMNS, 2):
+            a, b = np.int32(shown[row, column]), np.int32(shown[row, column + 1])
+            c, d = np.int32(shown[row + 1, column]), np.int32(shown[row + 1, column + 1])
+            quad = quad_lumas(
+                faces, (a, b, c, d), looks.texels, looks.textures, np.int32(row), np.int32(column)
+            )
+            picture[row, column], picture[row, column + 1] = quad[0], quad[1]
+            picture[row + 1, column], picture[row + 1, column + 1] = quad[2], quad[3]
+
+
+def test_columns_and_quads_are_the_picture(looks: Looks) -> None:
+    arguments = laid_out(looks, drawn_views(48, seed=1))
+    faces = np.zeros((at.FACES, at.FIELDS), np.float32)
+    shown = np.zeros((at.ROWS, at.COLUMNS), np.int16)
+    drawn = np.zeros((48, at.ROWS, at.COLUMNS), np.uint8)
+    for number, picture in enumerate(drawn):
+        project(looks, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
+        draw(looks, faces, room(), shown, picture)
+    apart = np.abs(drawn.astype(int) - draw_gray(*arguments))
+    assert np.mean(apart > 0) <= 5e-5
+
+
+def test_counts_without_a_double_division_are_v2es() -> None:
+    rng = np.random.default_rng(0)
+    base = rng.uniform(0, 5.5, 200_000).astype(np.float32)
+    up, down = (np.abs(rng.normal(0.2, 0.05, (2, len(base)))) + 0.01).astype(np.float32)
+    whole = rng.integers(-9, 10, len(base)).astype(np.float32)
+    for log in (
+        rng.uniform(0, 5.5, len(base)).astype(np.float32),
+        base + whole * np.where(whole > 0, up, down),
+    ):
+        exact = [count_single_pixel(*each) for each in zip(log, base, up, down, strict=True)]
+        quick: NDArray[Any] = np.array([quick_count(*each) for each in zip(log, base, up, down, strict=True)])
+        np.testing.assert_array_equal(quick, exact)
+        assert np.abs(quick).max() > 5

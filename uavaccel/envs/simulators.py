@@ -1,0 +1,94 @@
+"""Who flies a batch: the exact simulator, or the kernels on this machine's cores or on its GPU."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any, Literal, get_args
+
+from gymnasium.vector import VectorEnv
+
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.errors import UserError
+
+Simulator = Literal["mujoco", "kernels"]
+Device = Literal["cpu", "cuda"]
+EXACT, KERNELS = get_args(Simulator)
+CPU, CUDA = get_args(Device)
+OF_LANES = ("processes", "renderer", "tiles")  # keywords of LaneBatch alone
+
+
+def make_batch(
+    environment: type[FlightEnv],
+    num_envs: int = 1,
+    simulator: Simulator = "mujoco",
+    device: Device = "cpu",
+    **keys: Any,
+) -> VectorEnv[Any, Any, Any]:
+    """`num_envs` environments of a kind, flown by `simulator` on `device`, with the keywords that those take.
+
+    Raises UserError for what there is not, and as the batches themselves.
+    """
+    check_simulator(simulator, device)
+    if simulator == EXACT:
+        from uavaccel.envs.batch import LaneBatch
+
+        return LaneBatch(environment, num_envs, **keys)
+    for name in OF_LANES:
+        if keys.pop(name, None) is not None:
+            raise UserError(
+                f"{name}: is of simulator = mujoco; the kernels fly in one process, without OpenGL"
+            )
+    if keys.pop("render_mode", None) is not None:
+        raise UserError("render_mode: is of simulator = mujoco; the kernels show observations alone")
+    if device == CUDA:
+        from uavaccel.envs.cuda_batch import CudaBatch
+
+        return CudaBatch(environment, num_envs, **keys)
+    from uavaccel.envs.kernel_batch import KernelBatch
+
+    return KernelBatch(environment, num_envs, **keys)
+
+
+def check_simulator(simulator: str, device: str) -> None:
+    """Raise UserError, one line, for what there is not: a simulator, a device, a GPU, or what drives one."""
+    for name, value, known in (("simulator", simulator, Simulator), ("device", device, Device)):
+        if value not in get_args(known):
+            raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(get_args(known))}")
+    if device == CPU:
+        return
+    if simulator == EXACT:
+        raise UserError(
+            "device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU"
+        )
+    if find_spec("numba_cuda") is None:
+        raise UserError("device = cuda: needs numba-cuda: pip install 'uavaccel[gpu]'; or take device = cpu")
+    import torch as th
+
+    if not th.cuda.is_available():
+        raise UserError("device = cuda: PyTorch finds no GPU here; take device = cpu")
+
+
+def flown_by(simulator: str, device: str) -> str:
+    """Which one flew, in words; nothing of the exact simulator, as whose all numbers count that say nothing else."""
+    return "" if simulator == EXACT else f"simulator kernels on {'a GPU' if device == CUDA else 'the CPU'}"
+
+
+def obstacle_lanes(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+    """`gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=...)`."""
+    from uavaccel.envs.obstacle_lane import ObstacleLane
+
+    return make_batch(ObstacleLane, num_envs, **keys)
+
+
+def hovers(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+    """`gymnasium.make_vec("uavaccel/Hover-v0", num_envs=...)`."""
+    from uavaccel.envs.hover import Hover
+
+    return make_batch(Hover, num_envs, **keys)
+
+
+def gates(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+    """`gymnasium.make_vec("uavaccel/Gates-v0", num_envs=...)`."""
+    from uavaccel.envs.gates import Gates
+
+    return make_batch(Gates, num_envs, **keys)

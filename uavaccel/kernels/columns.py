@@ -1,0 +1,154 @@
+"""Which face each pixel of a column shows: scalar functions, for loops on the CPU and for CUDA threads.
+
+In one column a face is an interval of rows in which w, the inverse of the depth, is linear in the row. So a column is
+settled from piece to piece: the nearest interval at a row, and the row at which another one begins or crosses it. That
+costs as much as the column has intervals, not as it has pixels. The arithmetic is that of `kernels.spans`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from uavaccel.kernels import fields as at
+from uavaccel.kernels.rays import I0, I1, ZERO, Faces, Float, Integer
+from uavaccel.kernels.spans import HUGE, edge_line, line_of, whole_rows
+
+MOST_INTERVALS = 32  # of a column, which has 3 on average and rarely more than 20: then the nearest
+MOST_PIECES = 48
+ROWS, BYTE_BITS, FACE_BITS, BYTE = (np.int32(number) for number in (at.ROWS, 8, 16, 255))
+
+
+class Column(NamedTuple):
+    """Room for columns side by side, arrays (n, columns): on a GPU those of a block of threads."""
+
+    rows: Any
+    """(MOST_INTERVALS, ...) int32: face << 16 | begin << 8 | end."""
+    start: Any
+    """(MOST_INTERVALS, ...) float32: w at row 0."""
+    slope: Any
+    """(MOST_INTERVALS, ...) float32: per row."""
+    pieces: Any
+    """(MOST_PIECES, ...) int32: face << 8 | end, from the top row down."""
+
+
+@njit(error_model="numpy")
+def within(
+    faces: Faces, row: Integer, field: int, edges: int, x: Float, low: Float, high: Float
+) -> tuple[Float, Float]:
+    """Of the rows from `low` to `high`, those inside several edges at a column."""
+    for edge in range(edges):
+        begin, begin_slope, end, end_slope = edge_line(faces, row, field + 3 * edge)
+        low, high = max(low, begin + begin_slope * x), min(high, end + end_slope * x)
+    return low, high
+
+
+@njit(error_model="numpy")
+def rows_of(faces: Faces, face: Integer, x: Float) -> tuple[Integer, Integer]:
+    """A face's rows in a column: the first, and the one behind the last."""
+    low, high = within(faces, face, at.EDGES, 4, x, -HUGE, HUGE)
+    extra = np.int32(faces[face, at.EXTRA])
+    if extra > 0:
+        low, high = within(faces, extra, 0, at.SLICES, x, low, high)
+    if faces[face, at.NEAREST_W] >= faces[0, at.NEAR_W]:
+        rest = faces[0, at.NEAR_W] - faces[face, at.W + 2]
+        begin, begin_slope, end, end_slope = line_of(-faces[face, at.W], -faces[face, at.W + 1], rest)
+        low, high = max(low, begin + begin_slope * x), min(high, end + end_slope * x)
+    return whole_rows(low, high)
+
+
+@njit(error_model="numpy")
+def add_interval(
+    faces: Faces, face: Integer, column: Integer, room: Column, place: Any, count: Integer
+) -> Integer:
+    """Note a face's rows in a column, if it has some. Returns how many intervals the column has now."""
+    x = np.float32(column)
+    if x < faces[face, at.FIRST_COLUMN] or x > faces[face, at.LAST_COLUMN]:
+        return count
+    begin, end = rows_of(faces, face, x)
+    if begin >= end:
+        return count
+    start, slope = faces[face, at.W] * x + faces[face, at.W + 2], faces[face, at.W + 1]
+    number = np.uint32(count)
+    if count >= MOST_INTERVALS:
+        number, farthest = least_near(room, place)
+        if nearest_w(start, slope, begin, end) <= farthest:
+            return count
+        count = np.int32(count - I1)
+    room.rows[number, place] = np.int32(
+        np.int32(np.int32(np.int32(face) << FACE_BITS) | np.int32(begin << BYTE_BITS)) | end
+    )
+    room.start[number, place], room.slope[number, place] = start, slope
+    return np.int32(count + I1)
+
+
+@njit(error_model="numpy")
+def nearest_w(start: Float, slope: Float, begin: Integer, end: Integer) -> Float:
+    """The largest w of an interval."""
+    return max(start + slope * np.float32(begin), start + slope * np.float32(np.int32(end - I1)))
+
+
+@njit(error_model="numpy")
+def least_near(room: Column, place: Any) -> tuple[Any, Float]:
+    """Which interval of a full column is the farthest, and its largest w."""
+    number, farthest = np.uint32(0), HUGE
+    for other in range(np.uintp(MOST_INTERVALS)):
+        rows = room.rows[other, place]
+        begin, end = np.int32(np.int32(rows >> BYTE_BITS) & BYTE), np.int32(rows & BYTE)
+        w = nearest_w(room.start[other, place], room.slope[other, place], begin, end)
+        if w < farthest:
+            number, farthest = np.uint32(other), w
+    return number, farthest
+
+
+@njit(error_model="numpy")
+def overtaken(start: Float, slope: Float, begin: Integer, end: Integer, limit: Integer) -> Integer:
+    """The first row of [begin, end) in which a linear function is above 0, or `limit`."""
+    last = np.int32(end - I1)
+    if start + slope * np.float32(begin) > ZERO:
+        return begin
+    if start + slope * np.float32(last) > ZERO:
+        row = np.int32(np.int32(-start / slope) + I1)
+        return min(max(row, begin), last)
+    return limit
+
+
+@njit(error_model="numpy")
+def settle(far: Float, room: Column, place: Any, count: Integer) -> Integer:
+    """What a column shows, piece by piece from its intervals; face 0 is the sky. Returns how many pieces."""
+    row, number = I0, I0
+    while row < ROWS and number < MOST_PIECES:
+        y = np.float32(row)
+        best, start, slope, shown, limit = far, far, ZERO, I0, ROWS
+        for other in range(np.uintp(count)):
+            rows = room.rows[other, place]
+            begin, end = np.int32(np.int32(rows >> BYTE_BITS) & BYTE), np.int32(rows & BYTE)
+            if begin <= row and row < end:
+                w0, w1 = room.start[other, place], room.slope[other, place]
+                w = w0 + w1 * y
+                if w > best:
+                    best, start, slope, shown, limit = w, w0, w1, np.int32(rows >> FACE_BITS), end
+        for other in range(np.uintp(count)):
+            rows = room.rows[other, place]
+            begin, end = np.int32(np.int32(rows >> BYTE_BITS) & BYTE), np.int32(rows & BYTE)
+            begin, end = max(begin, np.int32(row + I1)), min(end, limit)
+            if begin < end and np.int32(rows >> FACE_BITS) != shown:
+                w0, w1 = room.start[other, place] - start, room.slope[other, place] - slope
+                limit = overtaken(w0, w1, begin, end, limit)
+        room.pieces[np.uint32(number), place] = np.int32(np.int32(shown << BYTE_BITS) | limit)
+        row, number = limit, np.int32(number + I1)
+    return number
+
+
+@njit(error_model="numpy")
+def fill_column(room: Column, place: Any, shown: Any, column: Any) -> None:
+    """The face of each pixel of a column, 0 for the sky: `shown` (ROWS, COLUMNS) int16, from its pieces."""
+    number, limit, face = np.uint32(0), I0, I0
+    for row in range(np.uintp(at.ROWS)):
+        if np.int32(row) >= limit and number < MOST_PIECES:
+            piece = room.pieces[number, place]
+            face, limit = np.int32(piece >> BYTE_BITS), np.int32(piece & BYTE)
+            number = np.uint32(number + np.uint32(1))
+        shown[row, column] = face

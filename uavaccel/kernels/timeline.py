@@ -1,0 +1,414 @@
+"""The simulated wall clock of lanes over arrays: what a client's calls cost, and which ticks pass meanwhile.
+
+One game's clock is a row of integers. The functions are the calls of commands/adsc and tcsc through wire/transport's
+`VirtualTransport` to sim/simulation, in their order, without messages and without a flight: which ticks pass follows
+from the latencies alone. `lockstep` is a model whose latencies are 0. All of them are scalar, for the CPU and a GPU.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from uavaccel.kernels import latencies as wire
+from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
+
+NEVER = np.int64(2**62)
+NO_PHASE = -1
+SIMULATION, RENDERING, IMAGE_PROCESSING = range(3)  # of envs/stopwatch's PHASES
+SPENT = 5  # phases
+
+# A row. The client: its clock, when the game began on it, whether it knows the state; of ADSC when the command was
+# issued and the time it has paused since, and when it did last; of TCSC when the present sample is due in simulated
+# ns; whether the sample is the command's last.
+(NOW, START, KNOWN, ISSUED, PAUSED_NS, PAUSED_AT, DUE, LAST) = range(8)
+# The connection: when the last message was handled, when the command was, when its answer comes, whether it was the
+# last message and is not answered; what has been waited for; what latencies are drawn from.
+(HANDLED, MOVED, MOVE_REPLY, UNANSWERED, WAITED, SEED, DRAWN) = range(8, 15)
+# The simulation: its tick, wall time and anchor; the command's last tick and when it ended; a continue-for's last tick,
+# or its timer, and when it was over; the tick that pictures show, -1 for the present one.
+(TICK, PAUSED, WALL, WALL0, TICK0, COMMAND_END, COMMAND_OVER) = range(15, 22)
+(PERIOD_END, PERIOD_TIMER, PERIOD_OVER, SHOWN) = range(22, 26)
+# The stopwatch.
+(PHASE, SINCE, FIRST_PHASE) = range(26, 29)
+FIELDS = FIRST_PHASE + SPENT
+
+# Rules, the same for all lanes: a game's, the simulation's speed as a fraction over the tick and as it was asked for,
+# what a command lasts, T_th, the platform's, whether pictures are asked for and the guard looks at them.
+(IS_ADSC, EXACT_PAUSES, TICK_NS, SPEED, TICK_WALL, ASKED, ASKED_UNDER, COMMAND_TICKS, T_TH_NS) = range(9)
+(STALL_NS, FRAME_NS, STALE_POSE, AFTER_CONTINUE, IMAGES, GUARDED, PROCESSING_NS, LAYS_OUT) = range(9, 17)
+(LATENCY, FAULTS) = range(17, 19)
+RULES = 19
+
+
+class Timing(NamedTuple):
+    """How commands pass, the same for all lanes."""
+
+    rules: Any
+    """(RULES,) int64."""
+    slices_ns: Any
+    """(S,) int64: simulated time of a command's samples."""
+    offsets_ns: Any
+    """(S,) int64: wall time of ADSC's samples after the command was issued."""
+    latencies: Latencies
+
+
+class Clocks(NamedTuple):
+    """The clocks of L lanes."""
+
+    row: Any
+    """(L, FIELDS) int64."""
+    scale: Any
+    """(L,) float64: requests and replies take so many times what their tables say."""
+    brightness: Any
+    """(L,) float64: what the guard compares the next picture with; NaN before the first."""
+    shown: Any
+    """(L, 7) float64: the pose at tick `SHOWN`."""
+    ticks: Any
+    """(L, S) int64: of the last command's samples, those before a touch."""
+    taken: Any
+    """(L,) int64: how many they are."""
+
+
+def clocks(lanes: int, samples: int, empty: Any = np.zeros) -> Clocks:
+    """Room for lanes; `empty` makes an array of a shape and a type."""
+    f8, i8 = np.float64, np.int64
+    return Clocks(
+        empty((lanes, FIELDS), i8),
+        empty((lanes,), f8),
+        empty((lanes,), f8),
+        empty((lanes, 7), f8),
+        empty((lanes, samples), i8),
+        empty((lanes,), i8),
+    )
+
+
+# --- latencies --------------------------------------------------------------------------------------
+
+
+@njit
+def draw(row: Any, timing: Timing, table: int) -> int:
+    """The next latency of a table, as it stands there."""
+    if timing.rules[LATENCY] == 0:
+        return 0
+    row[DRAWN] += 1
+    return drawn_ns(timing.latencies, table, uniform(row[SEED], row[DRAWN]))
+
+
+@njit
+def message(row: Any, scale: float, timing: Timing, direction: int, channel: int) -> int:
+    """The next latency of a request or a reply."""
+    spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
+    spent = int(np.rint(spent * scale))
+    if timing.rules[FAULTS]:
+        row[DRAWN] += 1
+        spent += fault_ns(timing.latencies, uniform(row[SEED], row[DRAWN]))
+    return spent
+
+
+@njit
+def with_frame(row: Any, timing: Timing, asked_ns: int) -> int:
+    """When a frame that is asked for is there (sim/frames)."""
+    return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
+
+
+# --- the simulation (sim/simulation) ------------------------------------------------------------------
+
+
+@njit
+def nearest(numerator: int, denominator: int) -> int:
+    """A fraction rounded as Python does: half to even."""
+    whole = numerator // denominator
+    twice = 2 * (numerator - whole * denominator)
+    return whole + 1 if twice > denominator or (twice == denominator and whole % 2 == 1) else whole
+
+
+@njit
+def wall_due(row: Any, timing: Timing, tick: int) -> int:
+    """The first nanosecond of wall time at which a tick is due."""
+    speed = timing.rules[SPEED]
+    return row[WALL0] + ((tick - row[TICK0]) * timing.rules[TICK_WALL] + speed - 1) // speed
+
+
+@njit
+def pause(row: Any, timing: Timing, wall_ns: int) -> None:
+    """Stop the simulation; a continue-for is over."""
+    if row[PAUSED] == 0:
+        row[PAUSED], row[WALL] = 1, wall_ns
+    if row[PERIOD_OVER] == NEVER:
+        over = with_frame(row, timing, wall_ns) if timing.rules[AFTER_CONTINUE] else wall_ns
+        row[PERIOD_END], row[PERIOD_TIMER], row[PERIOD_OVER] = NEVER, NEVER, over
+
+
+@njit
+def let_run(row: Any, wall_ns: int) -> None:
+    """Let the simulation run from here."""
+    if row[PAUSED] == 1:
+        row[PAUSED], row[WALL] = 0, wall_ns
+        row[WALL0], row[TICK0] = wall_ns, row[TICK]
+
+
+@njit
+def advance_through(row: Any, timing: Timing, wall_ns: int) -> None:
+    """Fly every tick that is due by then, and end what ends on the way."""
+    while row[PAUSED] == 0:
+        end = min(row[COMMAND_END], row[PERIOD_END])
+        due = row[TICK0] + (wall_ns - row[WALL0]) * timing.rules[SPEED] // timing.rules[TICK_WALL]
+        row[TICK] = max(row[TICK], min(due, end))
+        if end > due:
+            break
+        at_ns = wall_due(row, timing, end)
+        if row[COMMAND_END] <= row[TICK]:
+            row[COMMAND_END], row[COMMAND_OVER] = NEVER, at_ns
+        if row[PERIOD_END] <= row[TICK]:
+            pause(row, timing, at_ns)
+    if row[PAUSED] == 0 and wall_ns >= row[PERIOD_TIMER]:
+        pause(row, timing, wall_ns)
+    row[WALL] = wall_ns
+
+
+@njit
+def advance(row: Any, timing: Timing, wall_ns: int) -> None:
+    """The same, and show what frames show."""
+    if timing.rules[STALE_POSE] and row[PAUSED] == 0:
+        period_ns = timing.rules[FRAME_NS]
+        frame_ns = (row[WALL] // period_ns + 1) * period_ns
+        while frame_ns <= wall_ns and row[PAUSED] == 0:
+            advance_through(row, timing, frame_ns)
+            if row[PAUSED] == 0:
+                row[SHOWN] = row[TICK]
+            frame_ns += period_ns
+    advance_through(row, timing, wall_ns)
+
+
+@njit
+def next_event(row: Any, timing: Timing) -> int:
+    """When something ends unless a message comes first; NEVER while nothing will."""
+    end = min(row[COMMAND_END], row[PERIOD_END])
+    if row[PAUSED] == 1 or end == NEVER:
+        return NEVER if row[PAUSED] == 1 else row[PERIOD_TIMER]
+    return min(row[PERIOD_TIMER], wall_due(row, timing, end))
+
+
+# --- the connection (wire/transport) ------------------------------------------------------------------
+
+
+@njit
+def run_to(row: Any, timing: Timing, wall_ns: int) -> None:
+    """Let the simulation's wall time pass; a wall timer ends on the dot."""
+    if row[PAUSED] == 0 and row[PERIOD_TIMER] <= wall_ns:
+        advance(row, timing, row[PERIOD_TIMER])
+    row[HANDLED] = max(row[HANDLED], wall_ns)
+    advance(row, timing, row[HANDLED])
+
+
+@njit
+def ask(row: Any, scale: float, timing: Timing, channel: int) -> None:
+    """Send a message, up to the moment at which it is handled."""
+    arrival = row[NOW] + message(row, scale, timing, wire.REQUEST, channel)
+    if timing.rules[STALL_NS] > 0 and row[UNANSWERED] == 1:
+        arrival = max(arrival, min(row[MOVED] + timing.rules[STALL_NS], row[COMMAND_OVER]))
+    run_to(row, timing, max(row[HANDLED], arrival))
+    row[UNANSWERED] = 0
+
+
+@njit
+def answer(row: Any, scale: float, timing: Timing, channel: int) -> None:
+    """Wait for the answer."""
+    ready = with_frame(row, timing, row[HANDLED]) if channel == wire.IMAGE else row[HANDLED]
+    row[NOW] = max(row[NOW], ready + message(row, scale, timing, wire.REPLY, channel))
+
+
+@njit
+def call(row: Any, scale: float, timing: Timing, channel: int) -> None:
+    """A call that changes nothing."""
+    ask(row, scale, timing, channel)
+    answer(row, scale, timing, channel)
+
+
+@njit
+def move(row: Any, scale: float, timing: Timing) -> None:
+    """Send the command without waiting for its end; it acts from `TICK` on."""
+    ask(row, scale, timing, wire.MOVE)
+    row[COMMAND_END], row[COMMAND_OVER] = row[TICK] + timing.rules[COMMAND_TICKS], NEVER
+    row[MOVED], row[MOVE_REPLY], row[UNANSWERED] = row[HANDLED], NEVER, 1
+    row[NOW] += draw(row, timing, wire.ISSUE)
+
+
+@njit
+def join(row: Any, scale: float, timing: Timing, deadline_ns: int) -> bool:
+    """Wait for the command's end, or for the deadline if that comes first: then False."""
+    while row[COMMAND_OVER] == NEVER:
+        event_ns = next_event(row, timing)
+        if event_ns > deadline_ns or event_ns == NEVER:
+            row[NOW] = max(row[NOW], deadline_ns)
+            return False
+        run_to(row, timing, event_ns)
+    if row[MOVE_REPLY] == NEVER:
+        row[WAITED] = wait_class(timing.latencies, row[COMMAND_OVER] - row[MOVED])
+        row[MOVE_REPLY] = row[COMMAND_OVER] + message(row, scale, timing, wire.REPLY, wire.MOVE)
+    row[NOW] = max(row[NOW], min(row[MOVE_REPLY], deadline_ns))
+    return row[MOVE_REPLY] <= deadline_ns
+
+
+@njit
+def continue_for(row: Any, scale: float, timing: Timing, duration_ns: int) -> None:
+    """Run for a simulated time, or in `airsim` for the wall time that it takes, and pause."""
+    ask(row, scale, timing, wire.CONTINUE_FOR)
+    handled, rules = row[HANDLED], timing.rules
+    let_run(row, handled)
+    row[PERIOD_OVER] = NEVER
+    if rules[EXACT_PAUSES]:
+        row[PERIOD_END] = row[TICK] + nearest(duration_ns, rules[TICK_NS])
+    else:
+        timer = handled + nearest(duration_ns * rules[ASKED_UNDER], rules[ASKED])
+        timer += draw(row, timing, wire.TIMER)
+        row[PERIOD_TIMER] = max(timer, wall_due(row, timing, row[TICK] + 1))
+    advance(row, timing, handled)
+    while row[PERIOD_OVER] == NEVER:
+        run_to(row, timing, next_event(row, timing))
+    row[WAITED] = wait_class(timing.latencies, row[PERIOD_OVER] - handled)
+    reply = message(row, scale, timing, wire.REPLY, wire.CONTINUE_FOR)
+    row[NOW] = max(row[NOW], row[PERIOD_OVER] + reply)
+
+
+@njit
+def call_pause(row: Any, scale: float, timing: Timing) -> None:
+    """simPause(True)."""
+    ask(row, scale, timing, wire.PAUSE)
+    pause(row, timing, row[HANDLED])
+    answer(row, scale, timing, wire.PAUSE)
+
+
+@njit
+def call_run(row: Any, scale: float, timing: Timing) -> None:
+    """simPause(False)."""
+    ask(row, scale, timing, wire.CONTINUE)
+    let_run(row, row[HANDLED])
+    answer(row, scale, timing, wire.CONTINUE)
+
+
+# --- the client (envs/flight_env, commands/adsc, commands/tcsc) ------------------------------------------
+
+
+@njit
+def switch(row: Any, phase: int) -> None:
+    """What passes from now on belongs to a phase, or to none."""
+    if row[PHASE] != NO_PHASE:
+        row[FIRST_PHASE + row[PHASE]] += row[NOW] - row[SINCE]
+    row[PHASE], row[SINCE] = phase, row[NOW]
+
+
+@njit
+def charge(row: Any, duration_ns: int, phase: int) -> None:
+    """Work of the agent's between two commands."""
+    row[NOW] += duration_ns
+    row[FIRST_PHASE + phase] += duration_ns
+
+
+@njit
+def start(row: Any, scale: float, timing: Timing, seed: int) -> None:
+    """A game begins, up to its first picture, which `show_start` asks for."""
+    for field in range(FIELDS):
+        row[field] = 0
+    row[SEED], row[PHASE] = seed, NO_PHASE
+    row[COMMAND_END], row[PERIOD_END], row[PERIOD_TIMER] = NEVER, NEVER, NEVER
+    row[COMMAND_OVER], row[MOVE_REPLY] = NEVER, NEVER
+    if timing.rules[LAYS_OUT]:
+        call(row, scale, timing, wire.CALL)
+    ask(row, scale, timing, wire.CALL)
+    pause(row, timing, row[HANDLED])
+    row[TICK], row[SHOWN] = 0, -1
+    answer(row, scale, timing, wire.CALL)
+    row[START] = row[NOW]
+    call(row, scale, timing, wire.STATE)
+    call(row, scale, timing, wire.CALL)
+
+
+@njit
+def show_start(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
+    """The picture of a game's start, and what comes before the first command."""
+    ask_for_picture(row, scale, timing, suspect)
+    switch(row, NO_PHASE)
+    if timing.rules[IS_ADSC]:
+        call_run(row, scale, timing)
+    else:
+        call_pause(row, scale, timing)
+
+
+@njit
+def ask_for_picture(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
+    """A suspect picture is asked for again, and is the same: the simulation stands (vision/guard)."""
+    if timing.rules[IMAGES] == 0:
+        return
+    switch(row, RENDERING)
+    for _ in range(2 if suspect else 1):
+        call(row, scale, timing, wire.IMAGE)
+    switch(row, SIMULATION)
+
+
+@njit
+def issue(row: Any, scale: float, timing: Timing) -> int:
+    """A command begins; the tick from which it acts."""
+    switch(row, SIMULATION)
+    row[ISSUED], row[PAUSED_NS], row[LAST] = row[NOW], 0, 0
+    if timing.rules[IS_ADSC] == 0 and row[KNOWN] == 0:
+        call(row, scale, timing, wire.STATE)
+    row[DUE] = row[TICK] * timing.rules[TICK_NS]
+    move(row, scale, timing)
+    return int(row[TICK])
+
+
+@njit
+def reach(row: Any, scale: float, timing: Timing, sample: int) -> int:
+    """Wait for a command's next sample; its tick. `LAST` says that none follows."""
+    if timing.rules[IS_ADSC]:
+        reach_adsc(row, scale, timing, sample)
+    else:
+        row[DUE] += timing.slices_ns[sample]
+        left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
+        while left > timing.rules[T_TH_NS]:
+            continue_for(row, scale, timing, left)
+            row[KNOWN] = 1
+            left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
+        row[LAST] = 1 if sample == timing.slices_ns.shape[0] - 1 else 0
+    call(row, scale, timing, wire.CALL)  # whether something was touched
+    return int(row[TICK])
+
+
+@njit
+def reach_adsc(row: Any, scale: float, timing: Timing, sample: int) -> None:
+    """Until the sample is due, or the command's end is known; then pause."""
+    row[LAST] = 1
+    if sample < timing.slices_ns.shape[0] - 1:
+        deadline = row[ISSUED] + row[PAUSED_NS] + timing.offsets_ns[sample]
+        row[LAST] = 1 if join(row, scale, timing, deadline) else 0
+    else:
+        join(row, scale, timing, NEVER)
+    row[PAUSED_AT] = row[NOW]
+    call_pause(row, scale, timing)
+    call(row, scale, timing, wire.STATE)
+
+
+@njit
+def leave(row: Any, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
+    """Look at a sample and go on; after a touch there is no picture, and nothing is made of it."""
+    if not touched:
+        ask_for_picture(row, scale, timing, suspect)
+    if timing.rules[IS_ADSC]:
+        call_run(row, scale, timing)
+        row[PAUSED_NS] += row[NOW] - row[PAUSED_AT]
+    if touched:
+        row[LAST] = 1
+        return
+    switch(row, IMAGE_PROCESSING)
+    row[NOW] += timing.rules[PROCESSING_NS]
+    switch(row, SIMULATION)
+
+
+@njit
+def is_suspect(brightness: float, reference: float, least: float, most_change: float) -> bool:
+    """Whether the guard asks for a picture again; `reference` is NaN before the first."""
+    return brightness < least or abs(brightness - reference) > most_change * reference
