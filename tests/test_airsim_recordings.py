@@ -113,11 +113,12 @@ def test_a_disk_that_takes_no_more_images_ends_neither_recording_nor_flight(tmp_
 def test_folders_are_not_made_faster_than_one_a_second(tmp_path: Path) -> None:
     wire = recorder(tmp_path, Cameras=[])
     for _ in range(3):
+        wire.fly(2.0)
         for _ in range(100):
             with suppress(rpc.RpcError):
                 wire.call("startRecording")
-        wire.fly(2.0)
     assert len([*tmp_path.iterdir()]) == 20 + 2 * 2
     with pytest.raises(rpc.RpcError, match="begun too often"):
         wire.call("startRecording")
     assert wire.call("isRecording"), "what is refused ends nothing"
+    wire.call("stopRecording")

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,8 +22,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as check_env_for_learning
 
+import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
-from uavaccel.envs import ENVIRONMENTS
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
@@ -84,29 +82,6 @@ def test_it_is_registered_as_the_documentation_says(first: str, name: str) -> No
     program = f"{first}; print(gymnasium.make({name!r}, observation='state').spec.id)"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert said.stdout.strip() == NAME
-
-
-@pytest.mark.parametrize("first", ["import uavaccel, gymnasium", "import gymnasium"])
-def test_gymnasium_finds_what_is_installed_in_any_order(first: str, tmp_path: Path) -> None:
-    """An installation of the package as pyproject.toml has it, beside what is installed here."""
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    installed = tmp_path / "uavaccel_anew-1.0.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: uavaccel-anew\nVersion: 1.0\n")
-    points = "\n".join(
-        f"{name} = {place}" for name, place in project["entry-points"]["gymnasium.envs"].items()
-    )
-    (installed / "entry_points.txt").write_text(f"[gymnasium.envs]\n{points}\n")
-    program = f"{first}; print(*(gymnasium.spec(name).id for name in {[*ENVIRONMENTS]!r}))"
-    path = os.pathsep.join([str(tmp_path), *sys.path])
-    said = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program],
-        env={**os.environ, "PYTHONPATH": path},
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert said.stdout.split() == [*ENVIRONMENTS]
 
 
 @needs_opengl

@@ -27,7 +27,7 @@ from uavaccel.resources import asset
 from uavaccel.rl.agents import OffsetAgent, make_agent
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes
-from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
 from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
 from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
@@ -242,15 +242,35 @@ class Trap:
         return Path.touch, (Path("sprung"),)
 
 
-def test_reading_a_policy_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    th.save({"trap": Trap()}, tmp_path / WEIGHTS)
+def put_policy(folder: Path, weights: Any) -> None:
+    """The manifest that ships, of other weights."""
+    th.save(weights, folder / WEIGHTS)
     manifest = json.loads((asset("policies/default") / MANIFEST).read_text())
-    manifest["weights_file_sha256"] = file_sha256(tmp_path / WEIGHTS)
-    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
+    manifest["weights_file_sha256"] = file_sha256(folder / WEIGHTS)
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize("weights", [{"trap": Trap()}, {0: th.zeros(1)}])
+def test_reading_a_policy_runs_no_code(weights: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    put_policy(tmp_path, weights)
     with pytest.raises(UserError, match=r"policy\.pt: is no state dict of tensors alone$"):
         load_policy(tmp_path)
     assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, r"a damaged policy, not JSON: nested too deeply; .*"),
+        ("[]", "describes no policy: .*"),
+    ],
+)
+def test_a_manifest_that_is_none_is_one_line(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / MANIFEST).write_text(text)
+    with pytest.raises(UserError, match=rf"policy\.json: {said}$"):
+        load_policy(tmp_path)
+    assert trained_with(tmp_path) == {}, "and it says nothing about a training"
 
 
 @needs_opengl

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,9 @@ from uavaccel.draw.lane_map import (
     follow,
     whole_lane,
 )
+from uavaccel.draw.movie import movie
 from uavaccel.errors import UserError
+from uavaccel.files import UNFINISHED
 from uavaccel.sim.lane.layout import draw_layout
 
 SAMPLES = 30
@@ -178,6 +181,20 @@ def test_a_film_that_cannot_be_written_leaves_the_old_one(
     assert path.read_bytes() == before
     with pytest.raises(UserError, match=r"one\.mp4/two\.mp4: cannot be written: "):
         write_video(broken, path / "two.mp4")
+
+
+def test_a_full_disk_is_one_line_whatever_is_caught(tmp_path: Path) -> None:
+    (tmp_path / f"film.mp4{UNFINISHED}").symlink_to("/dev/full")
+
+    def write() -> None:
+        with movie(tmp_path / "film.mp4", (64, 48), 12) as add:
+            for _ in range(60):  # x264 looks ahead by 40
+                with suppress(Exception):
+                    add(np.zeros((48, 64, 3), np.uint8))
+
+    with pytest.raises(UserError, match=r"film\.mp4\S*: No space left on device; make room$"):
+        write()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_contact_sheet_shows_moments_from_the_second_to_the_last(tmp_path: Path) -> None:

@@ -17,14 +17,17 @@ from uavaccel.airsim import LandedState, MultirotorClient
 from uavaccel.airsim.connection import connect_with
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
-from uavaccel.fly import simulated
+from uavaccel.files import UNFINISHED
+from uavaccel.fly import runs, simulated
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
-from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import Enough, run_script
 from uavaccel.fly.sent import as_received
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
+from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
+from uavaccel.fly.trajectory import TABLE_NAME as TABLE
 from uavaccel.fly.trajectory import largest_difference_m
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
@@ -341,6 +344,32 @@ def test_a_script_imports_our_client_and_its_clock_and_libraries_theirs(tmp_path
 def test_no_python_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"script\.py:2: not Python: "):
         run_script(script(tmp_path, "import airsim\nclient = = 1\n"), ())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "calls"),
+    [(MESSAGES, 200), (MESSAGES, 1), *((f"{name}{UNFINISHED}", 1) for name in (TRAJECTORY, TABLE, SUMMARY))],
+)
+def test_a_full_disk_is_one_line(
+    file: str, calls: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """However much the script catches, and however little there was to write."""
+    path = script(tmp_path, f"""
+        import airsim
+        client = airsim.MultirotorClient()
+        for _ in range({calls}):
+            try:
+                client.ping()
+            except Exception:
+                pass
+    """)  # fmt: skip
+    (out := tmp_path / "out").mkdir()
+    (out / file).symlink_to("/dev/full")
+    flown = runs.fly(FlightOptions(path, (), out))
+    assert (flown.status, flown.summary) == (1, None)
+    named = str(out / file).removesuffix(UNFINISHED)
+    assert capfd.readouterr() == ("", f"uavaccel: error: {named}: No space left on device; make room\n")
 
 
 def test_flights_are_compared_at_equal_simulated_times(tmp_path: Path) -> None:

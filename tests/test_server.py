@@ -16,7 +16,7 @@ import pytest
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
-from uavaccel.wire import held, rpc, server, transport
+from uavaccel.wire import clients, held, rpc, transport
 from uavaccel.wire.server import Server
 
 pytestmark = pytest.mark.wall_clock
@@ -321,7 +321,7 @@ def test_two_hundred_at_once(running: Server, witness: MultirotorClient) -> None
 
 
 def test_one_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
+    monkeypatch.setattr(clients, "MAX_CONNECTIONS", 2)
     with running_server() as running, contextlib.ExitStack() as stack:
         two = [stack.enter_context(MultirotorClient(port=running.address[1])) for _ in range(2)]
         assert all(client.ping() for client in two)
@@ -340,11 +340,11 @@ def test_small_messages_leave_and_are_acknowledged_at_once(
         transport.set_quick_ack(connection)
         acknowledged.append(connection.getpeername())
 
-    monkeypatch.setattr(server, "set_quick_ack", set_quick_ack)
+    monkeypatch.setattr(clients, "set_quick_ack", set_quick_ack)
     assert all(witness.ping() for _ in range(5))
     assert acknowledged == [witness.address] * 5
     assert all(
-        each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running._connections
+        each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running.clients.connected
     )
 
 

@@ -18,8 +18,9 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.connection import Answer
-from uavaccel.wire.server import IDLE_LIMIT_NS, TURN_NS, Connection, Server
+from uavaccel.wire.clients import IDLE_LIMIT_NS
+from uavaccel.wire.connection import Answer, Connection
+from uavaccel.wire.server import TURN_NS, Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.transport import SocketTransport
 
@@ -42,7 +43,7 @@ class SteppedClock(VirtualClock):
 def stepped() -> Iterator[tuple[Server, SteppedClock]]:
     """A server at wall time 0, its simulation running at 10x: a tick takes 200 us."""
     server, clock = Server(Api(simulate(10.0), render=False), port=0), SteppedClock()
-    server.clock = clock  # type: ignore[assignment]
+    server.clock = server.clients.clock = clock  # type: ignore[assignment]
     yield server, clock
     server.close()
 
@@ -50,9 +51,9 @@ def stepped() -> Iterator[tuple[Server, SteppedClock]]:
 def connected(server: Server) -> tuple[Connection, socket.socket]:
     """A connection of the server's, and its client's end."""
     client = socket.create_connection(server.address)
-    server._listener.setblocking(True)
-    server._accept()
-    [connection] = server._connections
+    server.clients._listener.setblocking(True)
+    server.clients.accept()
+    [connection] = server.clients.connected
     return connection, client
 
 
@@ -216,12 +217,12 @@ def test_what_the_socket_does_not_take_follows_when_it_does(stepped: tuple[Serve
         read(server, connection)
         server._flush()
         assert connection.unsent, "the buffers of both ends hold less"
-        assert server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
+        assert server.clients._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         client.settimeout(60)
         while connection.unsent:
             received += client.recv(1 << 20)
             server._send(connection)
-        assert not server._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
+        assert not server.clients._selector.get_key(connection.socket).events & selectors.EVENT_WRITE
         while len(received) < 8 * len(rpc.pack_response(1, None, text)):
             received += client.recv(1 << 20)
     assert received == rpc.pack_response(1, None, text) * 8
@@ -289,11 +290,11 @@ def clients() -> Iterator[contextlib.ExitStack]:
 
 def joined(server: Server, clients: contextlib.ExitStack) -> tuple[Connection | None, socket.socket]:
     """One more connection, None if it was turned away."""
-    before = set(server._connections)
+    before = set(server.clients.connected)
     client = clients.enter_context(socket.create_connection(server.address))
-    server._listener.setblocking(True)
-    server._accept()
-    return next(iter(server._connections - before), None), client
+    server.clients._listener.setblocking(True)
+    server.clients.accept()
+    return next(iter(server.clients.connected - before), None), client
 
 
 def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
@@ -308,7 +309,7 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     read(server, flooding)
     server._flush()
     answered = [[reply[1] for reply in replies(flood)]]
-    assert server._selector.get_map().get(flooding.socket) is None, "it is not read before its turn"
+    assert server.clients._selector.get_map().get(flooding.socket) is None, "it is not read before its turn"
     client.sendall(rpc.pack_request(7, "ping", []))
     take_in(server, other)
     server._serve_turns()
@@ -322,7 +323,7 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     assert all(0 < len(turn) < 20 for turn in answered)
     assert sorted(number for turn in answered for number in turn) == list(range(60))
     assert [min(turn) for turn in answered] == sorted(min(turn) for turn in answered)
-    assert server._selector.get_key(flooding.socket).events == selectors.EVENT_READ
+    assert server.clients._selector.get_key(flooding.socket).events == selectors.EVENT_READ
 
 
 def test_silent_clients_make_room_and_a_line_says_so(
@@ -331,7 +332,7 @@ def test_silent_clients_make_room_and_a_line_says_so(
     server, clock = stepped
     said: list[str] = []
     monkeypatch.setattr(server.api.notices, "say", said.append)
-    monkeypatch.setattr("uavaccel.wire.server.MAX_CONNECTIONS", 3)
+    monkeypatch.setattr("uavaccel.wire.clients.MAX_CONNECTIONS", 3)
     (waiting, pilot), (silent, _), (speaking, speaker) = (
         joined(server, clients),
         joined(server, clients),
@@ -345,7 +346,7 @@ def test_silent_clients_make_room_and_a_line_says_so(
     speaker.sendall(PING)
     read(server, speaking)  # type: ignore[arg-type]
     newcomer, _ = joined(server, clients)
-    assert server._connections == {waiting, speaking, newcomer}, "who waits for an answer is not silent"
+    assert server.clients.connected == {waiting, speaking, newcomer}, "who waits for an answer is not silent"
     assert [line.partition("; ")[0] for line in said] == ["warning: 3 clients are connected"] * 2
     assert "turned away" in said[0]
     assert "make room" in said[1]
@@ -369,7 +370,7 @@ def test_an_answer_that_cannot_be_packed_costs_the_caller_its_call(
 def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.ExitStack) -> None:
     server, clock = Server(Api(simulate(10.0)), port=0), SteppedClock()
     clients.callback(server.close)
-    server.clock = clock  # type: ignore[assignment]
+    server.clock = server.clients.clock = clock  # type: ignore[assignment]
     clock.step_ns = TURN_NS
     (drawing, painter), (other, client) = joined(server, clients), joined(server, clients)
     assert drawing is not None

@@ -1,7 +1,8 @@
 """Accelerated, time-controlled quadrotor simulation, and what the acceleration costs.
 
-Importing the package loads nothing heavy: each command line call pays only for the modules it uses. The environments
-are registered in whichever order it and Gymnasium are imported: Gymnasium finds what is installed by its entry points.
+Importing the package loads nothing heavy: each command line call pays only for the modules it uses. Where Gymnasium has
+been imported before, the environments are registered; in any order, and in any process, Gymnasium's own form
+`gymnasium.make("uavaccel.envs:uavaccel/ObstacleLane-v0")` does that.
 """
 
 import sys

@@ -1,6 +1,9 @@
 """Errors that are the user's to mend: one clear line each, and an exit status. What is one is decided here."""
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 
 class UserError(Exception):
@@ -60,3 +63,16 @@ def mistake_of(error: BaseException) -> UserError | None:
     if isinstance(error, MemoryError):
         return UserError("not enough memory: fewer environments, a smaller buffer_size, or fewer --jobs")
     return None
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Raises a UserError that names the file where the system refuses to write it: writing alone does not say which."""
+    try:
+        yield
+    except OSError as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        more = "; make room" if error.errno == errno.ENOSPC else ""
+        name = path if error.filename is None else error.filename
+        raise type(refused)(f"{name}: {error.strerror}{more}") from error

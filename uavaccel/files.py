@@ -1,6 +1,5 @@
 """Files that a crash leaves whole, in which equal values are equal bytes."""
 
-import errno
 import hashlib
 import json
 import math
@@ -13,23 +12,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavaccel.errors import UserError, mistake_of
+from uavaccel.errors import UserError, naming
 
 UNFINISHED = ".unfinished"
 """Suffix of a file that is still being written; a crash may leave one behind."""
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Raises a UserError that names the file where the system refuses to write it: writing alone does not say which."""
-    try:
-        yield
-    except OSError as error:
-        if (refused := mistake_of(error)) is None:
-            raise
-        more = "; make room, what is finished is not lost" if error.errno == errno.ENOSPC else ""
-        name = path if error.filename is None else error.filename
-        raise type(refused)(f"{name}: {error.strerror}{more}") from error
 
 
 @contextmanager

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from uavaccel.config import Config, to_yaml, validate
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
     append_line,
     drop_cut_line,
     file_sha256,
-    naming,
     parse_json,
     read_arrays,
     read_lines,

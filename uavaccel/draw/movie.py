@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from uavaccel.draw.canvas import Bgr
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 
 # Of x264, for pictures half of text and edges: bits go where the error is, so numbers that count up stay legible.
@@ -21,7 +21,7 @@ def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Call
     """Write an MP4 of pictures of `size` (width, height), whole or not at all: call what is given with each.
 
     H.264 in 4:2:0, the index in front: it plays from the first byte on. One thread and no dates, so that equal films
-    are equal files. Raises UserError where it cannot be written.
+    are equal files. Raises UserError where it cannot be written, at the end too where that was caught before.
     """
     import av  # what makes no film needs no FFmpeg
 
@@ -45,9 +45,21 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
         context.color_primaries = context.color_trc = context.colorspace = BT709
         context.color_range = LIMITED_RANGE
 
+        refused: list[str] = []
+
+        def encode(frame: av.VideoFrame | None) -> None:
+            if refused:  # PyAV does not survive more for a file whose beginning could not be written
+                raise UserError(refused[0])
+            try:
+                with naming(Path(name)):
+                    file.mux(stream.encode(frame))
+            except UserError as error:
+                refused.append(str(error))
+                raise
+
         def add(picture: Bgr) -> None:
             frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-            file.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace=BT709)))
+            encode(frame.reformat(format="yuv420p", dst_colorspace=BT709))
 
         yield add
-        file.mux(stream.encode(None))
+        encode(None)

@@ -7,11 +7,11 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import msgpack
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, naming
 
 FILE_NAME = "messages.jsonl"
 LONG_BYTES = 200  # of a state or an image, of which polling scripts ask a million
@@ -27,11 +27,15 @@ class DifferenceError(UserError):
 class MessageLog:
     """Writes calls and answers in order. With a `reference`, a folder, stops at the first line that is not as there.
 
-    Raises DifferenceError then.
+    Raises DifferenceError then; UserError where it cannot be written, and, since scripts catch what calls raise, from
+    then on.
     """
 
     def __init__(self, folder: Path, reference: Path | None = None) -> None:
-        self._file = (folder / FILE_NAME).open("w", encoding="utf-8", newline="\n")
+        self._path = folder / FILE_NAME
+        self._refused = ""
+        with naming(self._path):
+            self._file = self._path.open("w", encoding="utf-8", newline="\n")
         self._expected = None if reference is None else _lines(reference / FILE_NAME)
         self.calls = 0
 
@@ -49,7 +53,11 @@ class MessageLog:
 
     def _write(self, row: Mapping[str, Any]) -> None:
         line = _encode(row)
-        self._file.write(line + "\n")
+        self._check()
+        try:
+            self._file.write(line + "\n")
+        except OSError as error:
+            self._refuse(error)
         if self._expected is not None and (expected := next(self._expected, "(has ended)")) != line:
             raise differs(self.calls, expected, line)
 
@@ -59,7 +67,26 @@ class MessageLog:
             os.dup2(nowhere.fileno(), self._file.fileno())
 
     def close_file(self) -> None:
-        self._file.close()
+        """Raises UserError if not all of it could be written."""
+        self._check()
+        try:
+            self._file.close()
+        except OSError as error:
+            self._refuse(error)
+
+    def _check(self) -> None:
+        if self._refused:
+            raise UserError(self._refused)
+
+    def _refuse(self, error: OSError) -> NoReturn:
+        if not self._file.closed:
+            self.abandon()  # its end would complain of it again
+        try:
+            with naming(self._path):
+                raise error
+        except UserError as refused:
+            self._refused = str(refused)
+            raise
 
     def close(self) -> None:
         """Raises DifferenceError if the reference has more lines."""

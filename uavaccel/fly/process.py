@@ -13,10 +13,11 @@ import random
 import shutil
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions
 from uavaccel.fly.patches import Patches
@@ -34,16 +35,23 @@ def main() -> None:
         signal.signal(kind, lambda number, frame: _heed(options, frame))
     sys.unraisablehook = unraisable
     try:
-        status = fly(options)
-    except DifferenceError as error:
-        (options.folder / DIFFERENCE).write_text(f"{error}\n", encoding="utf-8")
-        status = _complain(str(error), 1)
-    except UserError as error:
-        status = _complain(f"error: {error}", error.exit_status)
+        status = _fly_and_tell(options)
+    except Exception as error:
+        if (mistake := mistake_of(error)) is None:
+            raise
+        status = _complain(f"error: {mistake}", mistake.exit_status)
     except KeyboardInterrupt:
         status = _complain("interrupted", INTERRUPTED)
     flush_output()
     sys.exit(status)
+
+
+def _fly_and_tell(options: FlightOptions) -> int:
+    try:
+        return fly(options)
+    except DifferenceError as error:
+        _write(options.folder / DIFFERENCE, f"{error}\n")
+        return _complain(str(error), 1)
 
 
 def _heed(options: FlightOptions, frame: FrameType | None) -> None:
@@ -92,8 +100,16 @@ def fly(options: FlightOptions) -> int:
     summary = {"clock_speed": clock_speed, "calls": log.calls, **outcome._asdict(), **flight.summary()}
     from uavaccel.files import to_json
 
-    (options.folder / SUMMARY).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
+    _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")
     return outcome.status
+
+
+def _write(path: Path, text: str) -> None:
+    """The whole file or none: whoever started this process reads it."""
+    from uavaccel.files import replacing
+
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
 def settings_of(options: FlightOptions) -> Settings | None:

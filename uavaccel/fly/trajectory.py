@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.files import read_arrays, write_arrays
+from uavaccel.files import read_arrays, replacing, write_arrays
 from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
 
@@ -38,7 +38,8 @@ def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.
     arrays = {"time_ns": time_ns, "position_m": rows[:, :3], "orientation_wxyz": rows[:, 3:7]}
     write_arrays(folder / FILE_NAME, arrays | {"velocity_m_s": rows[:, 7:]})
     table = np.column_stack([time_ns / NS_PER_S, rows])
-    np.savetxt(folder / TABLE_NAME, table, "%.9g", ",", header=COLUMNS, comments="")
+    with replacing(folder / TABLE_NAME) as file:
+        np.savetxt(file, table, "%.9g", ",", header=COLUMNS, comments="")
 
 
 def largest_difference_m(folder: Path, reference: Path) -> float:

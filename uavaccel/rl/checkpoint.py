@@ -19,8 +19,8 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaccel.errors import UserError
-from uavaccel.files import naming, replacing
+from uavaccel.errors import UserError, naming
+from uavaccel.files import replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.saved import State, part, under

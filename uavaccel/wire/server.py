@@ -1,26 +1,23 @@
 """The free-running server: one thread that advances the simulation, answers what has arrived, and sleeps.
 
 It wakes for a message, for the next thing that ends, and often enough in between that little is left to fly when
-something ends. Bad bytes cost a client its own connection and nothing else.
+something ends. Who is connected, and what is kept for them, is `uavaccel.wire.clients`'s.
 """
 
 from __future__ import annotations
 
-import contextlib
 import selectors
-import socket
 from collections.abc import Callable
 from typing import IO
 
-from uavaccel.clock import MonotonicClock, ask_for_fine_timers, wait_for_sockets
-from uavaccel.errors import UserError
+from uavaccel.clock import MonotonicClock, ask_for_fine_timers
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
+from uavaccel.wire.clients import Clients
 from uavaccel.wire.connection import Answer, Connection
-from uavaccel.wire.held import MAX_ANSWER_BYTES, Held
+from uavaccel.wire.held import MAX_ANSWER_BYTES
 from uavaccel.wire.steps import Steps
-from uavaccel.wire.transport import set_no_delay, set_quick_ack
 from uavaccel.wire.turns import Costs, Turns
 
 IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good
@@ -28,11 +25,7 @@ CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
 FINAL_NS = 60_000  # at the very last, look at the clock alone: sockets take as long to look at as two ticks
 SPIN_NS = 1_000_000  # before something ends, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
-READ_BYTES = 1 << 12
 MAX_UNPACKED, MAX_UNPACKED_BYTES = 8, 1 << 24  # answers that wait to be packed
-MAX_CONNECTIONS = 512  # fewer than the files that a process may open
-IDLE_LIMIT_NS = 10_000_000_000  # once there are so many, one that has been silent for so long makes room
-ACCEPTED_AT_ONCE = 16  # newcomers per wake-up
 TURN_NS = 3_000_000  # of wall time for the requests of one client, before the others have their turn
 FLIGHT_NS = 5_000_000  # of a round, for flying: a machine that does not keep up would do nothing else
 LONG_NS = 1_000_000  # of a request
@@ -51,23 +44,10 @@ class Server:
     ) -> None:
         self.api = api
         self.clock = MonotonicClock()
-        if not 0 <= port < 1 << 16:
-            raise UserError(f"port must be 0 to 65535, not {port}")
-        try:
-            self._listener = socket.create_server((host, port), backlog=MAX_CONNECTIONS)
-        except OSError as error:
-            reason = (error.strerror or str(error)).partition(" (while")[0]
-            raise UserError(f"cannot listen on {host}:{port}: {reason}; choose another with --port") from None
-        self.address: tuple[str, int] = self._listener.getsockname()[:2]
-        self._listener.setblocking(False)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        if stop_at_eof is not None:
-            self._selector.register(stop_at_eof, selectors.EVENT_READ)
-        self._connections: set[Connection] = set()
+        self.clients = Clients((host, port), self.clock, api.notices.once, stop_at_eof)
+        self.address = self.clients.address
         self._costs = Costs(api.methods)
         self._turns: Turns[Connection] = Turns(self._expected_ns)
-        self._held: Held[Connection] = Held()
         self._answers: list[Answer] = []
         self._unpacked_bytes = 0
         self._round_end_ns = self._flown_ns = 0  # of wall time
@@ -80,9 +60,9 @@ class Server:
         simulation = self.api.simulation
         simulation.advance_to(self.clock.now_ns())
         try:
-            while not self._stopping:
-                for key, events in wait_for_sockets(self._selector, self._wake_ns(simulation)):
-                    self._serve_socket(key, events)
+            while not (self._stopping or self.clients.ended):
+                for connection, events in self.clients.wait(self._wake_ns(simulation)):
+                    self._serve_socket(connection, events)
                 self._serve_turns()
                 self._wait_for_end(simulation)
                 self._fly()
@@ -102,10 +82,7 @@ class Server:
         self._stopping = True
 
     def close(self) -> None:
-        for connection in list(self._connections):
-            self._drop(connection)
-        self._selector.close()
-        self._listener.close()
+        self.clients.close()
 
     def _wake_ns(self, simulation: Simulation) -> int:
         """The wall time to sleep to; in the past where polling is due."""
@@ -119,78 +96,18 @@ class Server:
         event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
 
-    def _serve_socket(self, key: selectors.SelectorKey, events: int) -> None:
-        if key.fileobj is self._listener:
-            for _ in range(ACCEPTED_AT_ONCE):
-                self._accept()
-        elif key.data is None:
-            self.stop()  # the watched stream ended
-        else:
-            if events & selectors.EVENT_WRITE:
-                self._send(key.data)
-            if events & selectors.EVENT_READ and key.data.asks:
-                self._watch(key.data)  # it has not had its turn
-            elif events & selectors.EVENT_READ and key.data.open:
-                self._read(key.data)
-
-    def _accept(self) -> None:
-        try:
-            raw, _ = self._listener.accept()
-        except OSError:
-            return  # it has gone again
-        if len(self._connections) >= MAX_CONNECTIONS and not self._make_room():
-            raw.close()
-            return
-        connection = Connection(raw)
-        connection.heard_ns = self.clock.now_ns()
-        try:
-            raw.setblocking(False)
-            set_no_delay(raw)
-            self._selector.register(raw, selectors.EVENT_READ, connection)
-        except OSError:  # gone again
-            raw.close()
-        else:
-            self._connections.add(connection)
-
-    def _make_room(self) -> bool:
-        """Drop the client that has been silent for longest, if that is long enough; say so, or that none was."""
-        silent = min(
-            (one for one in self._connections if one.idle), key=lambda one: one.heard_ns, default=None
-        )
-        silent_ns = 0 if silent is None else self.clock.now_ns() - silent.heard_ns
-        if silent is None or silent_ns < IDLE_LIMIT_NS:
-            self.api.notices.once(
-                f"warning: {MAX_CONNECTIONS} clients are connected; others are turned away "
-                f"until one of them has been silent for {IDLE_LIMIT_NS / 1e9:g} s"
-            )
-            return False
-        self.api.notices.once(
-            f"warning: {MAX_CONNECTIONS} clients are connected; those silent for more than "
-            f"{IDLE_LIMIT_NS / 1e9:g} s make room for others"
-        )
-        self._drop(silent)
-        return True
+    def _serve_socket(self, connection: Connection, events: int) -> None:
+        if events & selectors.EVENT_WRITE:
+            self._send(connection)
+        if events & selectors.EVENT_READ and connection.asks:
+            self.clients.watch(connection)  # it has not had its turn
+        elif events & selectors.EVENT_READ and connection.open:
+            self._read(connection)
 
     def _read(self, connection: Connection) -> None:
-        try:
-            data = connection.socket.recv(READ_BYTES)
-        except (BlockingIOError, InterruptedError):
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(connection)
-            return
-        connection.heard_ns = self.clock.now_ns()
-        self._busy_until_ns = connection.heard_ns + BUSY_NS
-        try:
-            set_quick_ack(connection.socket)
-        except OSError:  # gone again
-            self._drop(connection)
-            return
-        connection.take_next(data)
-        self._note_held(connection)
-        self._ask_again(connection, begins=True)
+        if self.clients.receive(connection):
+            self._busy_until_ns = connection.heard_ns + BUSY_NS
+            self._ask_again(connection, begins=True)
 
     def _ask_again(self, connection: Connection, begins: bool = False) -> None:
         """Have it wait for its turn if it asks for something; hang up where no more can come of it."""
@@ -198,9 +115,9 @@ class Server:
             self._turns.add(connection, begins)
         elif connection.open and connection.broken and not connection.asks:
             self._flush()  # what it asked for in good order before
-            self._hang_up(connection, str(connection.broken), connection.broken.message_id)
+            self.clients.hang_up(connection, str(connection.broken), connection.broken.message_id)
         else:
-            self._watch(connection)
+            self.clients.watch(connection)
 
     def _serve_turns(self) -> None:
         """Answer what clients have asked for, those first who had least; after ROUND_NS sockets are looked at again.
@@ -233,20 +150,6 @@ class Server:
                 self._flush()  # it may ask and never read
             if self._turns or self.clock.now_ns() >= until_ns:
                 break
-
-    def _watch(self, connection: Connection) -> None:
-        """Look out for what the socket can be used for now."""
-        if not connection.open:
-            return
-        reading = 0 if connection.asks else selectors.EVENT_READ
-        writing = selectors.EVENT_WRITE if connection.unsent else 0
-        before = self._selector.get_map().get(connection.socket)
-        if before is not None and before.events == (reading | writing):
-            return
-        if before is not None:
-            self._selector.unregister(connection.socket)
-        if reading | writing:
-            self._selector.register(connection.socket, reading | writing, connection)
 
     def _fly(self) -> int:
         """Up to now; in a round that has flown for FLIGHT_NS no further. The wall time up to which it was."""
@@ -299,14 +202,14 @@ class Server:
         try:
             if self.api.go_on(steps, request.method, request.params):
                 self._account(connection, request.method, True, begun_ns)
-                self._note_held(connection)
+                self.clients.note_held(connection)
                 if steps.held_bytes <= MAX_ANSWER_BYTES:
                     return
                 error = f"the answer would have more than {MAX_ANSWER_BYTES >> 20} MiB: ask for less at once"
         except rpc.RpcError as failure:
             error = str(failure)
         connection.begun = None
-        self._note_held(connection)
+        self.clients.note_held(connection)
         if request.message_id is not None and connection.open:
             self._answer(Answer(connection, request.message_id, error, None if error else steps.made))
 
@@ -330,44 +233,6 @@ class Server:
             self._send(connection)
 
     def _send(self, connection: Connection) -> None:
-        """Send what the socket takes now; the rest, and more, when it takes more."""
-        try:
-            while connection.unsent:
-                sent = connection.socket.send(connection.unsent)
-                del connection.unsent[:sent]
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._drop(connection)
-            return
-        self._note_held(connection)
-        self._watch(connection)
+        """Send what is left of its answers; it may ask again once it has read enough of them."""
+        self.clients.send(connection)
         self._ask_again(connection)
-
-    def _note_held(self, connection: Connection) -> None:
-        """Account for what is kept for a client; hang up on who holds most where that is too much for all together."""
-        self._held.note(connection, connection.held_bytes if connection.open else 0)
-        while overdrawn := self._held.overdrawn_by():
-            holder, held_bytes = overdrawn
-            text = f"{held_bytes >> 20} MiB are kept for this client, and too much for all together"
-            self.api.notices.once(f"warning: a client was hung up on: {text}")
-            self._hang_up(holder, text, holder.framer.unfinished_id())
-
-    def _hang_up(self, connection: Connection, text: str, message_id: int | None) -> None:
-        """Drop a client; tell it why, if it waits for an answer and takes it at once."""
-        if connection.open and message_id is not None and not connection.unsent:
-            with contextlib.suppress(OSError):
-                connection.socket.send(rpc.pack_response(message_id, text, None))
-        self._drop(connection)
-
-    def _drop(self, connection: Connection) -> None:
-        """Forget a client; a command of its own runs on."""
-        if connection.open:
-            connection.open = False
-            connection.unsent.clear()
-            connection.request = connection.begun = None
-            self._held.note(connection, 0)
-            if connection.socket in self._selector.get_map():
-                self._selector.unregister(connection.socket)
-            connection.socket.close()
-            self._connections.discard(connection)
