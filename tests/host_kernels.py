@@ -98,7 +98,16 @@ class Kernels:
         """What sees does."""
 
     def run_show(
-        self, lanes: Any, kind: int, tick_ns: int, faces: Any, plan: Any, games: Any, now: Any, frames: Any
+        self,
+        lanes: Any,
+        kind: int,
+        tick_ns: int,
+        faces: Any,
+        shown: Any,
+        plan: Any,
+        games: Any,
+        now: Any,
+        frames: Any,
     ) -> None:
         frames[lanes] = 0
         view = View(kind, plan.looks, plan.sensor, NO_PIXELS)
