@@ -352,7 +352,7 @@ def draw_frame(
 
 @njit(nogil=True, error_model="numpy")
 def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
-    """Whether the guard asks for the picture on a lane's desk again (vision/guard); the next one is compared with it."""
+    """Whether the guard asks for the picture on a lane's desk again (vision/guard), and note it for the next one."""
     bright = 0.0
     if view.kind == DVS:
         bright = desk.channels[0].mean()

@@ -15,7 +15,7 @@ from numba import njit
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
 
-NEVER = np.int64(2**62)
+NEVER = 2**62
 NO_PHASE = -1
 SIMULATION, RENDERING, IMAGE_PROCESSING = range(3)  # of envs/stopwatch's PHASES
 SPENT = 5  # phases
