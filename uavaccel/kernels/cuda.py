@@ -27,7 +27,7 @@ from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.flight import TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
-from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
+from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
@@ -40,7 +40,7 @@ BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
-SEEING_THREADS_A_LANE = at.ROWS * at.COLUMNS // 8
+SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -235,15 +235,13 @@ def pixels_of_thread():  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def grey_quad(faces, shown, plan, y, x):  # type: ignore[no-untyped-def]
-    """Luma of a quad's pixels."""
-    row, column = np.uintp(y), np.uintp(x)
-    below, right = np.uintp(y + 1), np.uintp(x + 1)
+def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
+    """Luma of a quad's pixels, the first of which is that of all lanes' (quads.see_plainly)."""
     those = (
-        np.int32(shown[row, column]),
-        np.int32(shown[row, right]),
-        np.int32(shown[below, column]),
-        np.int32(shown[below, right]),
+        np.int32(shown[0, 0, first]),
+        np.int32(shown[0, 0, first + RIGHT]),
+        np.int32(shown[0, 0, first + BELOW]),
+        np.int32(shown[0, 0, first + BELOW + RIGHT]),
     )
     return quad_lumas(faces, those, plan.texels, plan.textures, y, x)
 
@@ -269,7 +267,8 @@ def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore
     camera = camera_of(games, game)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
+        levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, games.seeds[game], 0, top, x)
         begin_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
@@ -335,13 +334,15 @@ def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # 
     camera = camera_of(games, now.game[lane])
     if not is_plain(camera, pixels):
         return
-    base, total = pixels.base[lane], np.int32(0)
+    own, base, total = faces[lane], pixels.base, np.int32(0)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
-        before = base[row, column], base[row, right], base[below, column], base[below, right]
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
-        total = np.int32(total + see_plainly(levels, before, camera, plan.sensor, base, row, column))
+        place = np.uintp(np.uint32(top * at.COLUMNS + x))
+        first = lane * PIXELS_A_LANE + place
+        before = (base[0, 0, first], base[0, 0, first + RIGHT])
+        under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
+        levels = grey_quad(own, shown, first, plan, top, x)
+        total = np.int32(total + see_plainly(levels, before + under, camera, plan.sensor, base, first, place))
     gather(total, take, lane, y, x, pixels, frames)
 
 
@@ -359,7 +360,8 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
     dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
+        levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
         total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
