@@ -131,7 +131,8 @@ def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) ->
 @njit(error_model="numpy")
 def plain_luma(texel: Integer) -> Integer:
     """Luma of a texel in no light but its own."""
-    return luma(texel & BYTE, np.int32(texel >> I8) & BYTE, np.int32(texel >> I16) & BYTE)
+    red, green = np.int32(texel & BYTE), np.int32(np.int32(texel >> I8) & BYTE)
+    return luma(red, green, np.int32(np.int32(texel >> I16) & BYTE))
 
 
 @njit(error_model="numpy")
