@@ -129,8 +129,7 @@ def flying(usual: Any) -> Any:
         for field in range(7):
             pose[field] = body[lanes.POSE + field]
         for field in range(6):
-            motion[field], force[field] = body[lanes.MOTION + field], body[lanes.FORCE + field]
-            acceleration[field] = body[lanes.ACCELERATION + field]
+            motion[field] = body[lanes.MOTION + field]
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
         fly_ticks(own[0], state[0], parts, solids, count, hull, now.watch[lane], ticks[lane], False)
@@ -139,12 +138,12 @@ def flying(usual: Any) -> Any:
             state[0].pid_error[field] = now.state[lane].pid_error[field]
         for field in range(4):
             state[0].pid_mode[field] = now.state[lane].pid_mode[field]
+        state[0].contacts, state[0].contacts_changed = now.state[lane].contacts, now.state[lane].contacts_changed
         now.state[lane] = state[0]
         for field in range(7):
             body[lanes.POSE + field] = pose[field]
-        for field in range(6):
-            body[lanes.MOTION + field], body[lanes.FORCE + field] = motion[field], force[field]
-            body[lanes.ACCELERATION + field] = acceleration[field]
+        for field in range(6):  # forces and accelerations are each tick's own (flight.short_step)
+            body[lanes.MOTION + field] = motion[field]
 
     return fly_lanes
 
