@@ -1,8 +1,9 @@
 """Lanes on one GPU: the same functions as CUDA kernels, through numba-cuda.
 
-A thread flies a lane, and a thread draws and sees a block of 4 x 4 pixels. Everything stays on the device; kernels are
-launched on PyTorch's stream, so that a round of them can be recorded as a CUDA graph. numba-cuda has no switch for
-fused multiply-adds: flights differ from the CPU's in their last bits, events do not (vision/rounding).
+A thread flies a lane, a thread settles what a column of its picture shows, and a thread draws and sees 4 x 2 pixels.
+Everything stays on the device; kernels are launched on PyTorch's stream, so that a round of them can be recorded as a
+CUDA graph. numba-cuda has no switch for fused multiply-adds: flights differ from the CPU's in their last bits, events
+do not (vision/rounding).
 """
 
 from __future__ import annotations
@@ -414,7 +415,7 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
     frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
 
 
-LIMITS = {start_events: 80, see_events: 72}
+LIMITS = {see_events: 72}
 """Registers a thread, so that enough of them wait for memory at the same time."""
 
 
