@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -11,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tests.test_kernel_looks import drawn_views, laid_out
+from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import (
     MOST_INTERVALS,
@@ -24,9 +26,11 @@ from uavaccel.kernels.fields import Looks
 from uavaccel.kernels.looks import read_looks
 from uavaccel.kernels.pictures import draw_gray
 from uavaccel.kernels.project import project
-from uavaccel.kernels.quads import quad_lumas, quick_count
+from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
 from uavaccel.resources import asset
+from uavaccel.vision.dvs import PRESETS
 from uavaccel.vision.dvs_kernels import count_single_pixel
+from uavaccel.vision.dvs_sensor import draw_pixels
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +90,37 @@ def test_counts_without_a_double_division_are_v2es() -> None:
         quick: NDArray[Any] = np.array([quick_count(*each) for each in zip(log, base, up, down, strict=True)])
         np.testing.assert_array_equal(quick, exact)
         assert np.abs(quick).max() > 5
+
+
+@njit
+def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tuple[int, int]:
+    """A picture as quads without noise see it, and as `events.see_pixel` does: ON minus OFF events."""
+    quick = slow = 0
+    none, zero = full[0:0], (np.float32(0.0), np.float32(0.0))
+    for row in range(0, at.ROWS, 2):
+        for column in range(0, at.COLUMNS, 2):
+            place = np.uintp(row * at.COLUMNS + column)
+            shown, before = (
+                levels[row : row + 2, column : column + 2],
+                plain[0, row : row + 2, column : column + 2],
+            )
+            lumas = (shown[0, 0], shown[0, 1], shown[1, 0], shown[1, 1])
+            known = (before[0, 0], before[0, 1], before[1, 0], before[1, 1])
+            quick += see_plainly(lumas, known, camera, sensor, plain, place, place)
+            for part in range(4):
+                y, x = row + part // 2, column + part % 2
+                slow += events.see_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, 0.1)
+    return quick, slow
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.05])
+def test_quads_without_noise_see_what_pixels_see(sigma: float) -> None:
+    rng, shape = np.random.default_rng(0), (at.ROWS, at.COLUMNS)
+    parameters = replace(PRESETS["clean"], threshold_sigma=sigma)
+    sensor, row = events.sensor_of(draw_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
+    full = sensor.logs[rng.integers(0, 256, shape)]
+    plain = full[None].copy()
+    for _ in range(3):
+        quick, slow = see_both(rng.integers(0, 256, shape), tuple(row), sensor, plain, full)
+        assert quick == slow != 0
+        np.testing.assert_array_equal(plain[0], full)

@@ -1,8 +1,9 @@
 """Lanes on one GPU: the same functions as CUDA kernels, through numba-cuda.
 
-A thread flies a lane, and a thread draws and sees a block of 4 x 4 pixels. Everything stays on the device; kernels are
-launched on PyTorch's stream, so that a round of them can be recorded as a CUDA graph. numba-cuda has no switch for
-fused multiply-adds: flights differ from the CPU's in their last bits, events do not (vision/rounding).
+A thread flies a lane, a thread settles what a column of its picture shows, and a thread draws and sees 4 x 2 pixels.
+Everything stays on the device; kernels are launched on PyTorch's stream, so that a round of them can be recorded as a
+CUDA graph. numba-cuda has no switch for fused multiply-adds: flights differ from the CPU's in their last bits, events
+do not (vision/rounding).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.flight import TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
-from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
+from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
@@ -39,7 +40,7 @@ BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
-SEEING_THREADS_A_LANE = at.ROWS * at.COLUMNS // 8
+SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -133,17 +134,21 @@ def flying(usual: Any) -> Any:
         for field in range(7):
             pose[field] = body[lanes.POSE + field]
         for field in range(6):
-            motion[field], force[field] = body[lanes.MOTION + field], body[lanes.FORCE + field]
-            acceleration[field] = body[lanes.ACCELERATION + field]
+            motion[field] = body[lanes.MOTION + field]
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
         fly_ticks(own[0], state[0], parts, solids, count, hull, now.watch[lane], ticks[lane], False)
+        for field in range(9):  # not used here, and read again so that no register keeps them from tick to tick
+            state[0].pid_integral[field] = now.state[lane].pid_integral[field]
+            state[0].pid_error[field] = now.state[lane].pid_error[field]
+        for field in range(4):
+            state[0].pid_mode[field] = now.state[lane].pid_mode[field]
+        state[0].contacts, state[0].contacts_changed = now.state[lane].contacts, now.state[lane].contacts_changed
         now.state[lane] = state[0]
         for field in range(7):
             body[lanes.POSE + field] = pose[field]
-        for field in range(6):
-            body[lanes.MOTION + field], body[lanes.FORCE + field] = motion[field], force[field]
-            body[lanes.ACCELERATION + field] = acceleration[field]
+        for field in range(6):  # forces and accelerations are each tick's own (flight.short_step)
+            body[lanes.MOTION + field] = motion[field]
 
     return fly_lanes
 
@@ -239,15 +244,13 @@ def pixels_of_thread():  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def grey_quad(faces, shown, plan, y, x):  # type: ignore[no-untyped-def]
-    """Luma of a quad's pixels."""
-    row, column = np.uintp(y), np.uintp(x)
-    below, right = np.uintp(y + 1), np.uintp(x + 1)
+def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
+    """Luma of a quad's pixels, the first of which is that of all lanes' (quads.see_plainly)."""
     those = (
-        np.int32(shown[row, column]),
-        np.int32(shown[row, right]),
-        np.int32(shown[below, column]),
-        np.int32(shown[below, right]),
+        np.int32(shown[0, 0, first]),
+        np.int32(shown[0, 0, first + RIGHT]),
+        np.int32(shown[0, 0, first + BELOW]),
+        np.int32(shown[0, 0, first + BELOW + RIGHT]),
     )
     return quad_lumas(faces, those, plan.texels, plan.textures, y, x)
 
@@ -273,7 +276,8 @@ def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore
     camera = camera_of(games, game)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
+        levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, games.seeds[game], 0, top, x)
         begin_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
@@ -339,13 +343,15 @@ def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # 
     camera = camera_of(games, now.game[lane])
     if not is_plain(camera, pixels):
         return
-    base, total = pixels.base[lane], np.int32(0)
+    own, base, total = faces[lane], pixels.base, np.int32(0)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        row, below, column, right = np.uintp(top), np.uintp(top + 1), np.uintp(x), np.uintp(x + 1)
-        before = base[row, column], base[row, right], base[below, column], base[below, right]
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
-        total = np.int32(total + see_plainly(levels, before, camera, plan.sensor, base, row, column))
+        place = np.uintp(np.uint32(top * at.COLUMNS + x))
+        first = lane * PIXELS_A_LANE + place
+        before = (base[0, 0, first], base[0, 0, first + RIGHT])
+        under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
+        levels = grey_quad(own, shown, first, plan, top, x)
+        total = np.int32(total + see_plainly(levels, before + under, camera, plan.sensor, base, first, place))
     gather(total, take, lane, y, x, pixels, frames)
 
 
@@ -363,7 +369,8 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
     dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
     for half in range(2):
         top = np.int32(y + 2 * half)
-        levels = grey_quad(faces[lane], shown[lane], plan, top, x)
+        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
+        levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
         total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
@@ -416,7 +423,7 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
     frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
 
 
-LIMITS = {start_events: 80, see_events: 72}
+LIMITS = {see_events: 72}
 """Registers a thread, so that enough of them wait for memory at the same time."""
 
 

@@ -40,13 +40,15 @@ from uavaccel.kernels.rays import (
     texel_index,
 )
 from uavaccel.kernels.spans import HUGE
-from uavaccel.vision.dvs_kernels import advanced, count_single_pixel
+from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
 from uavaccel.vision.rounding import times
 
 Four = tuple[Integer, Integer, Integer, Integer]
+RIGHT, BELOW = np.uintp(1), np.uintp(at.COLUMNS)  # from a pixel to the next
+
 Place = tuple[Float, Float]
-Patch = tuple[Integer, Float, Float, Float, Float, Integer, Integer, Integer]
+Patch = tuple[np.uint32, Float, Float, Float, Float, np.uint32, Integer, np.uint32]
 """Of a texture: its level's first texel; texels per metre and at the edge, across and down; size, last, level."""
 Light = tuple[Float, Float, Float, Float, Float, Float]
 
@@ -59,12 +61,16 @@ def on_face(faces: Faces, face: Integer, x: Float, y: Float) -> tuple[Float, Flo
 
 
 @njit(error_model="numpy")
-def texel_on(patch: Patch, place: Place) -> Integer:
+def texel_on(patch: Patch, place: Place) -> np.uint32:
     """Where the texel of a pixel lies, as `texel_index` has it."""
     u, v = place[0] * patch[1] + patch[2], place[1] * patch[3] + patch[4]
-    column = np.int32(np.int32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & patch[6]) >> patch[7])
-    row = np.int32(np.int32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & patch[6]) >> patch[7])
-    return np.int32(np.int32(patch[0] + np.int32(row << patch[5])) + column)
+    column = np.uint32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & patch[6])
+    row = np.uint32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & patch[6])
+    column, row = (
+        np.uint32(column >> patch[7]),
+        np.uint32(row >> patch[7]),
+    )  # unsigned: shifts stay 32 bits wide
+    return np.uint32(patch[0] + np.uint32(np.uint32(row << patch[5]) + column))
 
 
 @njit(error_model="numpy")
@@ -89,11 +95,11 @@ def face_lumas(
     level = level_of(
         (p11[0] - p10[0]) * tu, (p11[1] - p10[1]) * tv, (p00[0] - p10[0]) * tu, (p00[1] - p10[1]) * tv, size
     )
-    first, width = texel_index(ZERO, ZERO, level, base, size), size & I15
-    last, down = np.int32(np.int32(I1 << width) - I1), level & I15
+    first, width = np.uint32(texel_index(ZERO, ZERO, level, base, size)), np.uint32(size & I15)
+    last, down = np.int32(np.int32(I1 << (size & I15)) - I1), np.uint32(level & I15)
     patch = (first, tu, faces[face, at.TU + 1], tv, faces[face, at.TV + 1], width, last, down)
-    t00, t01 = texels[np.uint32(texel_on(patch, p00))], texels[np.uint32(texel_on(patch, p01))]
-    t10, t11 = texels[np.uint32(texel_on(patch, p10))], texels[np.uint32(texel_on(patch, p11))]
+    t00, t01 = texels[texel_on(patch, p00)], texels[texel_on(patch, p01)]
+    t10, t11 = texels[texel_on(patch, p10)], texels[texel_on(patch, p11)]
     light = (
         faces[face, at.COLOUR],
         faces[face, at.COLOUR + 1],
@@ -125,7 +131,8 @@ def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) ->
 @njit(error_model="numpy")
 def plain_luma(texel: Integer) -> Integer:
     """Luma of a texel in no light but its own."""
-    return luma(texel & BYTE, np.int32(texel >> I8) & BYTE, np.int32(texel >> I16) & BYTE)
+    red, green = np.int32(texel & BYTE), np.int32(np.int32(texel >> I8) & BYTE)
+    return luma(red, green, np.int32(np.int32(texel >> I16) & BYTE))
 
 
 @njit(error_model="numpy")
@@ -196,32 +203,43 @@ def threshold_of(nominal: Float, sigma: Float, least: Float, normal: Float) -> F
 
 @njit(error_model="numpy")
 def see_plainly(
-    lumas: Four, before: tuple[Float, Float, Float, Float], camera: Any, sensor: Any, base: Any, y: Any, x: Any
+    lumas: Four,
+    before: tuple[Float, Float, Float, Float],
+    camera: Any,
+    sensor: Any,
+    base: Any,
+    first: Any,
+    place: Any,
 ) -> Integer:
-    """`events.see_pixel` for a quad and a camera without noise: ON minus OFF events; writes where there are some."""
+    """`events.see_pixel` for a quad and a camera without noise: ON minus OFF events; writes where there are some.
+
+    `first` counts pixels from the first of all lanes', `place` from the picture's: to multiply by an array's sizes,
+    which a compiler does not know, costs more than all else here.
+    """
     sigma, rise, fall = np.float32(camera[events.SIGMA]), camera[events.POSITIVE], camera[events.NEGATIVE]
     rise, fall, least = np.float32(rise), np.float32(fall), MIN_THRESHOLD if sigma != ZERO else -HUGE
-    below, right = y + np.uintp(1), x + np.uintp(1)
-    up00 = threshold_of(rise, sigma, least, sensor.up[y, x])
-    up01 = threshold_of(rise, sigma, least, sensor.up[y, right])
-    up10 = threshold_of(rise, sigma, least, sensor.up[below, x])
-    up11 = threshold_of(rise, sigma, least, sensor.up[below, right])
-    down00 = threshold_of(fall, sigma, least, sensor.down[y, x])
-    down01 = threshold_of(fall, sigma, least, sensor.down[y, right])
-    down10 = threshold_of(fall, sigma, least, sensor.down[below, x])
-    down11 = threshold_of(fall, sigma, least, sensor.down[below, right])
+    up00 = threshold_of(rise, sigma, least, sensor.up[0, place])
+    up01 = threshold_of(rise, sigma, least, sensor.up[0, place + RIGHT])
+    up10 = threshold_of(rise, sigma, least, sensor.up[0, place + BELOW])
+    up11 = threshold_of(rise, sigma, least, sensor.up[0, place + BELOW + RIGHT])
+    down00 = threshold_of(fall, sigma, least, sensor.down[0, place])
+    down01 = threshold_of(fall, sigma, least, sensor.down[0, place + RIGHT])
+    down10 = threshold_of(fall, sigma, least, sensor.down[0, place + BELOW])
+    down11 = threshold_of(fall, sigma, least, sensor.down[0, place + BELOW + RIGHT])
     log00, log01 = sensor.logs[np.uint32(lumas[0])], sensor.logs[np.uint32(lumas[1])]
     log10, log11 = sensor.logs[np.uint32(lumas[2])], sensor.logs[np.uint32(lumas[3])]
-    total = see_one(log00, before[0], up00, down00, base, y, x)
-    total = np.int32(total + see_one(log01, before[1], up01, down01, base, y, right))
-    total = np.int32(total + see_one(log10, before[2], up10, down10, base, below, x))
-    return np.int32(total + see_one(log11, before[3], up11, down11, base, below, right))
+    total = see_one(log00, before[0], up00, down00, base, first)
+    total = np.int32(total + see_one(log01, before[1], up01, down01, base, first + RIGHT))
+    total = np.int32(total + see_one(log10, before[2], up10, down10, base, first + BELOW))
+    return np.int32(total + see_one(log11, before[3], up11, down11, base, first + BELOW + RIGHT))
 
 
 @njit(error_model="numpy")
-def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Any, y: Any, x: Any) -> Integer:
-    """A pixel's events."""
+def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Any, place: Any) -> Integer:
+    """A pixel's events; what it memorises then is what `advanced` says, of which one half is 0."""
     signed = quick_count(log, before, positive, negative)
-    if signed != 0:
-        base[y, x] = advanced(before, signed, positive, negative)
+    if signed > 0:
+        base[0, 0, place] = before + times(np.float32(signed), positive)
+    elif signed < 0:
+        base[0, 0, place] = before - times(np.float32(-signed), negative)
     return signed
