@@ -320,9 +320,9 @@ class CudaLanes:
         touched = hit != int(NEVER)
         self._place.copy_(th.where(touched, self._contact().T, self._flight[:, 1:4].T))
         now = Moments(None, list(self._place), touched, self.commands, _copied(self._course))
+        th.set_default_dtype(th.float64)  # of a number times a flag
         judged = judge(self.task, before, now)
-        for name, value in judged.course.items():
-            _put(self._course[name], value, going)
+        th.set_default_dtype(th.float32)
         self.rewards.copy_(th.where(going, judged.reward, 0.0))
         self.success.copy_(judged.success & going)
         self.terminated.copy_(judged.terminated & going)
@@ -331,6 +331,8 @@ class CudaLanes:
         seen = self._note_times(hit, touched, going)
         if self.task.observation == "state" and not self.task.blank_images:
             self._put_features(states, seen)
+        for name, value in judged.course.items():  # frames were of the course before
+            _put(self._course[name], value, going)
         self._show(going)
         over = self.terminated | self.truncated
         self._tell(over, touched)
