@@ -24,7 +24,7 @@ GROUND = {
         "manifest",
         "records",
     ),
-    *("kinematics", "resources"),
+    *("kinematics", "parts", "resources"),
 }
 # A room is a top-level module or package; beside itself it may import these rooms.
 ROOMS: dict[str, set[str]] = {

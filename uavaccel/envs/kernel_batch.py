@@ -83,7 +83,8 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
         kind = cpu.STATE if task.blank_images else KINDS[task.observation]
         pixels = events.pixels_of(count if kind == cpu.DVS else 0, task.dvs_parameters)
-        self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
+        self._compiled = cpu.entry_points(kind)
+        self._view = cpu.View(self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
@@ -207,9 +208,9 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
-        cpu.CPU.look_at_starts(self._rows, lanes)
+        self._compiled.look_at_starts(self._rows, lanes)
         for part in [
-            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan)
+            self._pool.submit(self._compiled.begin, each, each, self._view, self._rows, self._now, self._plan)
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
@@ -232,7 +233,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         if self.task.observation == "dvs":
             return blank
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
+        self._compiled.show(lanes, self._view, self._rows, self._now, self._plan, frames)
         return frames[lanes, 0]
 
     def _take(self, lane: int, action: Any) -> None:
@@ -245,7 +246,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             self._directions[lane] = directions[int(action)]
 
     def _fly(self, lanes: NDArray[np.int64]) -> None:
-        cpu.CPU.fly(
+        self._compiled.fly(
             lanes,
             self._directions,
             self._view,

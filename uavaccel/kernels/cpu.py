@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+from numba import njit
 
 from uavaccel.kernels import events
 from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
@@ -23,10 +23,10 @@ from uavaccel.kernels.lanes import (
 )
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.parts import part
 from uavaccel.sim.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
-from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
-from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
+from uavaccel.vision.noise import READ_NOISE, fill_normal
 from uavaccel.vision.observation import BLOCK_SIDE
 
 STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
@@ -35,30 +35,14 @@ NS = 1e-9
 SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
 
 
-@njit(nogil=True)
+@part
 def _look_at_starts(games: Games, rows: Any) -> None:
     """Finish the starts of games: the accelerations in their wind."""
     for game in rows:
         look(games.parameters[game], games.start[game], games.body[game])
 
 
-@njit(nogil=True)
-def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
-    """Thresholds (144, 256) of a lane's pixels."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
-
-
-@njit(nogil=True)
-def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
-    """The same after a low-pass."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
-
-
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy", inline=False)
 def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
     """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
@@ -67,138 +51,105 @@ def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> Non
         picture[value] = events.noisy(picture[value], deviation, drawn[value])
 
 
-@njit(nogil=True, error_model="numpy")
-def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: int, dt_s: float) -> Any:
-    """The memorised intensities (144, 256) after heat and leak over a frame."""
-    if camera[events.HOT] > 0.0:
-        base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
-    if camera[events.LEAK] > 0.0:
-        normal = np.empty((ROWS, COLUMNS), np.float32)
-        fill_normal(normal.ravel(), np.uint64(seed), np.uint64(index), LEAK_JITTER)
-        rate_hz, jitter = np.float32(camera[events.LEAK]), np.float32(camera[events.JITTER])
-        base = dvs.leak(base, positive, np.float32(dt_s), rate_hz, sensor.leak_factor, jitter, normal)
-    return base
-
-
-@njit(nogil=True, error_model="numpy")
-def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time_s: float) -> Any:
-    """Signed counts without those within the refractory period."""
-    most = max(1, signed.max(), -signed.min())
-    if camera[events.REFRACTORY] <= (time_s - before_s) / most:
-        return signed
-    stamps_s = np.empty(most, np.float32)
-    for number in range(most):
-        stamps_s[number] = events.stamp(before_s, time_s, most, number)
-    kept, last = dvs.drop_refractory(signed, stamps_s, last_s, np.float32(camera[events.REFRACTORY]))
-    last_s[:] = last
-    return kept
-
-
-@njit(nogil=True, error_model="numpy")
-def gather(signed: Any, gathered: Any) -> None:
-    """Add signed counts (144, 256) to their blocks' (36, 64)."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
-
-
-@njit(nogil=True, error_model="numpy")
-def shoot(
-    picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
-) -> None:
-    """Add a frame's shot noise; `maps` are the thresholds, `noise` seed, frame and its time in s."""
-    seed, index, dt_s = noise
-    draws = np.empty((ROWS, COLUMNS), np.float32)
-    fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
-    chances = camera[events.SHOT] / 2 * dt_s * sensor.dimming
-    nominal = np.float32(camera[events.POSITIVE]), np.float32(camera[events.NEGATIVE])
-    on, off = dvs.shoot(picture, chances, draws, maps[0], maps[1], nominal)
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            if on[y, x] or off[y, x]:
-                base[y, x] = log[y, x]
-                gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += np.int32(on[y, x]) - np.int32(off[y, x])
-
-
-@njit(nogil=True, error_model="numpy")
-def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+@part(error_model="numpy")
+def start_seeing(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
     """A game's first frame makes no events."""
-    pixels.base[lane] = dvs.look_up(picture, sensor.logs)
-    start_clock(lane, pixels, camera)
-
-
-@njit(nogil=True, error_model="numpy")
-def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
-    """The same of a sensor with a low-pass."""
     for y in range(ROWS):
         for x in range(COLUMNS):
-            log = np.float64(sensor.logs[picture[y, x]])
-            pixels.base[lane, y, x] = pixels.filtered[lane, y, x] = log
-    start_clock(lane, pixels, camera)
+            pixels.base[lane, y, x] = sensor.logs[picture[y, x]]
+            if pixels.filtered.size:
+                pixels.filtered[lane, y, x] = sensor.logs[picture[y, x]]
+            if pixels.last_s.size:
+                pixels.last_s[lane, y, x] = -np.float32(camera[events.REFRACTORY])
+            pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] = 0
+    pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
-@njit(nogil=True)
-def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
-    """No frames seen, no events gathered."""
-    pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
-    if pixels.last_s.size:
-        pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
+@part(error_model="numpy")
+def four_of(picture: Any, y: int, x: int) -> events.Four:
+    """Four grey levels in a row."""
+    return picture[y, x], picture[y, x + 1], picture[y, x + 2], picture[y, x + 3]
 
 
-@njit(nogil=True, error_model="numpy")
-def see_single(
+@part(error_model="numpy", inline=False)
+def see_quietly(picture: Any, base: Any, gathered: Any, sensor: Any, camera: Any) -> None:
+    """`events.see` of a whole picture whose pixels have no low-pass and no noise: few of them have events to count."""
+    positive, negative = np.empty(COLUMNS, np.float32), np.empty(COLUMNS, np.float32)
+    logs, busy = np.empty(COLUMNS, np.float32), np.empty(COLUMNS, np.bool_)
+    nominal, sigma = (camera[events.POSITIVE], camera[events.NEGATIVE]), camera[events.SIGMA]
+    for y in range(ROWS):
+        for x in range(COLUMNS):
+            logs[x] = sensor.logs[picture[y, x]]
+        for x in range(COLUMNS):
+            positive[x] = events.single_threshold(nominal[0], sigma, sensor.up[y, x])
+            negative[x] = events.single_threshold(nominal[1], sigma, sensor.down[y, x])
+            change = logs[x] - np.float32(base[y, x])
+            busy[x] = (change >= positive[x]) | (-change >= negative[x])
+        for x in range(COLUMNS):
+            if busy[x]:
+                before = base[y, x]
+                signed = events.due(logs[x], before, positive[x], negative[x])
+                base[y, x] = dvs.advanced(before, signed, positive[x], negative[x])
+                gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed
+
+
+@part(error_model="numpy", inline=False)
+def see_with_dead_time(
+    lane: int, picture: Any, times_s: Any, pixels: events.Pixels, sensor: Any, camera: Any, noise: Any
+) -> None:
+    """`events.see` of a whole picture whose pixels rest after an event; `times_s` of the last frame and of this."""
+    counts, most = np.empty((ROWS, COLUMNS), np.int32), 1
+    base, filtered, dt_s = pixels.base[lane], filtered_of(lane, pixels), times_s[1] - times_s[0]
+    for y in range(ROWS):
+        for x in range(0, COLUMNS, BLOCK_SIDE):
+            levels = four_of(picture, y, x)
+            most = max(most, events.count(levels, camera, sensor, base, filtered, counts, noise, y, x, dt_s))
+    dead_s = np.float32(camera[events.REFRACTORY])
+    for y in range(ROWS):
+        for x in range(0, COLUMNS, BLOCK_SIDE):
+            if camera[events.REFRACTORY] > dt_s / most:
+                events.keep_late(counts, pixels.last_s[lane], y, x, times_s[0], times_s[1], most, dead_s)
+            levels = four_of(picture, y, x)
+            total = events.settle(levels, camera, sensor, base, filtered, counts, noise, y, x, dt_s)
+            pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] += total
+
+
+@part
+def filtered_of(lane: int, pixels: events.Pixels) -> Any:
+    """A lane's logarithms after a low-pass (144, 256), or an empty array."""
+    return pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
+
+
+@part(error_model="numpy", inline=False)
+def see(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
     """A lane's event camera sees a frame (144, 256)."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float32), np.empty((ROWS, COLUMNS), np.float32)
-    spread(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    spread(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    log = dvs.look_up(picture, sensor.logs)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_single(log, base, positive, negative)
+    noise, dt_s, noisy = (seed, index), time_s - before_s, False
+    for kind in (events.LEAK, events.SHOT, events.HOT):
+        noisy |= camera[kind] > 0.0
     if pixels.last_s.size:
-        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
-    base = dvs.advance_base(signed, base, positive, negative)
-    gather(signed, pixels.gathered[lane])
-    if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
-        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
-    pixels.base[lane] = base
+        see_with_dead_time(lane, picture, (before_s, time_s), pixels, sensor, camera, noise)
+    elif pixels.filtered.size or noisy:
+        base, filtered = pixels.base[lane], filtered_of(lane, pixels)
+        for y in range(ROWS):
+            for x in range(0, COLUMNS, BLOCK_SIDE):
+                levels = four_of(picture, y, x)
+                total = events.see(levels, camera, sensor, base, filtered, noise, y, x, dt_s)
+                pixels.gathered[lane, y // BLOCK_SIDE, x // BLOCK_SIDE] += total
+    else:
+        see_quietly(picture, pixels.base[lane], pixels.gathered[lane], sensor, camera)
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
-@njit(nogil=True, error_model="numpy")
-def see_double(
-    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
-) -> None:
-    """The same of a sensor with a low-pass, in double precision."""
-    before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float64), np.empty((ROWS, COLUMNS), np.float64)
-    spread_wide(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    spread_wide(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    weights = np.minimum(sensor.weights * ((time_s - before_s) / camera[events.TAU]), 1.0)
-    log = dvs.low_pass(picture, pixels.filtered[lane], sensor.logs, weights)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_double(log, base, positive, negative)
-    if pixels.last_s.size:
-        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
-    base = dvs.advance_base(signed, base, positive, negative)
-    gather(signed, pixels.gathered[lane])
-    if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
-        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
-    pixels.base[lane], pixels.filtered[lane] = base, log
-    pixels.clock[lane], pixels.time_s[lane] = index, time_s
-
-
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
     """Simulated time since the game's start."""
     return now.state[lane].tick * tick_ns
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy", inline=False)
 def draw_gray(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
 ) -> None:
@@ -215,7 +166,7 @@ def draw_gray(
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy", inline=False)
 def draw_colour(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
 ) -> None:
@@ -241,7 +192,7 @@ def draw_colour(
                 frame[channel, y, x] = int(np.rint(total / BLOCK_SIDE**2))
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy", inline=False)
 def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, frame: Any) -> None:
     """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
     state, game = now.state[lane], now.game[lane]
@@ -269,38 +220,15 @@ class Command(NamedTuple):
     """(3,) (kernels/flight)."""
 
 
-def see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    """`see_single` or `see_double`, as the sensor's memory is."""
-
-
-def start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    """`start_single` or `start_double`, as the sensor's memory is."""
-
-
-@overload(see)
-def _see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    of_type = see_single if pixels[0].dtype == types.float32 else see_double
-    return lambda lane, picture, time_s, pixels, sensor, camera, seed: of_type(
-        lane, picture, time_s, pixels, sensor, camera, seed
-    )
-
-
-@overload(start)
-def _start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    of_type = start_single if pixels[0].dtype == types.float32 else start_double
-    return lambda lane, picture, pixels, sensor, camera: of_type(lane, picture, pixels, sensor, camera)
-
-
 class View(NamedTuple):
     """What lanes are seen with."""
 
-    kind: int
     looks: Any
     sensor: Any
     pixels: Any
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy", inline=False)
 def look_at_events(
     lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
 ) -> None:
@@ -311,37 +239,93 @@ def look_at_events(
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 
-@njit(nogil=True, error_model="numpy")
-def _begin_lanes(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
+@part
+def look_at_nothing(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+) -> None:
+    """There is no event camera."""
+
+
+@part
+def show_events(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+) -> None:
+    """The events since they were last shown, as a frame (1, 36, 64)."""
+    pixels = view.pixels
+    for y in range(frame.shape[1]):
+        for x in range(frame.shape[2]):
+            frame[0, y, x] = events.level_of(pixels.gathered[lane, y, x])
+            pixels.gathered[lane, y, x] = 0
+
+
+@part(error_model="numpy")
+def show_colour(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+) -> None:
+    """A colour picture as a frame."""
+    draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frame)
+
+
+@part(error_model="numpy")
+def show_depth(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+) -> None:
+    """A picture of depth as a frame."""
+    draw_depth(lane, view.looks, games, now, desk, frame)
+
+
+@part
+def show_nothing(
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+) -> None:
+    """States are observed, not pictures."""
+
+
+@part(error_model="numpy")
+def _begin_unseen(lanes: Any, rows: Any, games: Games, now: Flights) -> None:
     """Let lanes begin the games of these rows."""
-    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
     for place in range(len(lanes)):
-        lane, game = lanes[place], rows[place]
-        begin(lane, game, games, now)
-        if view.kind == DVS:
-            draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
-            start(lane, picture, view.pixels, view.sensor, games.cameras[game])
+        begin(lanes[place], rows[place], games, now)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
+def _begin_seen(lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command) -> None:
+    """The same for lanes with event cameras."""
+    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    _begin_unseen(lanes, rows, games, now)
+    for place in range(len(lanes)):
+        lane, camera = lanes[place], games.cameras[rows[place]]
+        draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
+        start_seeing(lane, picture, view.pixels, view.sensor, camera)
+
+
+@part(error_model="numpy")
 def fly_sample(
-    lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+    look_at: Any,
+    lane: int,
+    ticks: int,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    desk: Any,
+    picture: Any,
 ) -> bool:
     """Fly to a sample, the event camera looking on; whether it has seen the sample's own moment."""
     left = ticks
-    while plan.event_ticks > 0 and view.kind == DVS:
+    while plan.event_ticks > 0:
         due = plan.event_ticks - now.state[lane].tick % plan.event_ticks
         if due > left or touched(lane, now):
             break
         fly(lane, due, games, now, plan.hull)
         left -= due
         if not touched(lane, now):
-            look_at_events(lane, view, games, now, plan, desk, picture)
+            look_at(lane, view, games, now, plan, desk, picture)
     fly(lane, left, games, now, plan.hull)
     return plan.event_ticks > 0 and left == 0
 
 
-@njit(nogil=True)
+@part
 def take_state(lane: int, now: Flights, sample: Any) -> None:
     """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
     state = now.state[lane]
@@ -349,12 +333,14 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
         sample[axis] = state.position[axis]
         sample[7 + axis] = state.velocity[axis]
         sample[10 + axis] = state.rate[axis]
-    for part in range(4):
-        sample[3 + part] = state.quaternion[part]
+    for place in range(4):
+        sample[3 + place] = state.quaternion[place]
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def _fly_lanes(
+    look_at: Any,
+    show: Any,
     lanes: Any,
     directions: Any,
     view: View,
@@ -369,38 +355,23 @@ def _fly_lanes(
     for lane in lanes:
         command(lane, directions, games, now)
         for sample in range(len(plan.slices)):
-            seen = fly_sample(lane, plan.slices[sample], view, games, now, plan, desk, picture)
+            seen = fly_sample(look_at, lane, plan.slices[sample], view, games, now, plan, desk, picture)
             take_state(lane, now, samples[lane, sample])
-            if touched(lane, now) or view.kind == STATE:
+            if touched(lane, now):
                 continue
-            if view.kind == COLOUR:
-                draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, sample])
-            elif view.kind == DEPTH:
-                draw_depth(lane, view.looks, games, now, desk, frames[lane, sample])
-            else:
-                if not seen:
-                    look_at_events(lane, view, games, now, plan, desk, picture)
-                take_events(lane, view.pixels, frames[lane, sample])
+            if not seen:
+                look_at(lane, view, games, now, plan, desk, picture)
+            show(lane, view, games, now, plan, desk, frames[lane, sample])
 
 
-@njit(nogil=True)
-def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
-    """The events since they were last taken, as a frame (1, 36, 64)."""
-    for y in range(frame.shape[1]):
-        for x in range(frame.shape[2]):
-            frame[0, y, x] = events.level_of(pixels.gathered[lane, y, x])
-            pixels.gathered[lane, y, x] = 0
-
-
-@njit(nogil=True, error_model="numpy")
-def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
+@part(error_model="numpy")
+def _show_lanes(
+    show: Any, lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any
+) -> None:
     """Frames (L, 1, ...) of the present moment, in colour or of depth."""
     desk = make_desk()
     for lane in lanes:
-        if view.kind == COLOUR:
-            draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frames[lane, 0])
-        elif view.kind == DEPTH:
-            draw_depth(lane, view.looks, games, now, desk, frames[lane, 0])
+        show(lane, view, games, now, plan, desk, frames[lane, 0])
 
 
 class EntryPoints(NamedTuple):
@@ -412,12 +383,14 @@ class EntryPoints(NamedTuple):
     show: Any
 
 
-def _compile(stamp: int) -> EntryPoints:
-    """The entry points, from numba's cache if they are there.
+@cache
+def entry_points(kind: int) -> EntryPoints:
+    """For lanes of which STATE, DVS, COLOUR or DEPTH is observed; compiled when called, or from numba's cache.
 
-    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
+    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others. It
+    compiles only the branch that `kind` takes.
     """
-    entry_point = njit(nogil=True, cache=True)
+    entry_point, stamp = njit(nogil=True, cache=True), sources(__name__)
 
     @entry_point
     def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
@@ -426,20 +399,35 @@ def _compile(stamp: int) -> EntryPoints:
 
     @entry_point
     def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
-        if stamp:
-            _begin_lanes(lanes, rows, view, games, now, plan)
+        if kind == DVS:
+            _begin_seen(lanes, rows, view, games, now, plan)
+        elif stamp:
+            _begin_unseen(lanes, rows, games, now)
 
     @entry_point
     def fly_lanes(lanes, directions, view, games, now, plan, frames, samples):  # type: ignore[no-untyped-def]
-        if stamp:
-            _fly_lanes(lanes, directions, view, games, now, plan, frames, samples)
+        if kind == DVS:
+            _fly_lanes(
+                look_at_events, show_events, lanes, directions, view, games, now, plan, frames, samples
+            )
+        elif kind == COLOUR:
+            _fly_lanes(
+                look_at_nothing, show_colour, lanes, directions, view, games, now, plan, frames, samples
+            )
+        elif kind == DEPTH:
+            _fly_lanes(
+                look_at_nothing, show_depth, lanes, directions, view, games, now, plan, frames, samples
+            )
+        elif stamp:
+            _fly_lanes(
+                look_at_nothing, show_nothing, lanes, directions, view, games, now, plan, frames, samples
+            )
 
     @entry_point
     def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]
-        if stamp:
-            _show_lanes(lanes, view, games, now, plan, frames)
+        if kind == COLOUR:
+            _show_lanes(show_colour, lanes, view, games, now, plan, frames)
+        elif stamp:
+            _show_lanes(show_depth, lanes, view, games, now, plan, frames)
 
     return EntryPoints(look_at_starts, begin_lanes, fly_lanes, show_lanes)
-
-
-CPU = _compile(sources(__name__))
