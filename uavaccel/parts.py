@@ -23,11 +23,30 @@ from numba.extending import models, register_model
 class _Library(JITCodeLibrary):  # type: ignore[misc]
     """Intermediate code that is linked into others', and never made machine code by itself."""
 
-    def _optimize_final_module(self) -> None:
-        """Left to the entry points."""
+    _merged: Any = None
 
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Nothing is optimised; what is called is linked in for a caller that is more than a part."""
         self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def _within(self) -> list[Any]:
+        """This library and all that it needs, each behind those that need it: the linker drops what nobody asks for."""
+        found: dict[Any, None] = {}
+        for library in self._linking_libraries:
+            for needed in library._within() if isinstance(library, _Library) else [library]:
+                found.pop(needed, None)
+                found[needed] = None
+        return [self, *found]
+
+    def _get_module_for_linking(self) -> Any:
+        if self._merged is None:
+            self._merged = super()._get_module_for_linking().clone()
+            for library in self._within()[1:]:
+                self._reload_init.update(library._reload_init)
+                small = super(_Library, library) if isinstance(library, _Library) else library
+                self._merged.link_in(small._get_module_for_linking(), preserve=True)
+        return self._merged
 
 
 class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
@@ -85,4 +104,6 @@ def part(function: Any = None, inline: bool = True, **options: Any) -> Any:
 
     Not `inline`: its machine code is made once, and called, where else each of its callers may have it within its own.
     """
-    return (lambda inner: Part(inner, inline, options)) if function is None else Part(function, inline, options)
+    return (
+        (lambda inner: Part(inner, inline, options)) if function is None else Part(function, inline, options)
+    )

@@ -169,7 +169,7 @@ def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: 
     state.rotor_input[3] = min(max((m3 + shift) / scale, 0.0), 1.0)
 
 
-@part
+@part(inline=False)
 def control(parameters: Record, state: Record) -> None:
     """One update of the firmware at the state's tick: sets the rotors' commands."""
     if state.tick == state.hover_tick:

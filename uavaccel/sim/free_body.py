@@ -167,7 +167,7 @@ def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
     )
 
 
-@part
+@part(inline=False)
 def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, acceleration: Array) -> bool:
     """Step pose `qpos` (7,) and velocity `qvel` (6,) under `force` (6,), all in place; gravity comes from `parameters`.
 

@@ -85,7 +85,7 @@ def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
 
 
-@part
+@part(inline=False)
 def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: NDArray[np.float64]) -> None:
     """Compute the next kick from the state's pose and MuJoCo's velocity, and the velocity at the tick."""
     velocity = (qvel[0], -qvel[1], -qvel[2])
@@ -209,7 +209,7 @@ def arrive(
 HANDLES = 15  # of one vehicle
 
 
-@part
+@part(inline=False)
 def views(handles: Any, first: int) -> Any:
     """What the entry points work on. `handles` are int64 addresses from `first` on, but for a count of rows.
 

@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
@@ -136,7 +137,7 @@ def parameters(
     return record
 
 
-@part
+@njit(cache=True)
 def air_density(altitude_m: float) -> float:
     """Kilograms per cubic metre in the standard atmosphere's two lowest layers (EarthUtils.hpp).
 
@@ -184,7 +185,7 @@ def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) 
     return 0.0
 
 
-@part
+@part(inline=False)
 def accelerate(
     parameters: Record, state: Record, velocity: tuple[float, float, float], rate: tuple[float, float, float]
 ) -> None:
@@ -225,7 +226,7 @@ def accelerate(
     state.angular_acceleration[2] = (torque_z - (iy - ix) * p * q) / iz
 
 
-@part
+@part(inline=False)
 def turn_rotors(parameters: Record, state: Record) -> None:
     """One tick of the rotors' lag: the output follows the lagged command one tick later (RotorActuator.hpp)."""
     keep = parameters.rotor_keep
