@@ -49,7 +49,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         return self._merged
 
 
-class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
+class _Compiler(compiler.CompilerBase):
     """numba's own passes, without machine code and wrappers."""
 
     def define_pipelines(self) -> list[Any]:
@@ -59,19 +59,19 @@ class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
         return [compiler.DefaultPassBuilder.define_nopython_pipeline(state)]
 
 
-class PartType(types.Dispatcher):  # type: ignore[misc]
+class PartType(types.Dispatcher):
     """The type of one part: as an argument of another part it has no value, so that numba can cache its callers."""
 
 
 register_model(PartType)(models.OpaqueModel)
 
 
-@lower_constant(PartType)  # type: ignore[misc]
+@lower_constant(PartType)
 def _no_value(context: Any, builder: Any, part_type: Any, value: Any) -> Any:
     return context.get_dummy_value()
 
 
-class Part(CPUDispatcher):  # type: ignore[misc]
+class Part(CPUDispatcher):
     """A function of compiled functions; called from Python, it is compiled by itself."""
 
     def __init__(self, function: Callable[..., Any], inline: bool, options: dict[str, Any]) -> None:

@@ -46,7 +46,7 @@ def _look_at_starts(games: Games, rows: Any) -> None:
 def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
     """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
-    fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
+    fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)  # type: ignore[arg-type]
     for value in range(len(picture)):
         picture[value] = events.noisy(picture[value], deviation, drawn[value])
 
@@ -383,26 +383,9 @@ class EntryPoints(NamedTuple):
     show: Any
 
 
-@cache
-def entry_points(kind: int) -> EntryPoints:
-    """For lanes of which STATE, DVS, COLOUR or DEPTH is observed; compiled when called, or from numba's cache.
-
-    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others. It
-    compiles only the branch that `kind` takes.
-    """
-    entry_point, stamp = njit(nogil=True, cache=True), sources(__name__)
-
-    @entry_point
-    def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
-        if stamp:
-            _look_at_starts(games, rows)
-
-    @entry_point
-    def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
-        if kind == DVS:
-            _begin_seen(lanes, rows, view, games, now, plan)
-        elif stamp:
-            _begin_unseen(lanes, rows, games, now)
+def _flying(kind: int, stamp: int) -> tuple[Any, Any]:
+    """`fly` and `show` of `entry_points`."""
+    entry_point = njit(nogil=True, cache=True)
 
     @entry_point
     def fly_lanes(lanes, directions, view, games, now, plan, frames, samples):  # type: ignore[no-untyped-def]
@@ -430,4 +413,28 @@ def entry_points(kind: int) -> EntryPoints:
         elif stamp:
             _show_lanes(show_depth, lanes, view, games, now, plan, frames)
 
-    return EntryPoints(look_at_starts, begin_lanes, fly_lanes, show_lanes)
+    return fly_lanes, show_lanes
+
+
+@cache
+def entry_points(kind: int) -> EntryPoints:
+    """For lanes of which STATE, DVS, COLOUR or DEPTH is observed; compiled when called, or from numba's cache.
+
+    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others. It
+    compiles only the branch that `kind` takes.
+    """
+    entry_point, stamp = njit(nogil=True, cache=True), sources(__name__)
+
+    @entry_point
+    def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
+        if stamp:
+            _look_at_starts(games, rows)
+
+    @entry_point
+    def begin_lanes(lanes, rows, view, games, now, plan):  # type: ignore[no-untyped-def]
+        if kind == DVS:
+            _begin_seen(lanes, rows, view, games, now, plan)
+        elif stamp:
+            _begin_unseen(lanes, rows, games, now)
+
+    return EntryPoints(look_at_starts, begin_lanes, *_flying(kind, stamp))
