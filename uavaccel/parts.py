@@ -20,7 +20,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import models, register_model
 
 
-class _Library(JITCodeLibrary):  # type: ignore[misc]
+class _Library(JITCodeLibrary):
     """Intermediate code that is linked into others', and never made machine code by itself."""
 
     _merged: Any = None
@@ -44,7 +44,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
             self._merged = super()._get_module_for_linking().clone()
             for library in self._within()[1:]:
                 self._reload_init.update(library._reload_init)
-                small = super(_Library, library) if isinstance(library, _Library) else library
+                small: Any = super(_Library, library) if isinstance(library, _Library) else library
                 self._merged.link_in(small._get_module_for_linking(), preserve=True)
         return self._merged
 
