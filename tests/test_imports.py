@@ -25,7 +25,7 @@ GROUND = {
         "records",
         "standstill",
     ),
-    *("kinematics", "resources"),
+    *("kinematics", "parts", "resources"),
 }
 # A room is a top-level module or package; beside itself it may import these rooms.
 ROOMS: dict[str, set[str]] = {

@@ -21,7 +21,6 @@ from uavaccel.kernels.looks import fill_scene, read_looks
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.world import World
 from uavaccel.vision.image_noise import noise_seed
-from uavaccel.wire.image_api import lane_layout
 
 
 class Drawn(NamedTuple):
@@ -54,8 +53,7 @@ class GameMaker:
         conditions = self.task.draw_conditions(random, games)
         task = self.task.under(conditions)
         told = {**course, CONDITIONS: conditions} if conditions else course
-        layout = task.layout(course)
-        return Drawn(told, task, None if layout is None else lane_layout(layout), latencies)
+        return Drawn(told, task, task.drawn(course), latencies)
 
     def write(self, drawn: Drawn, games: Games, row: int) -> None:
         """Fill a game's row, but for the accelerations of its start (kernels/lanes.look)."""

@@ -23,7 +23,16 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.limits import Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M, Difficulty, Split, lane_seed
+from uavaccel.sim.lane.layout import (
+    EVALUATION_SEEDS,
+    LENGTH_M,
+    WIDTH_M,
+    Difficulty,
+    LaneLayout,
+    Split,
+    draw_layout,
+    lane_seed,
+)
 
 Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
 MOST_HEADINGS = 360
@@ -135,9 +144,12 @@ class LaneTask(Task):
         """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""
         if self.lane is not None:
             return self.lane.model_dump(mode="json")
+        return {"seed": self._seed_of(index), "difficulty": self.difficulty.model_dump(mode="json")}
+
+    def _seed_of(self, index: int) -> int:
         if not 0 <= index < EVALUATION_SEEDS:
             raise UserError(f"lane {index} does not exist: lanes are 0 to {EVALUATION_SEEDS - 1}")
-        return {"seed": lane_seed(self.split, index), "difficulty": self.difficulty.model_dump(mode="json")}
+        return lane_seed(self.split, index)
 
     def action_space(self) -> spaces.Discrete:
         """The headings."""
@@ -183,6 +195,12 @@ class LaneTask(Task):
 
     def layout(self, course: Course) -> Any:
         return self.wire_lane(course["lane"])
+
+    def drawn(self, course: Course) -> LaneLayout | None:
+        own = type(self).layout, type(self).wire_lane
+        if self.lane is not None or own != (LaneTask.layout, LaneTask.wire_lane):
+            return super().drawn(course)
+        return draw_layout(self._seed_of(course["lane"]), self.difficulty)
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
         progress_m = now.position_m[0] - before.position_m[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -22,10 +23,11 @@ from uavaccel.envs.told import Told
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
-from uavaccel.sim.lane.layout import PLAIN
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
+from uavaccel.wire.image_api import lane_layout
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -197,9 +199,8 @@ class Task(Config):
     @property
     def dvs_parameters(self) -> DvsParameters:
         """The event camera's."""
-        preset = with_thresholds(PRESETS[self.dvs_preset], self.dvs_threshold_ratio)
         noise = self.dvs_shot_noise_hz, self.dvs_leak_hz, self.dvs_spread_ratio, self.dvs_hot_pixels
-        return with_noise(preset, *noise)
+        return _parameters(self.dvs_preset, self.dvs_threshold_ratio, *noise)
 
     def events_seed(self, seed: int) -> int:
         """Of the event camera's noise in a game of that seed; v2e's presets by themselves have one for all games."""
@@ -267,6 +268,11 @@ class Task(Config):
         """The scene of a game as Client.set_lane takes it; None: as it is."""
         return None
 
+    def drawn(self, course: Course) -> LaneLayout | None:
+        """The same as obstacles. Raises UserError."""
+        layout = self.layout(course)
+        return None if layout is None else lane_layout(layout)
+
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         """The course after a command."""
         return now.course
@@ -286,6 +292,11 @@ class Task(Config):
     def info(self, now: Moment) -> dict[str, Any]:
         """What infos have beside the keys of `FlightEnv`."""
         return dict(now.course)
+
+
+@lru_cache(maxsize=256)
+def _parameters(preset: str, threshold_ratio: float, *noise: float) -> DvsParameters:
+    return with_noise(with_thresholds(PRESETS[preset], threshold_ratio), *noise)
 
 
 def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:

@@ -24,6 +24,7 @@ from uavaccel.kernels.lanes import (
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
 from uavaccel.kernels.timeline import Clocks, Timing
+from uavaccel.parts import part
 from uavaccel.sim.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
@@ -38,14 +39,14 @@ SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
 DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 
 
-@njit(nogil=True)
+@part
 def _look_at_starts(games: Games, rows: Any) -> None:
     """Finish the starts of games: the accelerations in their wind."""
     for game in rows:
         look(games.parameters[game], games.start[game], games.body[game])
 
 
-@njit(nogil=True)
+@part
 def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """Thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
@@ -53,7 +54,7 @@ def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
             out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
 
 
-@njit(nogil=True)
+@part
 def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """The same after a low-pass."""
     for y in range(ROWS):
@@ -61,7 +62,7 @@ def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
             out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
     """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
@@ -70,7 +71,7 @@ def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> Non
         picture[value] = events.noisy(picture[value], deviation, drawn[value])
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: int, dt_s: float) -> Any:
     """The memorised intensities (144, 256) after heat and leak over a frame."""
     if camera[events.HOT] > 0.0:
@@ -83,7 +84,7 @@ def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: i
     return base
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time_s: float) -> Any:
     """Signed counts without those within the refractory period."""
     most = max(1, signed.max(), -signed.min())
@@ -97,7 +98,7 @@ def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time
     return kept
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def gather(signed: Any, gathered: Any) -> None:
     """Add signed counts (144, 256) to their blocks' (36, 64)."""
     for y in range(ROWS):
@@ -105,7 +106,7 @@ def gather(signed: Any, gathered: Any) -> None:
             gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def shoot(
     picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
 ) -> None:
@@ -123,14 +124,14 @@ def shoot(
                 gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += np.int32(on[y, x]) - np.int32(off[y, x])
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
     """A game's first frame makes no events."""
     pixels.base[lane] = dvs.look_up(picture, sensor.logs)
     start_clock(lane, pixels, camera)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
     """The same of a sensor with a low-pass."""
     for y in range(ROWS):
@@ -140,7 +141,7 @@ def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, ca
     start_clock(lane, pixels, camera)
 
 
-@njit(nogil=True)
+@part
 def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
     """No frames seen, no events gathered."""
     pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
@@ -148,7 +149,7 @@ def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
         pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def see_single(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
@@ -171,7 +172,7 @@ def see_single(
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def see_double(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
@@ -195,13 +196,13 @@ def see_double(
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
     """Simulated time since the game's start."""
     return now.state[lane].tick * tick_ns
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def draw_gray(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
 ) -> None:
@@ -218,7 +219,7 @@ def draw_gray(
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def draw_colour(
     lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
 ) -> None:
@@ -244,7 +245,7 @@ def draw_colour(
                 frame[channel, y, x] = int(np.rint(total / BLOCK_SIDE**2))
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, frame: Any) -> None:
     """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
     state, game = now.state[lane], now.game[lane]
@@ -306,7 +307,7 @@ class View(NamedTuple):
     pixels: Any
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def look_at_events(
     lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
 ) -> None:
@@ -317,7 +318,7 @@ def look_at_events(
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def _begin_lanes(
     lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
 ) -> None:
@@ -339,7 +340,7 @@ def _begin_lanes(
         timeline.show_start(row, scale, timing, suspect)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def draw_frame(
     lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
 ) -> None:
@@ -350,7 +351,7 @@ def draw_frame(
         draw_depth(lane, view.looks, games, now, desk, frame)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
     """Whether the guard asks for the picture on a lane's desk again (vision/guard), and note it for the next one."""
     bright = 0.0
@@ -368,7 +369,7 @@ def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
     return suspect
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def fly_sample(
     lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
 ) -> bool:
@@ -386,7 +387,7 @@ def fly_sample(
     return plan.event_ticks > 0 and now.state[lane].tick % plan.event_ticks == 0
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def fly_to(
     lane: int,
     tick: int,
@@ -409,7 +410,7 @@ def fly_to(
     return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> None:
     """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
     if plan.timing.rules[timeline.STALE_POSE] == 0 or clocks.row[lane, timeline.SHOWN] < 0:
@@ -421,7 +422,7 @@ def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> Non
         shown[3 + part], state.quaternion[part] = state.quaternion[part], shown[3 + part]
 
 
-@njit(nogil=True)
+@part
 def take_state(lane: int, now: Flights, sample: Any) -> None:
     """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
     state = now.state[lane]
@@ -433,7 +434,7 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
         sample[3 + part] = state.quaternion[part]
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def _fly_lanes(
     lanes: Any,
     directions: Any,
@@ -472,7 +473,7 @@ def _fly_lanes(
         timeline.switch(row, timeline.NO_PHASE)
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def look_at_sample(
     lane: int,
     seen: bool,
@@ -497,7 +498,7 @@ def look_at_sample(
         take_events(lane, view.pixels, frame)
 
 
-@njit(nogil=True)
+@part
 def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
     """The events since they were last taken, as a frame (1, 36, 64)."""
     for y in range(frame.shape[1]):
@@ -506,7 +507,7 @@ def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
             pixels.gathered[lane, y, x] = 0
 
 
-@njit(nogil=True, error_model="numpy")
+@part(error_model="numpy")
 def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
     """Frames (L, 1, ...) of the present moment, in colour or of depth."""
     desk = make_desk()

@@ -138,12 +138,17 @@ def flying(usual: Any) -> Any:
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
         fly_ticks(own[0], state[0], parts, solids, count, hull, now.watch[lane], ticks[lane], False)
-        for field in range(9):  # not used here, and read again so that no register keeps them from tick to tick
+        for field in range(
+            9
+        ):  # not used here, and read again so that no register keeps them from tick to tick
             state[0].pid_integral[field] = now.state[lane].pid_integral[field]
             state[0].pid_error[field] = now.state[lane].pid_error[field]
         for field in range(4):
             state[0].pid_mode[field] = now.state[lane].pid_mode[field]
-        state[0].contacts, state[0].contacts_changed = now.state[lane].contacts, now.state[lane].contacts_changed
+        state[0].contacts, state[0].contacts_changed = (
+            now.state[lane].contacts,
+            now.state[lane].contacts_changed,
+        )
         now.state[lane] = state[0]
         for field in range(7):
             body[lanes.POSE + field] = pose[field]

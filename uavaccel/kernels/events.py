@@ -9,12 +9,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
+from uavaccel.parts import part
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
@@ -100,7 +101,7 @@ def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float
     )
 
 
-@njit
+@part
 def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int) -> Four:
     """Four grey levels in a row as a noisy camera reads them (vision/image_noise)."""
     drawn, deviation = (
@@ -115,14 +116,14 @@ def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int
     )
 
 
-@njit
+@part
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
     """A grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)
     return min(max(int(round(value)), 0), 255)
 
 
-@njit
+@part
 def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.float32:
     """A pixel's threshold, float32."""
     if sigma == 0.0:
@@ -130,13 +131,13 @@ def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.flo
     return max(np.float32(nominal) + times(np.float32(sigma), normal), MIN_THRESHOLD)
 
 
-@njit
+@part
 def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
     """A pixel's threshold after a low-pass: a plain number stays as precise as it is."""
     return nominal if sigma == 0.0 else np.float64(single_threshold(nominal, sigma, normal))
 
 
-@njit
+@part
 def leaked(
     base: Any, positive: Any, camera: Any, sensor: Any, y: int, x: int, dt_s: float, normal: np.float32
 ) -> Any:
@@ -150,7 +151,7 @@ def leaked(
     return base
 
 
-@njit
+@part
 def shot(
     camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32
 ) -> int:
@@ -160,7 +161,7 @@ def shot(
     return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
 
 
-@njit
+@part
 def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
     """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
     normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
@@ -189,13 +190,13 @@ def log_of(like: Any, level: int, before: Any, camera: Any, sensor: Any, dt_s: f
     return of_type(level, before, camera, sensor, dt_s)
 
 
-@njit
+@part
 def single_log(level: int, before: np.float32, camera: Any, sensor: Any, dt_s: float) -> np.float32:
     """Without a low-pass."""
     return sensor.logs[level]
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def double_log(level: int, before: float, camera: Any, sensor: Any, dt_s: float) -> float:
     """After a low-pass."""
     weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
@@ -224,7 +225,7 @@ for _function, _chosen in BY_TYPE:
     overload(_function)(_chosen)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def see(
     levels: Four,
     camera: Any,
@@ -248,7 +249,7 @@ def see(
     return total
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def see_pixel(
     level: int,
     camera: Any,
@@ -272,7 +273,7 @@ def see_pixel(
     return signed
 
 
-@njit
+@part
 def new_log(
     level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float
 ) -> Any:
@@ -284,7 +285,7 @@ def new_log(
     return log
 
 
-@njit
+@part
 def add_shot(
     level: int,
     camera: Any,
@@ -305,7 +306,7 @@ def add_shot(
     return 0 if noise == ON_AND_OFF else noise
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def count(
     levels: Four,
     camera: Any,
@@ -332,7 +333,7 @@ def count(
     return most
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def settle(
     levels: Four,
     camera: Any,
@@ -364,7 +365,7 @@ def settle(
     return total
 
 
-@njit
+@part
 def keep_late(
     counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any
 ) -> None:
@@ -382,7 +383,7 @@ def keep_late(
         counts[y, at] = sign * kept
 
 
-@njit
+@part
 def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
     """One of vision/dvs.time_stamps."""
     start = np.float32(before_s + (time_s - before_s) / count)
@@ -395,7 +396,7 @@ def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32
     return np.float32(np.float64(end) - times(spacing, np.float64(count - 1 - number)))
 
 
-@njit
+@part
 def level_of(events: int) -> int:
     """What an observation shows for so many ON minus OFF events of a block."""
     return min(max(NEUTRAL_LEVEL + events, 0), 255)

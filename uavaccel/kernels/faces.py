@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.rays import Faces, touches
+from uavaccel.parts import part
 
 Floats = NDArray[np.floating]
 Vector = tuple[float, float, float]
@@ -29,18 +29,18 @@ APOTHEM, HALF_SIDE = math.cos(math.pi / at.SLICES), math.sin(math.pi / at.SLICES
 SKY_SHARE = 0.70  # of the far plane's distance, at which MuJoCo's renderer hangs the sky
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def plus(a: Vector, b: Vector, times: float) -> Vector:
     """a + b * times."""
     return a[0] + b[0] * times, a[1] + b[1] * times, a[2] + b[2] * times
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
     """A vector of the body in the world, for a unit quaternion wxyz."""
     w, x, y, z = quaternion
@@ -52,7 +52,7 @@ def turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
     )
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
     """Eye and rays, MuJoCo's axes, for a drone's pose: NED, metres, and wxyz, FRD to NED."""
     w, x, y, z = quaternion[0], quaternion[1], -quaternion[2], -quaternion[3]
@@ -71,25 +71,25 @@ def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
     return eye, per_column, per_row, plus(corner, up, high - high / at.ROWS)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def put(faces: Faces, row: int, field: int, view: View, vector: Vector) -> None:
     """The product of the ray with a constant vector, as a linear function."""
-    for part in range(3):
-        faces[row, field + part] = np.float32(dot(view[part + 1], vector))
+    for place in range(3):
+        faces[row, field + place] = np.float32(dot(view[place + 1], vector))
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def begin(camera: Floats, view: View, faces: Faces) -> int:
     """Row 0: the picture's rays. Returns the number of rows in use."""
-    for part, axis in enumerate((X, Y, Z)):
-        put(faces, 0, at.RAYS + 3 * part, view, axis)
+    for place, axis in enumerate((X, Y, Z)):
+        put(faces, 0, at.RAYS + 3 * place, view, axis)
     faces[0, at.FAR_W] = np.float32(1.0 / camera[at.FAR_M])
     faces[0, at.NEAR_W] = np.float32(1.0 / camera[at.NEAR_M])
     faces[0, at.COUNT] = np.float32(1.0)
     return 1
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vector) -> None:
     """Columns in which a rectangle may be seen, and its largest w; t and s: from its middle to its edges."""
     per_column, per_row, corner = view[1], view[2], view[3]
@@ -111,7 +111,7 @@ def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vect
     faces[row, at.NEAREST_W] = faces[0, at.NEAR_W] if whole else np.float32(1.0001 / nearest)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_face(
     faces: Faces, row: int, view: View, normal: Vector, h: float, t: Vector, ts: Span, s: Vector, ss: Span
 ) -> bool:
@@ -133,7 +133,7 @@ def put_face(
     return touches(faces, row, np.float32(0.0), end_row, np.float32(0.0), end_column)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_prism(faces: Faces, row: int, view: View, per_w: Vector, centre: Vector, radius: float) -> None:
     """Eight more edges in a row of their own: those of an upright prism on a face whose w is d . per_w."""
     for side in range(at.SLICES):
@@ -144,7 +144,7 @@ def put_prism(faces: Faces, row: int, view: View, per_w: Vector, centre: Vector,
     faces[row, at.NEAREST_W] = np.float32(0.0)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_light(
     faces: Faces,
     row: int,
@@ -175,7 +175,7 @@ def put_light(
         faces[row, at.SLOPE + channel] = np.float32((last - first) / width)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_texture(
     faces: Faces,
     row: int,
@@ -191,13 +191,13 @@ def put_texture(
     """
     texture = int(looks.materials[material, at.TEXTURE_ID])
     faces[row, at.TEXTURE] = np.float32(texture)
-    for part in range(2):
-        repeat = float(looks.materials[material, at.REPEAT + part])
+    for place in range(2):
+        repeat = float(looks.materials[material, at.REPEAT + place])
         repeat = repeat if repeat > 0.0 else 1.0
-        if looks.materials[material, at.UNIFORM] > 0.0 and sizes[part] > 0.0:
-            repeat *= sizes[part]
+        if looks.materials[material, at.UNIFORM] > 0.0 and sizes[place] > 0.0:
+            repeat *= sizes[place]
         texels = repeat * (1 << looks.textures[texture, at.LOG2_SIZE])
-        edge, per_metre = across if part == 0 else down
-        field = at.TU if part == 0 else at.TV
+        edge, per_metre = across if place == 0 else down
+        field = at.TU if place == 0 else at.TV
         faces[row, field] = np.float32(texels * per_metre)
         faces[row, field + 1] = np.float32(texels * edge)

@@ -7,10 +7,10 @@ first touch, as in the lane's scene, so what is touched never pushes back.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.kernels.touching import NOTHING, Solids, free_ticks, touched
+from uavaccel.parts import part
 from uavaccel.sim.autopilot import control
 from uavaccel.sim.free_body import free_step, move, normalised
 from uavaccel.sim.hotloop import kick, read_pose
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Body = tuple[Floats, Floats, Floats, Floats]
 
 
-@njit
+@part
 def look_around(
     parameters: Record,
     state: Record,
@@ -47,7 +47,7 @@ def look_around(
         state.contact_position[axis] = state.position[axis]
 
 
-@njit
+@part
 def step(parameters: Record, state: Record, body: Body) -> None:
     """A tick as the exact simulator flies it, to the last bit."""
     pose, motion, force, acceleration = body
@@ -59,7 +59,7 @@ def step(parameters: Record, state: Record, body: Body) -> None:
     control(parameters, state)
 
 
-@njit
+@part
 def short_step(parameters: Record, state: Record, body: Body) -> None:
     """The same but for rounding, in two thirds of the operations.
 
@@ -84,7 +84,7 @@ def short_step(parameters: Record, state: Record, body: Body) -> None:
     control(parameters, state)
 
 
-@njit
+@part
 def fly_ticks(
     parameters: Record,
     state: Record,

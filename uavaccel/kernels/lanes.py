@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from uavaccel.kernels.events import CAMERA_FIELDS
 from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.touching import NOTHING, SOLID_FIELDS
+from uavaccel.parts import part
 from uavaccel.sim.autopilot import POSITION, RATE, VELOCITY
 from uavaccel.sim.hotloop import kick, read_pose
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
@@ -89,14 +89,14 @@ def flights(lanes: int, empty: Any = np.zeros) -> Flights:
     )
 
 
-@njit
+@part
 def look(parameters: Any, state: Any, body: Any) -> None:
     """Read the pose, and compute the next kick, after the wind was set (hotloop's `look`)."""
     read_pose(state, body[POSE:MOTION])
     kick(parameters, state, body[MOTION:FORCE], body[FORCE:ACCELERATION])
 
 
-@njit
+@part
 def begin(lane: int, game: int, games: Games, now: Flights) -> None:
     """Let a lane begin a game."""
     now.state[lane] = games.start[game]
@@ -106,7 +106,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
     now.game[lane] = game
 
 
-@njit
+@part
 def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
     """Take a direction (L, 3) for a goal: moveByVelocity or, where a height is held, moveByVelocityZ (sim/flight/goal)."""
     state, told = now.state[lane], games.commands[now.game[lane]]
@@ -119,7 +119,7 @@ def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
     state.hover_tick = NEVER
 
 
-@njit
+@part(inline=False)
 def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     """Let a lane fly so many ticks."""
     game, row = now.game[lane], now.body[lane]
@@ -130,7 +130,7 @@ def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     )
 
 
-@njit
+@part
 def touched(lane: int, now: Flights) -> bool:
     """Whether a lane's flight is over."""
     return now.state[lane].collision_tick != NEVER

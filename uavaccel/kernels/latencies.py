@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from uavaccel.parts import part
 from uavaccel.vision.noise import LATENCY, words
 
 MOVE, PAUSE, CONTINUE, CONTINUE_FOR, STATE, IMAGE, CALL = range(7)  # channels
@@ -34,7 +34,7 @@ class Latencies(NamedTuple):
     """(4,) int64, the last one 0."""
 
 
-@njit
+@part
 def uniform(seed: int, number: int) -> float:
     """The number-th of a seed's numbers of [0, 1)."""
     a, b, _, _ = words(seed, number, LATENCY, 0)
@@ -42,7 +42,7 @@ def uniform(seed: int, number: int) -> float:
     return (high * 67108864.0 + low) * _STEP_53
 
 
-@njit
+@part
 def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
     """The latency at a share of a table's distribution, to the nanosecond."""
     at, us = latencies.quantiles, latencies.tables_us
@@ -56,7 +56,7 @@ def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
     return int(np.rint(1e3 * (slope * (share - at[place]) + us[table, place])))
 
 
-@njit
+@part
 def fault_ns(latencies: Latencies, share: float) -> int:
     """What a message is held up by."""
     place = 0
@@ -65,7 +65,7 @@ def fault_ns(latencies: Latencies, share: float) -> int:
     return int(latencies.delays_ns[place])
 
 
-@njit
+@part
 def wait_class(latencies: Latencies, wait_ns: int) -> int:
     """Which tables hold after a command, or a continue-for, that was waited for so long."""
     place = 0

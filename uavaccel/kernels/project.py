@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.faces import (
@@ -32,9 +31,10 @@ from uavaccel.kernels.faces import (
 )
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.rays import Faces
+from uavaccel.parts import part
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def project(
     looks: Looks,
     scenes: Scenes,
@@ -56,7 +56,7 @@ def project(
     return row
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def project_solid(
     looks: Looks,
     scenes: Scenes,
@@ -105,7 +105,7 @@ def project_solid(
     return written
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_side(
     faces: Faces,
     row: int,
@@ -138,7 +138,7 @@ def put_side(
     return 1
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def put_cylinder(
     faces: Faces,
     row: int,
@@ -170,14 +170,14 @@ def put_cylinder(
     return written + put_lid(faces, row + written, view, middle, half, looks, scenes, lane, material)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def corner_of(side: int) -> Vector:
     """Normal at a corner of a cylinder's prism."""
     angle = side * 2.0 * math.pi / at.SLICES
     return math.cos(angle), math.sin(angle), 0.0
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def put_lid(
     faces: Faces,
     row: int,

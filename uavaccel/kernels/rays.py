@@ -16,10 +16,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
+from uavaccel.parts import part
 
 Faces = NDArray[np.float32]  # (FACES, FIELDS): of one picture; row 0 is the rays'
 Textures = NDArray[np.int32]  # (n, 4)
@@ -41,13 +41,13 @@ OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (
 )
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def linear(faces: Faces, face: Integer, field: int, column: Float, row: Float) -> Float:
     """The function of three coefficients from `field` on: per column, per row, constant."""
     return faces[face, field] * column + (faces[face, field + 1] * row + faces[face, field + 2])
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
     """Whether a pixel lies within a face's edges."""
     inside = True
@@ -60,7 +60,7 @@ def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
     return inside
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Float, column1: Float) -> bool:
     """Whether a face may be seen in a rectangle of pixels, both ends included; errs towards yes."""
     if faces[face, at.NEAREST_W] <= ZERO:
@@ -73,7 +73,7 @@ def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Floa
     return seen
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def nearest_face(faces: Faces, row: int, column: int) -> Integer:
     """The face that a pixel shows, 0 for the sky."""
     x, y = np.float32(column), np.float32(row)
@@ -86,7 +86,7 @@ def nearest_face(faces: Faces, row: int, column: int) -> Integer:
     return shown
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def texels_at(faces: Faces, face: Integer, column: Float, row: Float) -> tuple[Float, Float]:
     """Texels of level 0 from the texture's corner to a pixel, to the right and up."""
     w = max(linear(faces, face, at.W, column, row), SHORTEST_W)
@@ -95,7 +95,7 @@ def texels_at(faces: Faces, face: Integer, column: Float, row: Float) -> tuple[F
     return u, v
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: Integer) -> Integer:
     """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the longest."""
     step = max(du_x * du_x + dv_x * dv_x, du_y * du_y + dv_y * dv_y)
@@ -105,7 +105,7 @@ def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: Integer) 
     return np.int32(level if level < last else last)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def texel_index(u: Float, v: Float, level: Integer, base: Integer, log2_size: Integer) -> Integer:
     """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
     size, down = log2_size & I15, level & I15  # known to be small, so that shifts stay 32 bits wide
@@ -117,7 +117,7 @@ def texel_index(u: Float, v: Float, level: Integer, base: Integer, log2_size: In
     return np.int32(np.int32(base + np.int32(row << size)) + column)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
     """A texel in light of a colour (0 to 1), as 8-bit channels."""
     return (
@@ -127,14 +127,14 @@ def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
     )
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def luma(red: Integer, green: Integer, blue: Integer) -> Integer:
     """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
     weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
     return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -> Integer:
     """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
     s, t, r = x, z, -y
@@ -156,7 +156,7 @@ def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -
     return np.int32(np.int32(base + np.int32(row << size)) + column)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column: int) -> Integer:
     """The mipmap level of a face in the quad of a pixel."""
     x, y = np.float32(column & ~1), np.float32(row | 1)
@@ -167,7 +167,7 @@ def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column
     return level_of(u_x - u, v_x - v, u_y - u, v_y - v, last)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
     """Red, green and blue (0 to 255) of a pixel that shows the sky."""
     x, y = np.float32(column), np.float32(row)
@@ -177,7 +177,7 @@ def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, colum
     return lit(np.int32(texels[np.uint32(index)]), ONE, ONE, ONE)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def face_colour(
     faces: Faces, face: Integer, level: Integer, texels: Texels, textures: Textures, row: int, column: int
 ) -> Colour:
@@ -195,7 +195,7 @@ def face_colour(
     )
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def colour_of(
     faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int
 ) -> Colour:
@@ -207,14 +207,14 @@ def colour_of(
     )
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def luma_at(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Integer:
     """Luma of a pixel."""
     red, green, blue = colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
     return luma(red, green, blue)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def depth_at(faces: Faces, row: int, column: int) -> Float:
     """Depth of a pixel in metres, along the optical axis."""
     face = nearest_face(faces, row, column)

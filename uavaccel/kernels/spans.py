@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
@@ -32,6 +31,7 @@ from uavaccel.kernels.rays import (
     sky_index,
     texel_index,
 )
+from uavaccel.parts import part
 
 HUGE = np.float32(1e30)
 Floats = NDArray[np.float32]
@@ -56,7 +56,7 @@ class Desk(NamedTuple):
     channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): of the picture
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def make_desk() -> Desk:
     floats = np.zeros((6, at.ROWS), np.float32)
     for row in range(at.ROWS):
@@ -68,7 +68,7 @@ def make_desk() -> Desk:
     return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
 
@@ -80,12 +80,12 @@ def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
     return row if rises else -HUGE, slope if rises else ZERO, HUGE if rises else row, ZERO if rises else slope
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def edge_line(faces: Faces, face: int, field: int) -> Line:
     return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
     """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
     low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
@@ -93,7 +93,7 @@ def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
     return begin + (I1 if low > np.float32(begin) else I0), np.int32(high + ONE)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, counts: Integers) -> None:
     """The faces of each column, with their rows."""
     counts[:] = 0
@@ -107,7 +107,7 @@ def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, 
                     counts[column] += 1
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, ends: Integers) -> None:
     """The rows of a face in each of some columns, where its edges have it."""
     l0, l0_slope, h0, h0_slope = edge_line(faces, face, at.EDGES)
@@ -127,7 +127,7 @@ def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, 
         narrow(line_of(-faces[face, at.W], -faces[face, at.W + 1], rest), first, last, begins, ends)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) -> None:
     """Keep of a face's rows those on one side of a line, as `line_of` describes it."""
     low, low_slope, high, high_slope = line
@@ -137,7 +137,7 @@ def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) 
         begins[column], ends[column] = max(begins[column], begin), min(ends[column], end)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def show_face(
     textures: Textures,
     faces: Faces,
@@ -191,7 +191,7 @@ def show_face(
         floats[BLUE, pixel] = b0 + b1 * along if nearer else blue
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def show_sky(
     textures: Textures,
     faces: Faces,
@@ -220,7 +220,7 @@ def show_sky(
         floats[RED, pixel] = floats[GREEN, pixel] = floats[BLUE, pixel] = ONE
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
     """Luma of a column whose texels are placed."""
     for row in range(at.ROWS):
@@ -230,7 +230,7 @@ def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int,
         channels[0, column, row] = luma(red, green, blue)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
     """Red, green and blue of a column whose texels are placed."""
     for row in range(at.ROWS):
@@ -243,7 +243,7 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
         channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy", inline=False)
 def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
     """Luma, or red, green and blue, of a picture whose faces are projected, in `desk.channels`."""
     texels, textures, faces, spans, counts = looks.texels, looks.textures, desk.faces, desk.spans, desk.counts
@@ -262,7 +262,7 @@ def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
             gray_column(texels, floats, integers, column, channels)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def turn_gray(channels: Any, out: Any) -> None:
     """Columns of luma as a picture (ROWS, COLUMNS)."""
     for row in range(at.ROWS):
@@ -270,7 +270,7 @@ def turn_gray(channels: Any, out: Any) -> None:
             out[row, column] = channels[0, column, row]
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def turn_colour(channels: Any, out: Any) -> None:
     """Columns of red, green and blue as a picture (ROWS, COLUMNS, 3)."""
     for row in range(at.ROWS):
@@ -280,7 +280,7 @@ def turn_colour(channels: Any, out: Any) -> None:
             out[row, column, 2] = channels[2, column, row]
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def draw_depths(desk: Desk, out: Any) -> None:
     """Depth of a picture whose faces are projected, (ROWS, COLUMNS), metres."""
     faces, floats, counts = desk.faces, desk.floats, desk.counts

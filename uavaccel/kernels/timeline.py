@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
+from uavaccel.parts import part
 
 NEVER = 2**62
 NO_PHASE = -1
@@ -88,7 +88,7 @@ def clocks(lanes: int, samples: int, empty: Any = np.zeros) -> Clocks:
 # --- latencies --------------------------------------------------------------------------------------
 
 
-@njit
+@part
 def draw(row: Any, timing: Timing, table: int) -> int:
     """The next latency of a table, as it stands there."""
     if timing.rules[LATENCY] == 0:
@@ -97,7 +97,7 @@ def draw(row: Any, timing: Timing, table: int) -> int:
     return drawn_ns(timing.latencies, table, uniform(row[SEED], row[DRAWN]))
 
 
-@njit
+@part
 def message(row: Any, scale: float, timing: Timing, direction: int, channel: int) -> int:
     """The next latency of a request or a reply."""
     spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
@@ -108,7 +108,7 @@ def message(row: Any, scale: float, timing: Timing, direction: int, channel: int
     return spent
 
 
-@njit
+@part
 def with_frame(row: Any, timing: Timing, asked_ns: int) -> int:
     """When a frame that is asked for is there (sim/frames)."""
     return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
@@ -117,7 +117,7 @@ def with_frame(row: Any, timing: Timing, asked_ns: int) -> int:
 # --- the simulation (sim/simulation) ------------------------------------------------------------------
 
 
-@njit
+@part
 def nearest(numerator: int, denominator: int) -> int:
     """A fraction rounded as Python does: half to even."""
     whole = numerator // denominator
@@ -125,14 +125,14 @@ def nearest(numerator: int, denominator: int) -> int:
     return whole + 1 if twice > denominator or (twice == denominator and whole % 2 == 1) else whole
 
 
-@njit
+@part
 def wall_due(row: Any, timing: Timing, tick: int) -> int:
     """The first nanosecond of wall time at which a tick is due."""
     speed = timing.rules[SPEED]
     return row[WALL0] + ((tick - row[TICK0]) * timing.rules[TICK_WALL] + speed - 1) // speed
 
 
-@njit
+@part
 def pause(row: Any, timing: Timing, wall_ns: int) -> None:
     """Stop the simulation; a continue-for is over."""
     if row[PAUSED] == 0:
@@ -142,7 +142,7 @@ def pause(row: Any, timing: Timing, wall_ns: int) -> None:
         row[PERIOD_END], row[PERIOD_TIMER], row[PERIOD_OVER] = NEVER, NEVER, over
 
 
-@njit
+@part
 def let_run(row: Any, wall_ns: int) -> None:
     """Let the simulation run from here."""
     if row[PAUSED] == 1:
@@ -150,7 +150,7 @@ def let_run(row: Any, wall_ns: int) -> None:
         row[WALL0], row[TICK0] = wall_ns, row[TICK]
 
 
-@njit
+@part
 def advance_through(row: Any, timing: Timing, wall_ns: int) -> None:
     """Fly every tick that is due by then, and end what ends on the way."""
     while row[PAUSED] == 0:
@@ -169,7 +169,7 @@ def advance_through(row: Any, timing: Timing, wall_ns: int) -> None:
     row[WALL] = wall_ns
 
 
-@njit
+@part
 def advance(row: Any, timing: Timing, wall_ns: int) -> None:
     """The same, and show what frames show."""
     if timing.rules[STALE_POSE] and row[PAUSED] == 0:
@@ -183,7 +183,7 @@ def advance(row: Any, timing: Timing, wall_ns: int) -> None:
     advance_through(row, timing, wall_ns)
 
 
-@njit
+@part
 def next_event(row: Any, timing: Timing) -> int:
     """When something ends unless a message comes first; NEVER while nothing will."""
     end = min(row[COMMAND_END], row[PERIOD_END])
@@ -195,7 +195,7 @@ def next_event(row: Any, timing: Timing) -> int:
 # --- the connection (wire/transport) ------------------------------------------------------------------
 
 
-@njit
+@part
 def run_to(row: Any, timing: Timing, wall_ns: int) -> None:
     """Let the simulation's wall time pass; a wall timer ends on the dot."""
     if row[PAUSED] == 0 and row[PERIOD_TIMER] <= wall_ns:
@@ -204,7 +204,7 @@ def run_to(row: Any, timing: Timing, wall_ns: int) -> None:
     advance(row, timing, row[HANDLED])
 
 
-@njit
+@part
 def ask(row: Any, scale: float, timing: Timing, channel: int) -> None:
     """Send a message, up to the moment at which it is handled."""
     arrival = row[NOW] + message(row, scale, timing, wire.REQUEST, channel)
@@ -214,21 +214,21 @@ def ask(row: Any, scale: float, timing: Timing, channel: int) -> None:
     row[UNANSWERED] = 0
 
 
-@njit
+@part
 def answer(row: Any, scale: float, timing: Timing, channel: int) -> None:
     """Wait for the answer."""
     ready = with_frame(row, timing, row[HANDLED]) if channel == wire.IMAGE else row[HANDLED]
     row[NOW] = max(row[NOW], ready + message(row, scale, timing, wire.REPLY, channel))
 
 
-@njit
+@part
 def call(row: Any, scale: float, timing: Timing, channel: int) -> None:
     """A call that changes nothing."""
     ask(row, scale, timing, channel)
     answer(row, scale, timing, channel)
 
 
-@njit
+@part
 def move(row: Any, scale: float, timing: Timing) -> None:
     """Send the command without waiting for its end; it acts from `TICK` on."""
     ask(row, scale, timing, wire.MOVE)
@@ -237,7 +237,7 @@ def move(row: Any, scale: float, timing: Timing) -> None:
     row[NOW] += draw(row, timing, wire.ISSUE)
 
 
-@njit
+@part
 def join(row: Any, scale: float, timing: Timing, deadline_ns: int) -> bool:
     """Wait for the command's end, or for the deadline if that comes first: then False."""
     while row[COMMAND_OVER] == NEVER:
@@ -253,7 +253,7 @@ def join(row: Any, scale: float, timing: Timing, deadline_ns: int) -> bool:
     return row[MOVE_REPLY] <= deadline_ns
 
 
-@njit
+@part
 def continue_for(row: Any, scale: float, timing: Timing, duration_ns: int) -> None:
     """Run for a simulated time, or in `airsim` for the wall time that it takes, and pause."""
     ask(row, scale, timing, wire.CONTINUE_FOR)
@@ -274,7 +274,7 @@ def continue_for(row: Any, scale: float, timing: Timing, duration_ns: int) -> No
     row[NOW] = max(row[NOW], row[PERIOD_OVER] + reply)
 
 
-@njit
+@part
 def call_pause(row: Any, scale: float, timing: Timing) -> None:
     """simPause(True)."""
     ask(row, scale, timing, wire.PAUSE)
@@ -282,7 +282,7 @@ def call_pause(row: Any, scale: float, timing: Timing) -> None:
     answer(row, scale, timing, wire.PAUSE)
 
 
-@njit
+@part
 def call_run(row: Any, scale: float, timing: Timing) -> None:
     """simPause(False)."""
     ask(row, scale, timing, wire.CONTINUE)
@@ -293,7 +293,7 @@ def call_run(row: Any, scale: float, timing: Timing) -> None:
 # --- the client (envs/flight_env, commands/adsc, commands/tcsc) ------------------------------------------
 
 
-@njit
+@part
 def switch(row: Any, phase: int) -> None:
     """What passes from now on belongs to a phase, or to none."""
     if row[PHASE] != NO_PHASE:
@@ -301,14 +301,14 @@ def switch(row: Any, phase: int) -> None:
     row[PHASE], row[SINCE] = phase, row[NOW]
 
 
-@njit
+@part
 def charge(row: Any, duration_ns: int, phase: int) -> None:
     """Work of the agent's between two commands."""
     row[NOW] += duration_ns
     row[FIRST_PHASE + phase] += duration_ns
 
 
-@njit
+@part
 def start(row: Any, scale: float, timing: Timing, seed: int) -> None:
     """A game begins, up to its first picture, which `show_start` asks for."""
     for field in range(FIELDS):
@@ -327,7 +327,7 @@ def start(row: Any, scale: float, timing: Timing, seed: int) -> None:
     call(row, scale, timing, wire.CALL)
 
 
-@njit
+@part
 def show_start(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
     """The picture of a game's start, and what comes before the first command."""
     ask_for_picture(row, scale, timing, suspect)
@@ -338,7 +338,7 @@ def show_start(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
         call_pause(row, scale, timing)
 
 
-@njit
+@part
 def ask_for_picture(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
     """A suspect picture is asked for again, and is the same: the simulation stands (vision/guard)."""
     if timing.rules[IMAGES] == 0:
@@ -349,7 +349,7 @@ def ask_for_picture(row: Any, scale: float, timing: Timing, suspect: bool) -> No
     switch(row, SIMULATION)
 
 
-@njit
+@part
 def issue(row: Any, scale: float, timing: Timing) -> int:
     """A command begins; the tick from which it acts."""
     switch(row, SIMULATION)
@@ -361,7 +361,7 @@ def issue(row: Any, scale: float, timing: Timing) -> int:
     return int(row[TICK])
 
 
-@njit
+@part
 def reach(row: Any, scale: float, timing: Timing, sample: int) -> int:
     """Wait for a command's next sample; its tick. `LAST` says that none follows."""
     if timing.rules[IS_ADSC]:
@@ -378,7 +378,7 @@ def reach(row: Any, scale: float, timing: Timing, sample: int) -> int:
     return int(row[TICK])
 
 
-@njit
+@part
 def reach_adsc(row: Any, scale: float, timing: Timing, sample: int) -> None:
     """Until the sample is due, or the command's end is known; then pause."""
     row[LAST] = 1
@@ -392,7 +392,7 @@ def reach_adsc(row: Any, scale: float, timing: Timing, sample: int) -> None:
     call(row, scale, timing, wire.STATE)
 
 
-@njit
+@part
 def leave(row: Any, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
     """Look at a sample and go on; after a touch there is no picture, and nothing is made of it."""
     if not touched:
@@ -408,7 +408,7 @@ def leave(row: Any, scale: float, timing: Timing, touched: bool, suspect: bool) 
     switch(row, SIMULATION)
 
 
-@njit
+@part
 def is_suspect(brightness: float, reference: float, least: float, most_change: float) -> bool:
     """Whether the guard asks for a picture again; `reference` is NaN before the first."""
     return brightness < least or abs(brightness - reference) > most_change * reference

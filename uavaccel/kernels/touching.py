@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
 from uavaccel.sim.quadrotor import Record
 
 BOX, CYLINDER, PLANE = 0, 1, 2
@@ -32,7 +32,7 @@ SHRINK = 0.6180339887498949  # golden section
 Solids = NDArray[np.float64]
 
 
-@njit
+@part
 def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
     """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
     rotors = 4 * parameters.max_thrust_n * STRONGEST_THRUST
@@ -42,7 +42,7 @@ def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
     return (rotors + drag_m2 * DENSEST_AIR * fastest * fastest) / parameters.mass_kg + parameters.gravity_m_s2
 
 
-@njit
+@part
 def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
     """Seconds within which not even the strongest acceleration brings the vehicle so far."""
     if not (distance_m > 0.0 and speed_m_s < np.inf and acceleration_m_s2 < np.inf):
@@ -51,7 +51,7 @@ def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> fl
     return min((arrival_m_s - speed_m_s) / acceleration_m_s2, GUST_M_S / acceleration_m_s2)
 
 
-@njit
+@part
 def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
     """At most the distance from a point to a solid: to its box, or to the plane."""
     if solid[6] == PLANE:
@@ -62,7 +62,7 @@ def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
     return math.sqrt(beside * beside + across * across + above * above)
 
 
-@njit
+@part(inline=False)
 def free_ticks(
     parameters: Record, state: Record, place: NDArray[np.float64], solids: Solids, count: int, reach_m: float
 ) -> int:
@@ -77,14 +77,14 @@ def free_ticks(
     return int(free_s / parameters.tick_s)
 
 
-@njit
+@part
 def reach(along: float, length: float, radius_m: float, half_height_m: float) -> float:
     """The hull's support in a direction of that length, whose product with the hull's axis is `along`."""
     across = math.sqrt(max(length * length - along * along, 0.0))
     return radius_m * across + half_height_m * abs(along)
 
 
-@njit
+@part
 def gap_along(
     u: float,
     v: float,
@@ -102,16 +102,24 @@ def gap_along(
     return x * u + y * v - half - reach(ax * u + ay * v, length, radius_m, half_m)
 
 
-@njit
+@part
 def gap_turned(
-    turned: bool, t: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
+    turned: bool,
+    t: float,
+    x: float,
+    y: float,
+    ax: float,
+    ay: float,
+    solid: Solids,
+    radius_m: float,
+    half_m: float,
 ) -> float:
     """`gap_along` (1, t), or (t, 1) where `turned`."""
     u, v = (t, 1.0) if turned else (1.0, t)
     return gap_along(u, v, x, y, ax, ay, solid, radius_m, half_m)
 
 
-@njit
+@part(inline=False)
 def widest_gap(
     turned: bool, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
 ) -> float:
@@ -132,7 +140,7 @@ def widest_gap(
     return best
 
 
-@njit
+@part
 def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_height_m: float) -> float:
     """Above 0 where the hull at a pose (7,) and a solid are apart, else 0 or below: the deeper, the lower."""
     w, i, j, k = place[3], place[4], place[5], place[6]
@@ -154,7 +162,7 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
     return max(above, ahead, widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m))
 
 
-@njit
+@part(inline=False)
 def touched(
     place: NDArray[np.float64], solids: Solids, count: int, radius_m: float, half_height_m: float
 ) -> int:

@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
 from uavaccel.sim.quadrotor import PID_LEVELS, Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z
@@ -36,19 +36,19 @@ NEW = 100  # more than a mode: a controller that has not been updated yet
 IDLE_THROTTLE = 0.1 / 1.5  # what an armed vehicle's motors turn with while nobody flies it (Params.hpp)
 
 
-@njit
+@part
 def clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
 
 
-@njit
+@part
 def shortest_turn(goal_rad: float, angle_rad: float) -> float:
     """The difference of two angles, within half a turn."""
     turn = goal_rad - angle_rad
     return turn - 2 * math.pi * math.floor((turn + math.pi) / (2 * math.pi))
 
 
-@njit
+@part
 def hold_position(state: Record) -> None:
     """Position mode at the present position, yaw rate zero (OffboardApi::update after the goal timeout)."""
     state.goal[0], state.goal[1], state.goal[2] = state.position[0], state.position[1], state.position[2]
@@ -56,7 +56,7 @@ def hold_position(state: Record) -> None:
     state.xy_mode, state.z_mode, state.yaw_mode = POSITION, POSITION, RATE
 
 
-@njit
+@part
 def renew(state: Record) -> None:
     """Begin anew what belongs to controllers of another mode: AirSim makes new ones (CascadeController.hpp)."""
     for group in range(4):
@@ -70,13 +70,13 @@ def renew(state: Record) -> None:
                     state.pid_integral[slot] = state.pid_error[slot] = 0.0
 
 
-@njit
+@part
 def pid_group(slot: int) -> int:
     """Whose mode a controller goes by: x or roll, y or pitch, z, yaw."""
     return 3 if slot == YAW_SLOT else slot % 3
 
 
-@njit
+@part
 def correction(parameters: Record, state: Record, level: int, axis: int, error: float) -> float:
     """What integral and derivative add to a proportional output (PidController.hpp).
 
@@ -92,7 +92,7 @@ def correction(parameters: Record, state: Record, level: int, axis: int, error: 
     return state.pid_integral[slot] + parameters.derivative_gain[slot] * change
 
 
-@njit
+@part
 def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
     """Velocity that the position controller of one axis asks for, in m/s along that world axis."""
     error = state.goal[axis] - state.position[axis]
@@ -102,7 +102,7 @@ def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
     return clip(output, 1.0) * parameters.velocity_limit_m_s
 
 
-@njit
+@part
 def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float, float]:
     """Velocity goals along the body's axes, in m/s.
 
@@ -118,7 +118,7 @@ def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float,
     return gx, gy, gz
 
 
-@njit
+@part
 def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
     """Throttle from the vertical velocity error: proportional and leaky integral, each clipped to 1."""
     if state.z_integral_mode != state.z_mode:  # a new controller: its first update sees no time pass
@@ -133,7 +133,7 @@ def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
     return max((1.0 - clip(output, 1.0)) / 2, parameters.min_throttle)
 
 
-@njit
+@part
 def tilt_goal(parameters: Record, state: Record, axis: int, error_m_s: float) -> float:
     """Velocity controller: rad to tilt by so as to close a velocity error along a body axis, 0 or 1."""
     output = parameters.velocity_gain[axis] * error_m_s
@@ -142,7 +142,7 @@ def tilt_goal(parameters: Record, state: Record, axis: int, error_m_s: float) ->
     return clip(output, 1.0) * parameters.tilt_limit_rad
 
 
-@njit
+@part
 def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) -> float:
     """Angle controller: rad/s to turn with so as to close an angle error."""
     output = parameters.angle_gain[axis] * error_rad
@@ -151,7 +151,7 @@ def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) ->
     return clip(output, 1.0) * parameters.rate_limit_rad_s
 
 
-@njit
+@part
 def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: float, yaw: float) -> None:
     """Quad-X mixer: shift a command below zero up, scale one above 1 down (Mixer.hpp)."""
     if throttle < parameters.min_mixed_throttle:
@@ -169,7 +169,7 @@ def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: 
     state.rotor_input[3] = min(max((m3 + shift) / scale, 0.0), 1.0)
 
 
-@njit
+@part(inline=False)
 def control(parameters: Record, state: Record) -> None:
     """One update of the firmware at the state's tick: sets the rotors' commands."""
     if state.tick == state.hover_tick:

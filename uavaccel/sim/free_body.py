@@ -14,9 +14,9 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
 from uavaccel.sim.quadrotor import Record
 
 Triple: TypeAlias = tuple[float, float, float]
@@ -27,12 +27,12 @@ LEAST = 1e-15  # mjMINVAL: a norm closer to 0, or to 1, is taken for it
 HUGE = 1e10  # mjMAXVAL: MuJoCo warns of numbers beyond
 
 
-@njit
+@part
 def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit
+@part
 def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
     """a by[0] + b by[1] + c by[2]."""
     return (
@@ -42,7 +42,7 @@ def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
     )
 
 
-@njit
+@part
 def normalised(w: float, x: float, y: float, z: float) -> Quad:
     """The quaternion over its norm, unless that is 1 already."""
     norm = math.sqrt((w * w + x * x) + (y * y + z * z))
@@ -54,7 +54,7 @@ def normalised(w: float, x: float, y: float, z: float) -> Quad:
     return w, x, y, z
 
 
-@njit
+@part
 def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
     """The body's axes in the world: the columns of its rotation matrix."""
     w, x, y, z = q
@@ -66,7 +66,7 @@ def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
     )
 
 
-@njit
+@part
 def momentum(
     axes: tuple[Triple, Triple, Triple],
     inertia: Array,
@@ -101,7 +101,7 @@ def momentum(
     )
 
 
-@njit
+@part
 def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
     """A torque and a force about a body's axis; mju_dot's order."""
     return ((axis[0] * torque[0] + axis[2] * torque[2]) + (axis[1] * torque[1] + lever[0] * force[0])) + (
@@ -109,7 +109,7 @@ def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
     )
 
 
-@njit
+@part
 def bias(
     parameters: Record, qpos: Array, qvel: Array, axes: tuple[Triple, Triple, Triple]
 ) -> tuple[Triple, Triple]:
@@ -146,7 +146,7 @@ def bias(
     return force, about
 
 
-@njit
+@part
 def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
     """The quaternion after a tick at a body rate: the exponential map."""
     rate = math.sqrt(x * x + y * y + z * z)
@@ -167,7 +167,7 @@ def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
     )
 
 
-@njit
+@part(inline=False)
 def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, acceleration: Array) -> bool:
     """Step pose `qpos` (7,) and velocity `qvel` (6,) under `force` (6,), all in place; gravity comes from `parameters`.
 
@@ -194,7 +194,7 @@ def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, accele
     return True
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def move(qpos: Array, qvel: Array, acceleration: Array, q: Quad, tick_s: float) -> None:
     """Let velocity (6,) and pose (7,) follow an acceleration (6,) for a tick; `q` is the attitude, normalised."""
     for axis in range(6):

@@ -25,10 +25,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types
+from numba import carray, cfunc, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
 from uavaccel.sim.autopilot import control
 from uavaccel.sim.free_body import free_step
 from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
@@ -76,7 +77,7 @@ call_mj_step: Any = _call_mj_step
 pointer: Any = _pointer
 
 
-@njit
+@part
 def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     """MuJoCo's pose into the state, NED and FRD (units.py's half turn about x, unrolled)."""
     state.position[0], state.position[1], state.position[2] = qpos[0], -qpos[1], -qpos[2]
@@ -84,7 +85,7 @@ def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
 
 
-@njit
+@part(inline=False)
 def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: NDArray[np.float64]) -> None:
     """Compute the next kick from the state's pose and MuJoCo's velocity, and the velocity at the tick."""
     velocity = (qvel[0], -qvel[1], -qvel[2])
@@ -106,7 +107,7 @@ def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: ND
     force[5] = -(inertia[2] * state.angular_acceleration[2] + (inertia[1] - inertia[0]) * p * q)
 
 
-@njit
+@part
 def feel_contacts(
     parameters: Record, state: Record, contact: NDArray[np.float64], push: NDArray[np.float64]
 ) -> None:
@@ -126,7 +127,7 @@ def feel_contacts(
         state.rate[axis] += half * angular
 
 
-@njit
+@part
 def note_contacts(state: Record, contact: NDArray[np.float64]) -> bool:
     """Whether the contacts have changed in number; the state is still that of the tick which they speak of."""
     if contact[0] == state.contacts:
@@ -139,7 +140,7 @@ def note_contacts(state: Record, contact: NDArray[np.float64]) -> bool:
     return True
 
 
-@njit
+@part
 def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> None:
     """Append the state to the bounded buffer if its tick is on the recorder's grid."""
     if state.tick != recorder.next_tick:
@@ -159,7 +160,7 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
         row[4 + component] = state.quaternion[component]
 
 
-@njit
+@part
 def pass_ticks(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> None:
     """Record this tick if it is due, and let `ticks` pass."""
     record(recorder, samples, state)
@@ -168,7 +169,7 @@ def pass_ticks(state: Record, recorder: Record, samples: NDArray[np.float64], ti
         record(recorder, samples, state)
 
 
-@njit
+@part
 def after_step(
     parameters: Record,
     state: Record,
@@ -189,7 +190,7 @@ def after_step(
     return changed
 
 
-@njit
+@part
 def arrive(
     parameters: Record,
     state: Record,
@@ -208,7 +209,7 @@ def arrive(
 HANDLES = 15  # of one vehicle
 
 
-@njit
+@part(inline=False)
 def views(handles: Any, first: int) -> Any:
     """What the entry points work on. `handles` are int64 addresses from `first` on, but for a count of rows.
 
@@ -230,7 +231,7 @@ def views(handles: Any, first: int) -> Any:
     )
 
 
-@njit
+@part
 def steps_without_mujoco(handles: Any, ticks: int) -> int:
     """How many of `ticks` were flown where nothing is touched; `handles` as views'."""
     qpos, qvel, force, _, _, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
@@ -246,7 +247,7 @@ def steps_without_mujoco(handles: Any, ticks: int) -> int:
     return ticks
 
 
-@njit
+@part
 def after_step_of_all(handles: Any) -> bool:
     """`after_step` of every vehicle; `handles` as fly_all's."""
     changed = False

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
+
 Record = Any  # one element of a structured array, which numba knows field by field
 
 ROTORS = 4
@@ -148,13 +150,13 @@ def air_density(altitude_m: float) -> float:
     return 101325.0 * (temperature / 288.15) ** 5.255877 / 287.053 / temperature
 
 
-@njit(cache=True)
+@part
 def density_ratio(parameters: Record, z_m: float) -> float:
     """Density at NED height `z_m` over that at sea level, which thrust and torque are proportional to."""
     return air_density(parameters.ground_altitude_m - z_m) / parameters.sea_density_kg_m3
 
 
-@njit(cache=True)
+@part
 def body_to_world(q: NDArray[np.float64], vector: tuple[float, float, float]) -> tuple[float, float, float]:
     """Rotate by the wxyz quaternion `q`."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -163,7 +165,7 @@ def body_to_world(q: NDArray[np.float64], vector: tuple[float, float, float]) ->
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-@njit(cache=True)
+@part
 def world_to_body(q: NDArray[np.float64], vector: tuple[float, float, float]) -> tuple[float, float, float]:
     """Rotate by the inverse of the wxyz quaternion `q`."""
     w, x, y, z = q[0], -q[1], -q[2], -q[3]
@@ -172,7 +174,7 @@ def world_to_body(q: NDArray[np.float64], vector: tuple[float, float, float]) ->
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-@njit(cache=True)
+@part
 def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) -> float:
     """Newtons along one body axis on whichever of the two opposite faces meets the air.
 
@@ -183,7 +185,7 @@ def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) 
     return 0.0
 
 
-@njit(cache=True)
+@part(inline=False)
 def accelerate(
     parameters: Record, state: Record, velocity: tuple[float, float, float], rate: tuple[float, float, float]
 ) -> None:
@@ -224,7 +226,7 @@ def accelerate(
     state.angular_acceleration[2] = (torque_z - (iy - ix) * p * q) / iz
 
 
-@njit(cache=True)
+@part(inline=False)
 def turn_rotors(parameters: Record, state: Record) -> None:
     """One tick of the rotors' lag: the output follows the lagged command one tick later (RotorActuator.hpp)."""
     keep = parameters.rotor_keep

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
 from uavaccel.vision.rounding import times
 
 ONE = np.float32(1.0)
@@ -24,19 +25,19 @@ Counts = NDArray[np.int32]
 Frame = NDArray[np.uint8]
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def low_passed(before: float, log: float, weight: float) -> float:
     """One step of a first-order low-pass, in double precision."""
     return times(1.0 - weight, before) + times(weight, log)
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def heated(base: Float, positive: Float, share: np.float32) -> Float:
     """A hot pixel's memorised intensity, fallen by a share of its threshold."""
     return base - times(share, np.float32(positive))
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def leaked(
     base: Float,
     positive: Float,
@@ -50,13 +51,13 @@ def leaked(
     return base - times(times(dt_s, rate), np.float32(positive))
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def jittered(fraction: np.float32, normal: np.float32) -> np.float32:
     """What a leak is multiplied by, for a draw of the standard normal distribution."""
     return ONE - times(fraction, normal)
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def count_single_pixel(
     log: np.float32, base: np.float32, positive: np.float32, negative: np.float32
 ) -> np.int32:
@@ -70,7 +71,7 @@ def count_single_pixel(
     return np.int32(np.float64(change) / np.float64(threshold))
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def count_double_pixel(log: float, base: float, positive: float, negative: float) -> np.int32:
     """As `count_single_pixel`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
     change = log - base
@@ -82,7 +83,7 @@ def count_double_pixel(log: float, base: float, positive: float, negative: float
     return count if change > 0 else np.int32(-count)
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def advanced(base: Float, signed: Any, positive: Float, negative: Float) -> Float:
     """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
 
@@ -93,13 +94,13 @@ def advanced(base: Float, signed: Any, positive: Float, negative: Float) -> Floa
     return base + rise - fall
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def shot_chance(chance: float, nominal: np.float32, threshold: Float) -> float:
     """Probability of a noise event of one polarity: the more sensitive the pixel, the higher."""
     return times(chance, np.float64(nominal / np.float32(threshold)))
 
 
-@njit(cache=True, error_model="numpy")
+@part(error_model="numpy")
 def shot(draw: np.float32, chance_on: float, chance_off: float) -> np.int32:
     """Noise of a frame, for a draw of [0, 1): 1 for an ON event, -1 for an OFF event, 2 for one of each."""
     on, off = draw > 1.0 - chance_on, draw < chance_off

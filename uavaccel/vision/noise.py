@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from uavaccel.parts import part
+
 LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # what is drawn: streams of their own
 PIXELS = 4  # of a block
 
@@ -26,7 +28,7 @@ Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 
-@njit(cache=True, inline="always")
+@part
 def words(seed: int, frame: int, stream: int, block: int) -> Words:
     """Four random words of 32 bits."""
     a, b = np.uint64(block) & _LOW, np.uint64(frame) & _LOW
@@ -39,7 +41,7 @@ def words(seed: int, frame: int, stream: int, block: int) -> Words:
     return a, b, c, d
 
 
-@njit(cache=True)
+@part
 def uniform_block(seed: int, frame: int, stream: int, block: int) -> Four:
     """Four numbers of [0, 1)."""
     a, b, c, d = words(seed, frame, stream, block)
@@ -51,7 +53,7 @@ def uniform_block(seed: int, frame: int, stream: int, block: int) -> Four:
     )
 
 
-@njit(cache=True)
+@part
 def normal_block(seed: int, frame: int, stream: int, block: int) -> Four:
     """Four numbers of the standard normal distribution, by Box and Muller in double precision."""
     a, b, c, d = words(seed, frame, stream, block)

@@ -7,6 +7,7 @@ Rows of obstacles stand at fixed distances; their lateral positions are random. 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -128,19 +129,18 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
     """The lane of a seed: the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
     rng = np.random.default_rng(seed)
-    rows_m = _row_distances(difficulty)
-    y_m = np.array([_draw_row(rng, difficulty) for _ in rows_m]).reshape(-1)
-    count = len(y_m)
-    varied = difficulty.texture_variation
+    rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, difficulty.obstacles_per_row)
+    y_m = _draw_rows(rng, len(rows_m), difficulty)
+    count, varied = len(y_m), difficulty.texture_variation
     direction = rng.uniform(-np.pi, np.pi)
     return LaneLayout(
-        x_m=np.repeat(rows_m, difficulty.obstacles_per_row),
+        x_m=rows_m.repeat(difficulty.obstacles_per_row),
         y_m=y_m,
         half_width_m=np.full(count, difficulty.half_width_m),
         round=np.zeros(count, dtype=bool),
         texture=_draw_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
-        wall_texture=int(_draw_textures(rng, 1, len(WALL_TEXTURES), varied)[0]),
-        ground_texture=int(_draw_textures(rng, 1, len(GROUND_TEXTURES), varied)[0]),
+        wall_texture=_draw_texture(rng, len(WALL_TEXTURES), varied),
+        ground_texture=_draw_texture(rng, len(GROUND_TEXTURES), varied),
         light=float(rng.uniform(*difficulty.light)),
         sun_azimuth_rad=float(rng.uniform(-1.0, 1.0)),
         wind_m_s=(difficulty.wind_m_s * np.cos(direction), difficulty.wind_m_s * np.sin(direction), 0.0),
@@ -150,27 +150,35 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
     )
 
 
-def _row_distances(difficulty: Difficulty) -> FloatArray:
+@lru_cache(maxsize=64)
+def _row_distances(first_m: float, spacing_m: float, each: int) -> FloatArray:
     """Distances of the rows: up to half a spacing before the lane's end, as far as the obstacles last."""
-    rows = np.arange(
-        difficulty.first_row_m, LENGTH_M - difficulty.row_spacing_m / 2, difficulty.row_spacing_m
-    )
-    return rows[: MAX_OBSTACLES // max(difficulty.obstacles_per_row, 1)]
+    rows = np.arange(first_m, LENGTH_M - spacing_m / 2, spacing_m)[: MAX_OBSTACLES // max(each, 1)]
+    rows.flags.writeable = False
+    return rows
 
 
-def _draw_row(rng: np.random.Generator, difficulty: Difficulty) -> FloatArray:
-    """Lateral positions of one row: uniform over all that keep neighbours at least `min_gap_m` apart.
+def _draw_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> FloatArray:
+    """Lateral positions, row by row: uniform over all that keep neighbours at least `min_gap_m` apart.
 
     Obstacles may reach into the walls, so flight along a wall is blocked as often as flight down the middle.
     """
     count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
     slack = WIDTH_M - max(count - 1, 0) * pitch
-    return np.sort(rng.uniform(0.0, slack, count)) + pitch * np.arange(count) - WIDTH_M / 2
+    drawn = rng.uniform(0.0, slack, (rows, count))
+    drawn.sort(axis=1)
+    return (drawn + pitch * np.arange(count) - WIDTH_M / 2).reshape(-1)
 
 
 def _draw_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
     """Texture indices: random for a share `varied` of them, 0 for the rest."""
-    return np.where(rng.random(count) < varied, rng.integers(kinds, size=count), 0)
+    return (rng.random(count) < varied) * rng.integers(kinds, size=count)
+
+
+def _draw_texture(rng: np.random.Generator, kinds: int, varied: float) -> int:
+    """One texture index."""
+    random, kind = rng.random() < varied, int(rng.integers(kinds))
+    return kind if random else 0
 
 
 def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:

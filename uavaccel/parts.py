@@ -1,0 +1,109 @@
+"""Functions that are parts of compiled ones: type-checked once, turned into machine code only where they end up.
+
+`numba.njit` optimises each function with all that it calls, makes machine code of it, and of a wrapper for Python, and
+then does it again for its caller: in a tree of ten levels the leaves are compiled ten times. A `part` is kept as
+numba's first, unoptimised intermediate code, which is linked into the entry points and compiled with them, once. What
+it computes is the same: the order of the optimisations does not change a result to numba's (no fast maths).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+from numba import njit, types
+from numba.core import compiler
+from numba.core.codegen import JITCodeLibrary
+from numba.core.imputils import lower_constant
+from numba.core.registry import CPUDispatcher
+from numba.extending import models, register_model
+
+
+class _Library(JITCodeLibrary):
+    """Intermediate code that is linked into others', and never made machine code by itself."""
+
+    _merged: Any = None
+
+    def finalize(self) -> None:
+        """Nothing is optimised; what is called is linked in for a caller that is more than a part."""
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def _within(self) -> list[Any]:
+        """This library and all that it needs, each behind those that need it: the linker drops what nobody asks for."""
+        found: dict[Any, None] = {}
+        for library in self._linking_libraries:
+            for needed in library._within() if isinstance(library, _Library) else [library]:
+                found.pop(needed, None)
+                found[needed] = None
+        return [self, *found]
+
+    def _get_module_for_linking(self) -> Any:
+        if self._merged is None:
+            self._merged = super()._get_module_for_linking().clone()
+            for library in self._within()[1:]:
+                self._reload_init.update(library._reload_init)
+                small: Any = super(_Library, library) if isinstance(library, _Library) else library
+                self._merged.link_in(small._get_module_for_linking(), preserve=True)
+        return self._merged
+
+
+class _Compiler(compiler.CompilerBase):
+    """numba's own passes, without machine code and wrappers."""
+
+    def define_pipelines(self) -> list[Any]:
+        state = self.state
+        state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
+        state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
+        return [compiler.DefaultPassBuilder.define_nopython_pipeline(state)]
+
+
+class PartType(types.Dispatcher):
+    """The type of one part: as an argument of another part it has no value, so that numba can cache its callers."""
+
+
+register_model(PartType)(models.OpaqueModel)
+
+
+@lower_constant(PartType)
+def _no_value(context: Any, builder: Any, part_type: Any, value: Any) -> Any:
+    return context.get_dummy_value()
+
+
+class Part(CPUDispatcher):
+    """A function of compiled functions; called from Python, it is compiled by itself."""
+
+    def __init__(self, function: Callable[..., Any], inline: bool, options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_Compiler)
+        self._inline = inline
+
+    @property
+    def _numba_type_(self) -> PartType:
+        return PartType(self)
+
+    def add_overload(self, result: Any) -> None:
+        """Make a specialisation known to those that call it, under a key of its own in place of an address."""
+        result = result._replace(entry_point=object())
+        if not self._inline:
+            result.library.get_function(result.fndesc.llvm_func_name).add_function_attribute("noinline")
+        self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
+        self.overloads[tuple(result.signature.args)] = result
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._alone(*arguments, **named)
+
+    @cached_property
+    def _alone(self) -> Any:
+        options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
+        return njit(**options)(self.py_func)
+
+
+def part(function: Any = None, inline: bool = True, **options: Any) -> Any:
+    """`numba.njit` for a function that others are made of: a decorator, with njit's options or without.
+
+    Not `inline`: its machine code is made once, and called, where else each of its callers may have it within its own.
+    """
+    return (
+        (lambda inner: Part(inner, inline, options)) if function is None else Part(function, inline, options)
+    )
