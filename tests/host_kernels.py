@@ -17,14 +17,11 @@ import torch as th
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import events
-from uavaccel.kernels.cpu import CPU, DVS, SAMPLE_FIELDS, STATE, Command, View
-from uavaccel.kernels.fields import NO_LOOKS
-from uavaccel.vision.dvs import PRESETS
-from uavaccel.vision.dvs_sensor import draw_pixels
+from uavaccel.kernels import cpu, lanes
+from uavaccel.kernels.fields import COLUMNS, ROWS
+from uavaccel.kernels.spans import make_desk
 
 NAME, ABOVE = "uavaccel.kernels.cuda", ("cuda_lanes", "cuda_batch")
-NO_PIXELS = events.pixels_of(0, PRESETS["clean"])
 
 
 class Plan(NamedTuple):
@@ -39,86 +36,70 @@ class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._nothing = View(
-            STATE, NO_LOOKS, events.sensor_of(draw_pixels(PRESETS["clean"], (144, 256), 0)), NO_PIXELS
-        )
+        self._desk, self._picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
 
     def __getattr__(self, name: str) -> Any:
         work: Callable[..., None] = getattr(type(self), f"run_{name}")
 
         class Launch:
             def __getitem__(launch, grid: Any) -> Callable[..., None]:  # noqa: N805 - `self` is the kernels
-                return lambda which, *arguments: work(self, np.flatnonzero(which), *arguments)
+                return lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments)
 
         return Launch()
 
-    def run_begin(self, lanes: Any, rows: Any, games: Any, now: Any) -> None:
-        self._hull = np.zeros(3)
-        CPU.look_at_starts(games, rows[lanes])
-        CPU.begin(lanes, rows[lanes], self._nothing, games, now, self._of(0, 1))
+    def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
+        for lane in which:
+            lanes.begin(lane, rows[lane], games, now)
+            lanes.look(games.parameters[rows[lane]], now.state[lane], now.body[lane])
 
-    def run_command(self, lanes: Any, directions: Any, games: Any, now: Any) -> None:
-        self._directions = directions
+    def run_command(self, which: Any, directions: Any, games: Any, now: Any) -> None:
+        for lane in which:
+            lanes.command(lane, directions, games, now)
 
-    def run_fly(self, lanes: Any, ticks: Any, games: Any, now: Any, hull: Any) -> None:
-        self._hull = hull
-        frames = np.empty((0, 1, 1, 0, 0), np.uint8)
-        self._fly(lanes, self._of(int(ticks[0]), 1), self._nothing, games, now, frames)
-
-    def run_project(self, lanes: Any, *_: Any) -> None:
-        """What draws does."""
+    def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any) -> None:
+        for lane in which:
+            lanes.fly(lane, int(ticks[lane]), games, now, hull)
 
     def run_start(
-        self, lanes: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any
+        self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any
     ) -> None:
-        view = View(DVS, plan.looks, plan.sensor, pixels)
-        CPU.begin(lanes, now.game[lanes], view, games, now, self._of(0, 1))
+        for lane in which:
+            cpu.draw_gray(lane, plan.looks, games, now, 1, self._desk, self._picture)
+            cpu.start_single(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
-    def run_see(
-        self,
-        lanes: Any,
-        tick_ns: int,
-        take: int,
-        faces: Any,
-        shown: Any,
-        plan: Any,
-        games: Any,
-        now: Any,
-        pixels: Any,
-        frames: Any,
+    def run_see_noise(
+        self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
     ) -> None:
+        games, now, pixels, frames = of_lanes
         assert take
-        frames[lanes] = 128
-        view = View(DVS, plan.looks, plan.sensor, pixels)
-        self._fly(lanes, self._of(0, tick_ns), view, games, now, frames[:, None, None])
-
-    run_find = run_project
-
-    def run_note(self, lanes: Any, *_: Any) -> None:
-        """What sees does."""
+        for lane in which:
+            frames[lane] = 128
+            if lanes.touched(lane, now):
+                continue
+            game = now.game[lane]
+            cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._desk, self._picture)
+            time_s = cpu.moment_ns(lane, now, tick_ns) * cpu.NS
+            seed = games.seeds[game, lanes.EVENT_SEED]
+            cpu.see_single(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
+            cpu.take_events(lane, pixels, frames[lane][None])
 
     def run_show(
-        self,
-        lanes: Any,
-        kind: int,
-        tick_ns: int,
-        faces: Any,
-        shown: Any,
-        plan: Any,
-        games: Any,
-        now: Any,
-        frames: Any,
+        self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
     ) -> None:
-        frames[lanes] = 0
-        view = View(kind, plan.looks, plan.sensor, NO_PIXELS)
-        self._fly(lanes, self._of(0, tick_ns), view, games, now, frames[:, None])
+        games, now, frames = of_lanes
+        for lane in which:
+            frames[lane] = 0
+            if lanes.touched(lane, now):
+                continue
+            if kind == cpu.COLOUR:
+                cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._desk, frames[lane])
+            else:
+                cpu.draw_depth(lane, plan.looks, games, now, self._desk, frames[lane])
 
-    def _of(self, ticks: int, tick_ns: int) -> Command:
-        return Command(np.array([ticks]), 0, tick_ns, self._hull)
+    def run_nothing(self, which: Any, *_: Any) -> None:
+        """What draws, or sees, does."""
 
-    def _fly(self, lanes: Any, plan: Command, view: View, games: Any, now: Any, frames: Any) -> None:
-        samples = np.zeros((len(now.game), 1, SAMPLE_FIELDS))
-        CPU.fly(lanes, self._directions, view, games, now, plan, frames, samples)
+    run_project = run_find = run_note = run_see = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:

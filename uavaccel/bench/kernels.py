@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
-from uavaccel.kernels import cpu, events
+from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.spans import make_desk
@@ -56,6 +56,7 @@ class Bare(NamedTuple):
     now: rows.Flights
     view: cpu.View
     plan: cpu.Command
+    clocks: timeline.Clocks
 
 
 def one_lane(task: LaneTask) -> Bare:
@@ -68,12 +69,13 @@ def one_lane(task: LaneTask) -> Bare:
     pixels = events.pixels_of(int(kind == cpu.DVS), task.dvs_parameters)
     view, plan = (
         cpu.View(kind, maker.looks or NO_LOOKS, sensor, pixels),
-        plan_of(task, maker.surroundings.hull),
+        plan_of(task, maker.surroundings.hull, kind != cpu.STATE),
     )
     first = np.arange(1)
     cpu.CPU.look_at_starts(games, first)
-    cpu.CPU.begin(first, first, view, games, now, plan)
-    return Bare(games, now, view, plan)
+    clocks = timeline.clocks(1, task.frames_per_command)
+    cpu.CPU.begin(first, first, view, games, now, plan, clocks)
+    return Bare(games, now, view, plan, clocks)
 
 
 def bench_on_cores() -> Iterator[Measurement]:
@@ -91,7 +93,7 @@ def bench_on_cores() -> Iterator[Measurement]:
     note = "bound: picture and DVS one after the other"
     yield Measurement("kernels: picture and DVS", 1 / both_s, "frames/s", 1 / (gray_s + dvs_s), note)
     task, threads = LaneTask(), cores()
-    ticks = int(plan_of(task, np.zeros(3)).slices.sum())
+    ticks = int(plan_of(task, np.zeros(3), True).slices.sum())
     parts_s = ticks / ticks_per_s + task.frames_per_command * both_s
     for lanes in CPU_LANES:
         per_s = lanes * COMMANDS / _commands_s(lanes)
@@ -99,25 +101,26 @@ def bench_on_cores() -> Iterator[Measurement]:
         yield Measurement(f"kernels: commands, {lanes} lanes", per_s, "commands/s", threads / parts_s, note)
 
 
-def _fly(bare: Bare, slices: Any, samples: int, seen: bool) -> None:
-    frames = np.empty((1, samples, 1, 36, 64) if seen else (0, samples, 1, 0, 0), np.uint8)
-    states = np.zeros((1, samples, cpu.SAMPLE_FIELDS))
-    plan = bare.plan._replace(slices=np.full(samples, slices))
-    cpu.CPU.fly(np.arange(1), np.zeros((1, 3)), bare.view, bare.games, bare.now, plan, frames, states)
-
-
 def _tick_s() -> float:
     """Seconds of a tick."""
     bare = one_lane(LaneTask(**NONE_SEEN))
-    _fly(bare, 1, 1, seen=False)
-    return elapsed_s(lambda: _fly(bare, TICKS, 1, seen=False)) / TICKS
+
+    def fly(ticks: int) -> None:
+        rows.fly(0, ticks, bare.games, bare.now, bare.plan.hull)
+
+    fly(1)  # compiled
+    return elapsed_s(lambda: fly(TICKS)) / TICKS
 
 
 def _seen_s() -> float:
-    """Seconds of a frame that is drawn and seen by the event camera; it flies a tick for each."""
-    bare = one_lane(LaneTask())
-    _fly(bare, 1, 1, seen=True)
-    return elapsed_s(lambda: _fly(bare, 1, PICTURES, seen=True)) / PICTURES
+    """Seconds of a frame that is drawn and seen by the event camera."""
+    bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+
+    def look(number: int) -> None:
+        cpu.look_at_events(0, bare.view, bare.games, bare.now, bare.plan, desk, picture)
+
+    look(0)  # compiled
+    return _each_s(look)
 
 
 def _picture_s() -> tuple[float, float]:
@@ -165,7 +168,7 @@ def bench_on_gpu() -> Iterator[Measurement]:
     device, task = th.cuda.get_device_name(), LaneTask()
     chain_s = _round_s(1, LaneTask(**NONE_SEEN))
     for lanes in GPU_LANES:
-        ticks = int(plan_of(task, np.zeros(3)).slices.sum())
+        ticks = int(plan_of(task, np.zeros(3), True).slices.sum())
         flight_s = _round_s(lanes, LaneTask(**NONE_SEEN))
         per_s, bound = lanes * ticks / flight_s, lanes * ticks / chain_s
         note = f"{device}; bound: the chain of one lane's {ticks} ticks, {chain_s * 1e3:.2f} ms, judged too"

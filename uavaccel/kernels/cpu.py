@@ -405,8 +405,8 @@ def fly_to(
         fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, desk, picture)
         for axis in range(3):
             clocks.shown[lane, axis] = now.state[lane].position[axis]
-        for part in range(4):
-            clocks.shown[lane, 3 + part] = now.state[lane].quaternion[part]
+        for number in range(4):
+            clocks.shown[lane, 3 + number] = now.state[lane].quaternion[number]
     return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
 
 
@@ -418,8 +418,8 @@ def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> Non
     state, shown = now.state[lane], clocks.shown[lane]
     for axis in range(3):
         shown[axis], state.position[axis] = state.position[axis], shown[axis]
-    for part in range(4):
-        shown[3 + part], state.quaternion[part] = state.quaternion[part], shown[3 + part]
+    for number in range(4):
+        shown[3 + number], state.quaternion[number] = state.quaternion[number], shown[3 + number]
 
 
 @part
@@ -430,8 +430,8 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
         sample[axis] = state.position[axis]
         sample[7 + axis] = state.velocity[axis]
         sample[10 + axis] = state.rate[axis]
-    for part in range(4):
-        sample[3 + part] = state.quaternion[part]
+    for number in range(4):
+        sample[3 + number] = state.quaternion[number]
 
 
 @part(error_model="numpy")

@@ -420,15 +420,15 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
                 blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
             red_sum, green_sum, blue_sum = red_sum + red, green_sum + green, blue_sum + blue
     if kind == DEPTH:
-        shade = int(round(depth_sum / np.float32(number) * np.float32(255.0 / 50.0)))
+        shade = round(depth_sum / np.float32(number) * np.float32(255.0 / 50.0))
         frames[lane, 0, down, across] = shade if free else 0
         return
-    frames[lane, 0, down, across] = int(round(red_sum / number)) if free else 0
-    frames[lane, 1, down, across] = int(round(green_sum / number)) if free else 0
-    frames[lane, 2, down, across] = int(round(blue_sum / number)) if free else 0
+    frames[lane, 0, down, across] = round(red_sum / number) if free else 0
+    frames[lane, 1, down, across] = round(green_sum / number) if free else 0
+    frames[lane, 2, down, across] = round(blue_sum / number) if free else 0
 
 
-LIMITS = {see_events: 72}
+LIMITS: dict[Any, int] = {see_events: 72}
 """Registers a thread, so that enough of them wait for memory at the same time."""
 
 

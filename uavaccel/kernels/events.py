@@ -1,7 +1,7 @@
 """What many event cameras see: the pixels of vision/dvs_kernels over lanes, four in a row at a time.
 
 A lane's camera differs from the next one's in its parameters alone; what is drawn once per pixel is the sensor's, and
-one for all lanes. Events are summed over blocks of 4 x 4 pixels as they come (vision/observation), until they are taken.
+one for all lanes. Events are summed over blocks of 4 x 4 pixels (vision/observation) until they are taken.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
     """A grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)
-    return min(max(int(round(value)), 0), 255)
+    return min(max(round(value), 0), 255)
 
 
 @part

@@ -65,7 +65,7 @@ def short_step(parameters: Record, state: Record, body: Body) -> None:
 
     `kick` makes forces of the accelerations, and MuJoCo accelerations of the forces: here they go to it as they are.
     """
-    pose, motion, force, acceleration = body
+    pose, motion, _, acceleration = body
     for axis in range(3):
         side = 1.0 if axis == 0 else -1.0  # units.py's half turn about x
         acceleration[axis] = side * state.acceleration[axis]

@@ -108,7 +108,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
 
 @part
 def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
-    """Take a direction (L, 3) for a goal: moveByVelocity or, where a height is held, moveByVelocityZ (sim/flight/goal)."""
+    """Take a direction (L, 3) for a goal: moveByVelocity, or moveByVelocityZ where a height is held (flight/goal)."""
     state, told = now.state[lane], games.commands[now.game[lane]]
     for axis in range(3):
         state.goal[axis] = directions[lane, axis] * told[SPEED]

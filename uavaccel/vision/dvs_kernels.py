@@ -2,7 +2,8 @@
 
 Every operation keeps the type and the single rounding it has in v2e (SensorsINI/v2e, commit cac6384,
 `v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Logarithms and what is memorised are
-float32 or, after a low-pass, float64; thresholds, factors and draws are float32 where v2e has them so. Pictures are (H, W).
+float32 or, after a low-pass, float64; thresholds, factors and draws are float32 where v2e has them so.
+Pictures are (H, W).
 A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
 """
 
