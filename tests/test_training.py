@@ -187,7 +187,7 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
     assert find_checkpoint(tmp_path / "elsewhere") is None
 
 
-def side_by_side(task: LaneTask, count: int) -> Lanes:
+def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
     """As make_lanes, but in this process."""
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
@@ -411,7 +411,7 @@ class Rated(th.nn.Module):
 
     def __init__(self, ratings: list[list[float]]) -> None:
         super().__init__()
-        self.ratings = th.tensor(ratings)
+        self.ratings, self.features_extractor = th.tensor(ratings), None
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         return self.ratings
