@@ -71,6 +71,7 @@ def test_every_number_of_an_evaluation() -> None:
     assert summarise(config, rows) == {
         "suite": "evaluate",
         "agent": "offset:1",
+        "simulator": "mujoco",
         "profile": "native",
         "command": "adsc",
         "clock_speed": 10.0,
