@@ -36,7 +36,8 @@ def test_a_change_of_any_file_that_the_hot_loop_reaches_is_flown(tmp_path: Path)
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     sim = tmp_path / "uavaccel" / "sim"
     (sim / "sign.py").write_text("SIGN = 1.0\n")
-    function = "from uavaccel.parts import part\nfrom uavaccel.sim import sign\n\n\n@part\ndef signed(x):\n    return {} * x\n"
+    imports = "from uavaccel.parts import part\nfrom uavaccel.sim import sign\n"
+    function = imports + "\n\n@part\ndef signed(x):\n    return {} * x\n"
     (sim / "signed.py").write_text(function.format("sign.SIGN"))
     pilot = (sim / "autopilot.py").read_text()
     pilot = pilot.replace(
