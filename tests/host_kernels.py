@@ -65,7 +65,7 @@ class Kernels:
     ) -> None:
         for lane in which:
             cpu.draw_gray(lane, plan.looks, games, now, 1, self._desk, self._picture)
-            cpu.start_single(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
+            cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
     def run_see_noise(
         self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
@@ -80,7 +80,7 @@ class Kernels:
             cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._desk, self._picture)
             time_s = cpu.moment_ns(lane, now, tick_ns) * cpu.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
-            cpu.see_single(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
+            cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
             cpu.take_events(lane, pixels, frames[lane][None])
 
     def run_show(

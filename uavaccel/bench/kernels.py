@@ -132,7 +132,7 @@ def _picture_s() -> tuple[float, float]:
         cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, desk, picture)
 
     def see(number: int) -> None:
-        cpu.see_single(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
+        cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
 
     draw(0)  # compiled
     see(0)

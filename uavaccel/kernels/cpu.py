@@ -51,15 +51,7 @@ def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """Thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
         for x in range(COLUMNS):
-            out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
-
-
-@part
-def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
-    """The same after a low-pass."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
+            out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
 
 
 @part(error_model="numpy")
@@ -125,74 +117,64 @@ def shoot(
 
 
 @part(error_model="numpy")
-def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
-    """A game's first frame makes no events."""
-    pixels.base[lane] = dvs.look_up(picture, sensor.logs)
-    start_clock(lane, pixels, camera)
-
-
-@part(error_model="numpy")
-def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
-    """The same of a sensor with a low-pass."""
+def start(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+    """A game's first frame makes no events; none are gathered."""
     for y in range(ROWS):
         for x in range(COLUMNS):
-            log = np.float64(sensor.logs[picture[y, x]])
-            pixels.base[lane, y, x] = pixels.filtered[lane, y, x] = log
-    start_clock(lane, pixels, camera)
-
-
-@part
-def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
-    """No frames seen, no events gathered."""
+            log = sensor.logs[picture[y, x]]
+            pixels.base[lane, y, x] = log
+            if pixels.filtered.size:
+                pixels.filtered[lane, y, x] = log
     pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
     if pixels.last_s.size:
         pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
 
 
+def logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
+    """A frame's logarithms, float32, or float64 after the low-pass of which `filtered` (144, 256) are the last."""
+
+
+def counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    """Signed counts in the precision of the logarithms."""
+
+
+@overload(logs_of)
+def _logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
+    if filtered.dtype == types.float32:
+        return lambda picture, filtered, sensor, weights: dvs.look_up(picture, sensor.logs)
+    return lambda picture, filtered, sensor, weights: dvs.low_pass(picture, filtered, sensor.logs, weights)
+
+
+@overload(counts_of)
+def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    of_type = dvs.count_single if log.dtype == types.float32 else dvs.count_double
+    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
 @part(error_model="numpy")
-def see_single(
+def see(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
     """A lane's event camera sees a frame (144, 256)."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float32), np.empty((ROWS, COLUMNS), np.float32)
+    base, low_passed, dt_s = pixels.base[lane], pixels.filtered.size > 0, time_s - before_s
+    positive, negative = np.empty_like(base), np.empty_like(base)
     spread(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
     spread(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    log = dvs.look_up(picture, sensor.logs)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_single(log, base, positive, negative)
+    weights = np.minimum(sensor.weights * (dt_s / camera[events.TAU]), 1.0)
+    log = logs_of(picture, pixels.filtered[lane] if low_passed else base, sensor, weights)
+    base = leak(base, positive, camera, sensor, seed, index, dt_s)
+    signed = counts_of(log, base, positive, negative)
     if pixels.last_s.size:
         signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
     base = dvs.advance_base(signed, base, positive, negative)
     gather(signed, pixels.gathered[lane])
     if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
+        noise = seed, index, dt_s
         shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
     pixels.base[lane] = base
-    pixels.clock[lane], pixels.time_s[lane] = index, time_s
-
-
-@part(error_model="numpy")
-def see_double(
-    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
-) -> None:
-    """The same of a sensor with a low-pass, in double precision."""
-    before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float64), np.empty((ROWS, COLUMNS), np.float64)
-    spread_wide(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    spread_wide(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    weights = np.minimum(sensor.weights * ((time_s - before_s) / camera[events.TAU]), 1.0)
-    log = dvs.low_pass(picture, pixels.filtered[lane], sensor.logs, weights)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_double(log, base, positive, negative)
-    if pixels.last_s.size:
-        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
-    base = dvs.advance_base(signed, base, positive, negative)
-    gather(signed, pixels.gathered[lane])
-    if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
-        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
-    pixels.base[lane], pixels.filtered[lane] = base, log
+    if low_passed:
+        pixels.filtered[lane] = log
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
@@ -274,28 +256,6 @@ class Command(NamedTuple):
     hold_ticks: int
     """After which position hold sets in unless another command came."""
     timing: Timing
-
-
-def see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    """`see_single` or `see_double`, as the sensor's memory is."""
-
-
-def start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    """`start_single` or `start_double`, as the sensor's memory is."""
-
-
-@overload(see)
-def _see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    of_type = see_single if pixels[0].dtype == types.float32 else see_double
-    return lambda lane, picture, time_s, pixels, sensor, camera, seed: of_type(
-        lane, picture, time_s, pixels, sensor, camera, seed
-    )
-
-
-@overload(start)
-def _start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    of_type = start_single if pixels[0].dtype == types.float32 else start_double
-    return lambda lane, picture, pixels, sensor, camera: of_type(lane, picture, pixels, sensor, camera)
 
 
 class View(NamedTuple):
