@@ -20,7 +20,7 @@ from uavaccel.envs.checks import make_task
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
-from uavaccel.sim.gl import known_renderer
+from uavaccel.sim.camera.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
 
