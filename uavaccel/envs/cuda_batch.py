@@ -13,10 +13,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from uavaccel.envs.checks import ROUNDING, make_task
+from uavaccel.envs.checks import ROUNDING, make_task, seeds_of
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.kernel_batch import seeds_of
 from uavaccel.envs.kernel_plan import check_flyable
 from uavaccel.errors import UserError
 

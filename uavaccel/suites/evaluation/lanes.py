@@ -17,11 +17,11 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.batch import cores
 from uavaccel.envs.kernel_plan import check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
 from uavaccel.errors import UserError
+from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import game_seed, row_of
@@ -119,7 +119,7 @@ class LanesOnCores:
         self._batch = KernelBatch(ObstacleLane, len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
         self._blocks = Blocks(lanes)
-        self._raters = ThreadPoolExecutor(cores(), initializer=th.set_num_threads, initargs=(1,))
+        self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
         options = [{"lane": lane} for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
