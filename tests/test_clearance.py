@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim import clearance
-from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.sim.vehicle import clearance
+from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.world import World
 
 

@@ -39,12 +39,12 @@ def test_a_change_of_any_file_that_the_hot_loop_reaches_is_flown(tmp_path: Path)
     imports = "from uavaccel.parts import part\nfrom uavaccel.sim import sign\n"
     function = imports + "\n\n@part\ndef signed(x):\n    return {} * x\n"
     (sim / "signed.py").write_text(function.format("sign.SIGN"))
-    pilot = (sim / "autopilot.py").read_text()
+    pilot = (sim / "vehicle" / "autopilot.py").read_text()
     pilot = pilot.replace(
         "from uavaccel.parts import part\n",
         "from uavaccel.parts import part\nfrom uavaccel.sim.signed import signed\n",
     )
-    (sim / "autopilot.py").write_text(
+    (sim / "vehicle" / "autopilot.py").write_text(
         pilot.replace("pitch_goal = -tilt_goal(", "pitch_goal = -signed(1.0) * tilt_goal(")
     )
     before = flown_m(tmp_path)

@@ -21,7 +21,7 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
-from uavaccel.sim.gl import known_renderer
+from uavaccel.sim.camera.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
 

@@ -29,8 +29,8 @@ from uavaccel.kernels.fields import COLUMNS, FIELDS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER
 from uavaccel.sim.saved import State
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 from uavaccel.vision.observation import BLOCK_SIDE

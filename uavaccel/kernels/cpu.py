@@ -25,7 +25,7 @@ from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.parts import part
-from uavaccel.sim.hotloop import sources
+from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings

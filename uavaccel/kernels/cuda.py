@@ -30,7 +30,7 @@ from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.touching import NOTHING
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL

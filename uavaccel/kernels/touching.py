@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
-from uavaccel.sim.clearance import MARGIN_M, free_s
-from uavaccel.sim.quadrotor import Record
+from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
+from uavaccel.sim.vehicle.quadrotor import Record
 
 BOX, CYLINDER, PLANE = 0, 1, 2
 SOLID_FIELDS = 7  # middle x, y, z; half sizes x, y, z, of a cylinder radius, radius, half height; kind

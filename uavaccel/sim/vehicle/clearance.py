@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
-from uavaccel.sim.quadrotor import Record
+from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at again
