@@ -197,7 +197,6 @@ def _round_s(lanes: int, task: LaneTask) -> float:
 
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
-    flying.send([flying.draw(lane) for lane in range(lanes)])
     flying.begin()
     actions = th.full((lanes,), AHEAD, device=CUDA)
     flying.fly(actions)  # compiled

@@ -21,7 +21,7 @@ from uavaccel.envs.checks import make_task, seeds_of, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
-from uavaccel.envs.kernel_plan import check_flyable, plan_of
+from uavaccel.envs.kernel_plan import check_flyable, kind_of, plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import NO_ACTION, age_levels
@@ -36,7 +36,6 @@ from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 
-KINDS = {"state": cpu.STATE, "dvs": cpu.DVS, "colour": cpu.COLOUR, "depth": cpu.DEPTH}
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
 
@@ -56,7 +55,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs, clocks=True)
+        check_flyable(self.task, num_envs)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -83,7 +82,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._now = rows.flights(count)
         blank = task.sensor().blank
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
-        kind = cpu.STATE if task.blank_images else KINDS[task.observation]
+        kind = kind_of(task)
         pixels = events.pixels_of(count if kind == cpu.DVS else 0, task.dvs_parameters)
         self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command

@@ -10,6 +10,7 @@ from numba.extending import overload
 
 from uavaccel.kernels import events, timeline
 from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
+from uavaccel.kernels.lane_clocks import DARKEST, MOST_CHANGE, keep_shown, turn_to_shown
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
     PICTURE_SEED,
@@ -28,7 +29,7 @@ from uavaccel.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
-from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings
+from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 from uavaccel.vision.observation import BLOCK_SIDE
 
@@ -36,7 +37,6 @@ STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
 SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
 NS = 1e-9
 SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
-DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 
 
 @part
@@ -363,23 +363,8 @@ def fly_to(
     shown = clocks.row[lane, timeline.SHOWN]
     if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
         fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, desk, picture)
-        for axis in range(3):
-            clocks.shown[lane, axis] = now.state[lane].position[axis]
-        for number in range(4):
-            clocks.shown[lane, 3 + number] = now.state[lane].quaternion[number]
+        keep_shown(lane, now, clocks)
     return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
-
-
-@part(error_model="numpy")
-def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> None:
-    """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
-    if plan.timing.rules[timeline.STALE_POSE] == 0 or clocks.row[lane, timeline.SHOWN] < 0:
-        return
-    state, shown = now.state[lane], clocks.shown[lane]
-    for axis in range(3):
-        shown[axis], state.position[axis] = state.position[axis], shown[axis]
-    for number in range(4):
-        shown[3 + number], state.quaternion[number] = state.quaternion[number], shown[3 + number]
 
 
 @part
@@ -448,12 +433,14 @@ def look_at_sample(
 ) -> None:
     """The frame of a sample; the event camera may have seen its moment."""
     if not seen:
-        turn_to_shown(lane, now, plan, clocks)
+        if plan.timing.rules[timeline.STALE_POSE]:
+            turn_to_shown(lane, now, clocks)
         if view.kind == DVS:
             look_at_events(lane, view, games, now, plan, desk, picture)
         else:
             draw_frame(lane, view, games, now, plan, desk, frame)
-        turn_to_shown(lane, now, plan, clocks)
+        if plan.timing.rules[timeline.STALE_POSE]:
+            turn_to_shown(lane, now, clocks)
     if view.kind == DVS:
         take_events(lane, view.pixels, frame)
 
