@@ -21,7 +21,8 @@ from uavaccel.kernels import cpu, lanes
 from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.spans import make_desk
 
-NAME, ABOVE = "uavaccel.kernels.cuda", ("cuda_lanes", "cuda_batch")
+NAME = "uavaccel.kernels.cuda"
+ABOVE = ("envs.cuda_lanes", "envs.cuda_batch", "rl.device_replay", "rl.device_dqn")
 
 
 class Plan(NamedTuple):
@@ -143,5 +144,6 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def _forget() -> None:
     for name in ABOVE:
-        sys.modules.pop(f"uavaccel.envs.{name}", None)
-        vars(uavaccel.envs).pop(name, None)
+        room, _, module = f"uavaccel.{name}".rpartition(".")
+        sys.modules.pop(f"{room}.{module}", None)
+        vars(sys.modules.get(room, uavaccel.envs)).pop(module, None)

@@ -104,6 +104,7 @@ class Trainer:
 
     def close(self) -> None:
         self._evaluations.close()
+        self._rows.close()
         self._lanes.close()
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:

@@ -66,6 +66,10 @@ class GameRows:
         }
         return Flown(row, host=host)
 
+    def close(self) -> None:
+        """The curves are whole, and TensorBoard's thread that writes them ends."""
+        self._curves.close()
+
     def _draw(self, row: Row, wall_s: float) -> None:
         self._simulated_s += row["sim_time_s"]
         self._recent.append(row["is_success"])
