@@ -537,7 +537,7 @@ def test_on_a_device_a_step_moves_the_weights_down_the_gradient_worked_out_by_ha
         best = int((before @ after).argmax())
         goal = float(batch.rewards[at] + batch.discounts[at] * (rated @ after)[best])
         total[action] += weights[at] * np.clip((before @ seen)[action] - goal, -1.0, 1.0) * seen / 4
-    length = np.linalg.norm(total)
+    share: float = min(1.0, limit / float(np.linalg.norm(total)))
     np.testing.assert_allclose(weights_of(online), before - 0.1 * total * share, atol=1e-6)
     np.testing.assert_array_equal(weights_of(target), rated)
 
@@ -554,6 +554,17 @@ def test_on_a_device_rounds_are_of_their_kind(on_a_device: Any) -> None:
     on_a_device.options = on_a_device.options.model_copy(update={"n_steps": 5})
     on_a_device.rounds = 5
     assert on_a_device._kind() == (True, False, False)  # the ring has no whole window yet
+
+
+def test_on_a_device_lanes_pay_for_their_decisions_and_their_share_of_learning(on_a_device: Any) -> None:
+    """Two gradient steps in a round of four lanes: half of one for each."""
+    learner, charged = on_a_device, []
+    learner.config = SimpleNamespace(commands_per_gradient_step=2, inference_s=0.5, learning_s=0.125)
+    learner.lanes.charge = lambda flown, seconds, phase: charged.append((flown, seconds, phase))
+    for learns in (False, True):
+        learner._charge("flown", learns)
+    decided = ("flown", 0.5, "inference")
+    assert charged == [decided, decided, ("flown", 0.0625, "learning")]
 
 
 def test_on_a_device_learning_rate_and_exploration_fall_with_games(on_a_device: Any) -> None:

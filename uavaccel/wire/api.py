@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
-from uavaccel.sim.earth import geographic
 from uavaccel.sim.flight.pilot import Pilot
+from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc, types
 from uavaccel.wire.attitude_api import AttitudeApi, stick_map

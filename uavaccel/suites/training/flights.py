@@ -103,8 +103,8 @@ class Trainer:
         export_policy(self._run.path, policy, self._config, trained)
 
     def close(self) -> None:
-        self._evaluations.close()
         self._rows.close()
+        self._evaluations.close()
         self._lanes.close()
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:

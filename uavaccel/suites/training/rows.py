@@ -34,6 +34,10 @@ class GameRows:
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
 
+    def close(self) -> None:
+        """End the curves' file, and the thread that writes it."""
+        self._curves.close()
+
     @contextmanager
     def clock_stopped(self) -> Iterator[None]:
         """What is done meanwhile is no part of the training's wall time."""
@@ -65,10 +69,6 @@ class GameRows:
             "learner_s": learning.spent_s(),
         }
         return Flown(row, host=host)
-
-    def close(self) -> None:
-        """The curves are whole, and TensorBoard's thread that writes them ends."""
-        self._curves.close()
 
     def _draw(self, row: Row, wall_s: float) -> None:
         self._simulated_s += row["sim_time_s"]
