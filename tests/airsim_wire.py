@@ -13,7 +13,7 @@ from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import DeferredReply, Simulation
-from uavaccel.sim.watched import WatchedWorld
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.settings import Settings
@@ -22,12 +22,12 @@ MS = 1_000_000
 
 
 @cache
-def furnished_world() -> WatchedWorld:
+def furnished_world() -> World:
     """One for all tests: each begins with a reset, and what it spawned it destroys.
 
     Its blocks are where tests.scenes.BLOCKS has them; what is no block is out of the way.
     """
-    world = WatchedWorld("blocks", NATIVE, furnished=True)
+    world = World("blocks", NATIVE, furnished=True)
     objects = SceneObjects(world)
     for name in objects.names():
         middle, _ = BLOCKS.get(name, ((-5000.0, 0.0, -3.0), None))

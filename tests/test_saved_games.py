@@ -188,4 +188,4 @@ def test_a_state_of_something_else_is_refused() -> None:
     ]
     for other, text in others:
         with pytest.raises(UserError, match=text):
-            other.set_state(state)  # type: ignore[attr-defined]
+            other.set_state(state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -59,6 +59,7 @@ class World(Led):
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._observers: list[tuple[int, int, Callable[[int], None]]] = []
         self.recorder = Samples(profile.recorder_ticks)
         acts = not self.freeze_on_collision
         self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
@@ -274,12 +275,40 @@ class World(Led):
 
     # --- time -------------------------------------------------------------------------------------
 
-    def advance(self, ticks: int) -> int:
-        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle.
+    def watch(self, every_ticks: int, look: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
+        """Call `look` with the tick at every so many ticks after `first_tick`; what is returned ends that.
 
-        Raises FlightError when MuJoCo warns; the vehicles then stand still until one is placed anew.
+        It is called in the middle of whatever flight was asked for, and changes none.
         """
-        if self.still or self.failed or (self.freeze_on_collision and self.collision_tick is not None):
+        observer = every_ticks, first_tick, look
+        self._observers.append(observer)
+        return lambda: self._observers.remove(observer)
+
+    def advance(self, ticks: int) -> int:
+        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle, or an observer ends.
+
+        A frozen vehicle is not looked at any more. Raises FlightError when MuJoCo warns; the vehicles then stand still
+        until one is placed anew.
+        """
+        flown = 0
+        while self._observers and flown < ticks and not self._frozen:
+            to_next = min(every - (self.tick - first) % every for every, first, _ in self._observers)
+            due = min(ticks - flown, to_next)
+            chunk = self._advance(due)
+            flown += chunk
+            if chunk < due:  # a touch
+                break
+            for every, first, look in tuple(self._observers):  # one may end itself
+                if (self.tick - first) % every == 0:
+                    look(self.tick)
+        return flown or self._advance(ticks)
+
+    @property
+    def _frozen(self) -> bool:
+        return self.freeze_on_collision and self.collision_tick is not None
+
+    def _advance(self, ticks: int) -> int:
+        if self.still or self.failed or self._frozen:
             return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
         flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
         if self.warnings.any():
