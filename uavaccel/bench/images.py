@@ -17,6 +17,7 @@ from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 from uavaccel.wire.session import WallSession
@@ -104,7 +105,7 @@ def lane_frames() -> list[NDArray[np.uint8]]:
     camera = world.camera(256, 144)
     frames = [camera.gray(world.data)]
     for north, east in plan_path(layout):
-        world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0))
+        world.lead.set_goal(of_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0)))
         for slice_ticks in (165, 165, 170):
             world.advance(slice_ticks)
             frames.append(camera.gray(world.data))

@@ -51,7 +51,7 @@ class FlownWorld:
     def whereabouts(self) -> str:
         """Where the vehicle is, in words."""
         position = " ".join(f"{metres:.1f}" for metres in self.simulation.kinematics().position_m)
-        touch = self.world.touches.latest
+        touch = self.world.lead.touches.latest
         return f"{position} m" + (f", last touched {touch.object}" if touch else "")
 
     def summary(self) -> dict[str, Any]:
