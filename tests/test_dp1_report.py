@@ -26,7 +26,7 @@ from tests.drawing import boxes, headline, labelled, points, record_figures, tex
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import figures
-from uavaccel.suites.dp1.report import write_report
+from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, table
@@ -195,14 +195,14 @@ def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str
 # --- the written report -------------------------------------------------------------------------------------
 
 
-def find(summary: dict[str, Any], **wanted: Any) -> dict[str, Any]:
+def find(summary: Mapping[str, Any], **wanted: Any) -> dict[str, Any]:
     (cell,) = (c for c in summary["cells"] if all(c[key] == value for key, value in wanted.items()))
     return dict(cell)
 
 
 def test_the_report_of_a_run(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", synthetic_games())
-    summary = write_report(RunDirectory(run_dir))
+    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
     assert json.loads((run_dir / "summary.json").read_text()) == summary
     for name in FIGURES:
         image = cv2.imread(str(run_dir / "figures" / f"{name}.png"))
@@ -232,7 +232,7 @@ def test_the_report_warns(tmp_path: Path, drawn: dict[str, Figure]) -> None:
         row["lost_wall_s"] = lost_s
     flown[2][0]["error"] = "the drone crashed"
     run_dir = write_run(tmp_path / "run", flown)
-    write_report(RunDirectory(run_dir))
+    Dp1Report(RunDirectory(run_dir), "dp1").write()
     said = [line for line in (run_dir / "report.md").read_text().splitlines() if "Warning" in line]
     assert said == [
         "Warning: 1 games failed and are left out; rows.jsonl says why.",
@@ -246,7 +246,9 @@ def test_the_same_bytes_every_time_and_for_any_jobs(tmp_path: Path) -> None:
     written = []
     for name, jobs in (("first", 1), ("second", 2)):
         run_dir = write_run(tmp_path / name, flown)
-        write_report(RunDirectory(run_dir), jobs=jobs)
+        report = Dp1Report(RunDirectory(run_dir), "dp1")
+        report.jobs = jobs
+        report.write()
         files = ["summary.json", "report.html", *(f"figures/{figure}.png" for figure in FIGURES)]
         written.append([(run_dir / file).read_bytes() for file in files])
     assert written[0] == written[1]
@@ -264,7 +266,7 @@ SPARSE_RUNS: dict[str, Callable[[], list[tuple[Row, Arrays]]]] = {
 @pytest.mark.parametrize("name", SPARSE_RUNS)
 def test_little_data_still_makes_a_report(tmp_path: Path, name: str, drawn: dict[str, Figure]) -> None:
     run_dir = write_run(tmp_path / "run", SPARSE_RUNS[name](), traces=False)
-    summary = write_report(RunDirectory(run_dir))
+    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
     assert sorted(drawn) == sorted(FIGURES)
     assert texts(drawn["figure4_trellis"].axes[0]) == ["no trace recorded"]
     assert all(len(line) == len(HEADER) for line in table(summary))
@@ -273,7 +275,7 @@ def test_little_data_still_makes_a_report(tmp_path: Path, name: str, drawn: dict
 def test_a_run_without_games_is_the_users_mistake(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", [])
     with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
-        write_report(RunDirectory(run_dir))
+        Dp1Report(RunDirectory(run_dir), "dp1").write()
 
 
 def test_missing_arrays_are_named(tmp_path: Path) -> None:
@@ -281,4 +283,4 @@ def test_missing_arrays_are_named(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", flown)
     (run_dir / flown[1][0]["arrays"]).unlink()
     with pytest.raises(UserError, match="reference-adsc-k1-t1-r1-g01"):
-        write_report(RunDirectory(run_dir))
+        Dp1Report(RunDirectory(run_dir), "dp1").write()

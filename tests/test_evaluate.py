@@ -33,7 +33,7 @@ from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.evaluation.summary import compare, summarise
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.report import Summary
 
 LANES = 4
 FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"

@@ -118,6 +118,7 @@ WRONG = """
 from dataclasses import dataclass
 from contextlib import nullcontext
 from uavaccel.suites.experiment import Experiment, Timing
+from uavaccel.suites.report import Report
 from uavaccel.suites.suite import Flown, Suite
 
 class Config(Experiment):
@@ -132,18 +133,19 @@ class Case:
         return 1.0
 
 class Own(Suite):
-    name, config, names = "own", Config, ("a", "b")
+    name, config, report_class, names = "own", Config, Report, ("a", "b")
     def cases(self, config):
         return map(Case, self.names)
     def open(self, config, timing, run):
         return nullcontext()
     def fly(self, config, case, opened):
         return self.flown(case)
-    def report(self, run):
-        return {}
 
 class NoConfig(Own):
     config = None
+
+class NoReport(Own):
+    report_class = None
 
 class NotOurs(Own):
     config = dict
@@ -178,6 +180,7 @@ class NoRow(Own):
 @pytest.mark.parametrize(("name", "reason"), [
     ("NoConfig", "NoConfig.config has to be a subclass"),
     ("NotOurs", "NotOurs.config has to be a subclass"),
+    ("NoReport", "NoReport.report_class has to be a subclass"),
     ("NoName", "NoName.name has to be a text"),
     ("Twice", "two cases are called 'a'"),
     ("Folder", "a case cannot be called '../a'"),

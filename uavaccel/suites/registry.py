@@ -11,6 +11,7 @@ from typing import Any
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.report import Report
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line per suite; its module is imported when it is asked for.
@@ -82,6 +83,9 @@ def _load(place: str) -> AnySuite:
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
+    report = getattr(suite, "report_class", None)
+    if not (isinstance(report, type) and issubclass(report, Report)):
+        raise TypeError(f"{name}.report_class has to be a subclass of uavaccel.suites.report.Report")
     if not isinstance(getattr(suite, "name", None), str):
         raise TypeError(f"{name}.name has to be a text")
     return suite

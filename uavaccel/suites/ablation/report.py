@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.draw.document import Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.draw.variants import VariantCurve, draw_variants
-from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.figures import source_line
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
-from uavaccel.suites.pages import finished_rows, write_pages
+from uavaccel.suites.report import Report, Summary
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
 HEADER = (
@@ -32,24 +31,33 @@ HEADER = (
 Entry = Mapping[str, Any]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write summary.json, figures/ablation.png, report.md and report.html; returns the summary."""
-    config = run.config()
-    rows = finished_rows(run, "ablation")
-    entries: list[dict[str, Any]] = []
-    for variant in config["variants"]:
-        own = [row for row in rows if row["variant"] == variant["name"]]
-        if own:
-            scores = score_cells(cells_of(own), run.load_arrays)
-            entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
-    summary = {"suite": "ablation", "title": config["title"], "seed": config["seed"], "entries": entries}
-    run.write_json("summary.json", summary)
-    path = run.file("figures/ablation.png")
-    source = source_line(rows)
-    draw_variants(curves(entries, config["times_clock_speed"]), config["axis"], config["title"], path, source)
-    picture = Picture(path, f"{config['title']}. {_READING} Source: {source}.")
-    write_pages(run, config["title"], [Table(HEADER, table(summary)), Paragraph(_READING), picture])
-    return summary
+class AblationReport(Report):
+    """Of `uavaccel run ablation`."""
+
+    def summarise(self) -> Summary:
+        entries: list[dict[str, Any]] = []
+        for variant in self.config["variants"]:
+            own = [row for row in self.rows if row["variant"] == variant["name"]]
+            if own:
+                scores = score_cells(cells_of(own), self.run.load_arrays)
+                entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
+        title, seed = self.title(), self.config["seed"]
+        return {"suite": "ablation", "title": title, "seed": seed, "entries": entries}
+
+    def title(self) -> str:
+        return str(self.config["title"])
+
+    def figures(self) -> list[Picture]:
+        drawn = curves(self.summary["entries"], self.config["times_clock_speed"])
+        source, path = source_line(self.rows), self.run.file("figures/ablation.png")
+        draw_variants(drawn, self.config["axis"], self.title(), path, source)
+        return [Picture(path, f"{self.title()}. {_READING} Source: {source}.")]
+
+    def overview(self) -> Table:
+        return Table(HEADER, table(self.summary))
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [self.overview(), Paragraph(_READING), *figures]
 
 
 def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]) -> list[dict[str, Any]]:

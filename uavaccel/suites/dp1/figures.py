@@ -21,7 +21,8 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import command_gaps_s
 from uavaccel.suites.disturbed import disturbed_words
-from uavaccel.suites.dp1.scores import CellScores, LoadArrays, Row
+from uavaccel.suites.dp1.scores import CellScores, LoadArrays
+from uavaccel.suites.report import Row
 
 _CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
 FIGURE3_ROUNDS = 4  # enough laps to drift, few enough to tell them apart

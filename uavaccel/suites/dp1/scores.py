@@ -23,8 +23,8 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     trajectory,
 )
+from uavaccel.suites.report import Row
 
-Row = Mapping[str, Any]
 Arrays = Mapping[str, np.ndarray]
 LoadArrays = Callable[[Row], Arrays]
 

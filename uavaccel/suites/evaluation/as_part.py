@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.parts import Part, fly_part, part_run
-from uavaccel.suites.suite import Flown, Row
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import Flown
 
 OF_SUMMARY = ("games", "successes", "distance_m_median", "sim_time_s")
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Picture, Table
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.draw.survival import draw_survival
 from uavaccel.envs.simulators import EXACT, flown_by
@@ -16,27 +16,37 @@ from uavaccel.suites import published
 from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import headline, how_flown, summarise
-from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.host_time import pace
+from uavaccel.suites.report import Report, Summary, listed, summary_table
 
 FIGURE = "figures/figure8_survival.png"
 COMPARISON = "figures/figure8_survival_compared.png"
 
 
-def write_report(run: RunDirectory) -> Summary:
-    """Write them into an evaluation's folder; the summary. Raises UserError if it has no finished game."""
-    rows = finished_rows(run, "evaluate")
-    summary = summarise(validate(EvaluateConfig, run.config(), str(run.path / "config.yaml")), rows)
-    run.write_json("summary.json", summary)
-    path = draw_evaluations([run], run.file(FIGURE))
-    picture = Picture(
-        path,
-        f"Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval. "
-        f"Source: {_source([run])}.",
-    )
-    blocks = summary_blocks(headline(summary), summary, _beside_the_papers(summary), picture)
-    write_pages(run, f"Evaluation of {summary['agent']}", blocks)
-    return summary
+class EvaluationReport(Report):
+    """Of `uavaccel evaluate`."""
+
+    def summarise(self) -> Summary:
+        config = validate(EvaluateConfig, self.config, str(self.run.path / "config.yaml"))
+        return summarise(config, self.rows)
+
+    def title(self) -> str:
+        return f"Evaluation of {self.summary['agent']}"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def pace(self) -> str:
+        return pace(self.run)
+
+    def figures(self) -> list[Picture]:
+        path = draw_evaluations([self.run], self.run.file(FIGURE))
+        said = "Share of the games that got at least so far north, with its 95 % Wilson interval"
+        return [Picture(path, f"Figure 8. {said}. Source: {_source([self.run])}.")]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        beside = _beside_the_papers(self.summary)
+        return [Paragraph(self.headline() + "."), beside, *figures, summary_table(self.summary)]
 
 
 def _beside_the_papers(summary: Summary) -> Table:

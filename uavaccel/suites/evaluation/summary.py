@@ -14,7 +14,7 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.suite import Row, Summary
+from uavaccel.suites.report import Row, Summary
 
 
 def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:

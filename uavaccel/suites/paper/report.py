@@ -9,31 +9,39 @@ from typing import Any
 from uavaccel.config import validate
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.records import RunDirectory
-from uavaccel.suites.pages import finished_rows, write_pages
 from uavaccel.suites.paper.config import PROFILES, PaperConfig
 from uavaccel.suites.paper.verdicts import at_the_papers_n, judge
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.report import Report, Summary
 
 HEADER = ("claim", "place", "the paper's", "under airsim", "", "under native", "", "the paper's n")
 SHORT_HEADER = ("claim", "place", "under airsim", "under native")
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it from the parts' reports; the summary. Raises UserError if no part was flown."""
-    finished_rows(run, "paper")
-    config = validate(PaperConfig, run.config(), str(run.path / "config.yaml"))
-    rows = judge(config, run)
-    summary = {"suite": "paper", "seed": config.seed, "claims": rows}
-    run.write_json("summary.json", summary)
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Heading("Claims"),
-        Table(HEADER, [_line(row) for row in rows]),
-        Paragraph(_INCONSISTENCIES),
-        *[block for name in config.parts for block in _part_blocks(run, name)],
-    ]
-    write_pages(run, "The paper, claim by claim", blocks)
-    return summary
+class PaperReport(Report):
+    """Of `uavaccel run paper`: made of the parts' own reports."""
+
+    def summarise(self) -> Summary:
+        config = validate(PaperConfig, self.config, str(self.run.path / "config.yaml"))
+        return {"suite": "paper", "seed": config.seed, "claims": judge(config, self.run)}
+
+    def title(self) -> str:
+        return "The paper, claim by claim"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def overview(self) -> Table:
+        return Table(SHORT_HEADER, overview(self.summary))
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(self.headline() + "."),
+            Heading("Claims"),
+            Table(HEADER, [_line(claim) for claim in self.summary["claims"]]),
+            Paragraph(_INCONSISTENCIES),
+            *[block for name in self.config["parts"] for block in _part_blocks(self.run, name)],
+        ]
 
 
 def headline(summary: Mapping[str, Any]) -> str:

@@ -19,8 +19,7 @@ from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import published
-from uavaccel.suites.pages import listed
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Row, listed
 
 Cells = Sequence[Mapping[str, Any]]
 TABLE_I, FIGURE_8, FIGURE_9 = (

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uavaccel.draw.document import Block, Heading, Paragraph, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.records import RunDirectory
 from uavaccel.suites import published
-from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.report import Report, Summary, listed
 from uavaccel.suites.rl.figures import draw_figures, panel_name
 from uavaccel.suites.rl.summary import KEY, summarise
 
@@ -45,37 +45,49 @@ WEIGHTS_HEADER = ("trained with", "ClockSpeed", "seed", "training games won", "s
 Cell = Mapping[str, Any]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write summary.json, figures, report.md and report.html; the summary. Raises UserError without a finished cell."""
-    rows = finished_rows(run, "rl")
-    summary = summarise(run.config(), rows, run.load_arrays)
-    run.write_json("summary.json", summary)
-    pictures = draw_figures(run, summary, rows)
-    pooled = summary["pooled"]
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Heading("Table I: success by training"),
-        Table(TABLE_HEADER, [_success_line(cell) for cell in pooled]),
-        Paragraph(_WHAT_N_TELLS),
-        *pictures[:2],
-    ]
-    if summary["interchange"]:
-        blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
-    if summary["as_trained"]:
-        lines = [_as_trained(flown) for flown in summary["as_trained"]]
-        blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
-    minutes = _machine_minutes(run, rows)
-    blocks += [
-        Heading("Time of the training"),
-        Table(TIME_HEADER, [_time_line(cell, minutes) for cell in pooled]),
-        Paragraph(_saved(pooled, minutes)),
-        Paragraph(_HOW_TIME_IS_MODELLED),
-        *pictures[2:],
-        Heading("Each training"),
-        Table(WEIGHTS_HEADER, [_training_line(cell) for cell in summary["cells"]]),
-    ]
-    write_pages(run, "Policies by the command and ClockSpeed of their training", blocks)
-    return summary
+class RlReport(Report):
+    """Of `uavaccel run rl`."""
+
+    def summarise(self) -> Summary:
+        return summarise(self.config, self.rows, self.run.load_arrays)
+
+    def title(self) -> str:
+        return "Policies by the command and ClockSpeed of their training"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def overview(self) -> Table:
+        return Table(SHORT_HEADER, overview(self.summary))
+
+    def figures(self) -> list[Picture]:
+        return draw_figures(self.run, self.summary, self.rows)
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        summary, pooled = self.summary, self.summary["pooled"]
+        blocks: list[Block] = [
+            Paragraph(self.headline() + "."),
+            Heading("Table I: success by training"),
+            Table(TABLE_HEADER, [_success_line(cell) for cell in pooled]),
+            Paragraph(_WHAT_N_TELLS),
+            *figures[:2],
+        ]
+        if summary["interchange"]:
+            blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
+        if summary["as_trained"]:
+            lines = [_as_trained(flown) for flown in summary["as_trained"]]
+            blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
+        minutes = _machine_minutes(self.run, self.rows)
+        return [
+            *blocks,
+            Heading("Time of the training"),
+            Table(TIME_HEADER, [_time_line(cell, minutes) for cell in pooled]),
+            Paragraph(_saved(pooled, minutes)),
+            Paragraph(_HOW_TIME_IS_MODELLED),
+            *figures[2:],
+            Heading("Each training"),
+            Table(WEIGHTS_HEADER, [_training_line(cell) for cell in summary["cells"]]),
+        ]
 
 
 def headline(summary: Mapping[str, Any]) -> str:

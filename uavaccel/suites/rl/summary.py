@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import fisher_exact_p, mcnemar_exact, wilson_interval
 from uavaccel.suites import published
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Row
 
 Arrays = Callable[[Row], Mapping[str, NDArray[Any]]]
 KEY = ("variant", "profile", "timing", "command", "clock_speed")

@@ -9,10 +9,8 @@ from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.draw.success_map import Success, draw_success_maps
 from uavaccel.metrics.intervals import wilson_interval
-from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.pages import finished_rows, write_pages
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Report, Row, Summary
 
 FIGURE = "figures/robustness_map.png"
 FITTED = 1.0
@@ -27,29 +25,40 @@ COLLAPSE_HEADER = (
 Cell = Mapping[str, Any]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it; the summary. Raises UserError if no cell is finished."""
-    rows = finished_rows(run, "robustness")
-    config = run.config()
-    summary = summarise(config, rows)
-    run.write_json("summary.json", summary)
-    lanes = max(row["games"] for row in rows)
-    source = f"modelled, profile {config['profile']} · {lanes} lanes each · seed {config['seed']}"
-    title = f"Success of {agent_name(config['agent'])} over latency and ClockSpeed"
-    picture = Picture(
-        draw_success_maps(maps(summary["cells"]), FITTED, title, run.file(FIGURE), source),
-        f"{title}, with 95 % Wilson intervals; the frame is the latency as fitted. Source: {source}.",
-    )
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        picture,
-        Table(header(summary), table(summary)),
-        Heading("Where success collapses"),
-        Table(COLLAPSE_HEADER, [_collapse_line(each) for each in summary["collapses"]]),
-        Paragraph(_READING),
-    ]
-    write_pages(run, title, blocks)
-    return summary
+class RobustnessReport(Report):
+    """Of `uavaccel run robustness`."""
+
+    def summarise(self) -> Summary:
+        return summarise(self.config, self.rows)
+
+    def title(self) -> str:
+        return f"Success of {agent_name(self.config['agent'])} over latency and ClockSpeed"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def overview(self) -> Table:
+        return Table(header(self.summary), table(self.summary))
+
+    def figures(self) -> list[Picture]:
+        lanes = max(row["games"] for row in self.rows)
+        source = (
+            f"modelled, profile {self.config['profile']} · {lanes} lanes each · seed {self.config['seed']}"
+        )
+        drawn = maps(self.summary["cells"])
+        path = draw_success_maps(drawn, FITTED, self.title(), self.run.file(FIGURE), source)
+        said = "with 95 % Wilson intervals; the frame is the latency as fitted"
+        return [Picture(path, f"{self.title()}, {said}. Source: {source}.")]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(self.headline() + "."),
+            *figures,
+            self.overview(),
+            Heading("Where success collapses"),
+            Table(COLLAPSE_HEADER, [_collapse_line(each) for each in self.summary["collapses"]]),
+            Paragraph(_READING),
+        ]
 
 
 def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:

@@ -13,8 +13,10 @@ from uavaccel.suites.evaluation.as_part import fly_evaluation, won
 from uavaccel.suites.experiment import CommandName
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, part_cost, part_suite
+from uavaccel.suites.report import Row
 from uavaccel.suites.robustness.config import RobustnessConfig
-from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
+from uavaccel.suites.robustness.report import RobustnessReport
+from uavaccel.suites.suite import Cost, Flown, Suite
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Robustness(Suite[RobustnessConfig, Cell]):
 
     name = "robustness"
     config = RobustnessConfig
+    report_class = RobustnessReport
     batch = 1
 
     def check(self, config: RobustnessConfig) -> None:
@@ -83,21 +86,6 @@ class Robustness(Suite[RobustnessConfig, Cell]):
 
     def status(self, rows: Sequence[Row]) -> str:
         return won(rows[-1])
-
-    def headline(self, summary: Summary) -> str:
-        from uavaccel.suites.robustness import report
-
-        return report.headline(summary)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.robustness import report
-
-        return SummaryTable(report.header(summary), report.table(summary))
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.robustness import report
-
-        return report.write_report(run)
 
 
 def part_of(config: RobustnessConfig, cell: Cell) -> Part:

@@ -11,10 +11,8 @@ from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.sweep import Sweep, SweptPoint, draw_sweeps
 from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
-from uavaccel.suites.pages import finished_rows, write_pages
+from uavaccel.suites.report import Report, Row, Summary
 from uavaccel.suites.robustness.report import agent_name
-from uavaccel.suites.suite import Row
 from uavaccel.suites.sweep.cases import AS_TRAINED, case_id
 from uavaccel.suites.sweep.conditions import UNITS, value_text
 
@@ -25,23 +23,32 @@ Cell = Mapping[str, Any]
 Won = Mapping[str, NDArray[Any]]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it; the summary. Raises UserError if no condition is finished."""
-    rows = finished_rows(run, "sweep")
-    won = {row["case"]: run.load_arrays(row)["is_success"] for row in rows}
-    summary = summarise(run.config(), rows, won)
-    run.write_json("summary.json", summary)
-    lanes, provenance = summary["lanes"], " and ".join(summary["provenance"])
-    source = f"{provenance} · {lanes} lanes each · seed {summary['seed']}"
-    title = f"Success of {agent_name(summary['agent'])}, one condition changed at a time"
-    picture = Picture(
-        draw_sweeps(swept(summary), as_trained(summary), title, run.file(FIGURE), source),
-        f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained. Source: {source}.",
-    )
-    result = Table(HEADER, table(summary))
-    blocks: list[Block] = [Paragraph(headline(summary) + "."), picture, result, Paragraph(_READING)]
-    write_pages(run, title, blocks)
-    return summary
+class SweepReport(Report):
+    """Of `uavaccel evaluate --sweep` and `uavaccel run sweep`."""
+
+    def summarise(self) -> Summary:
+        won = {row["case"]: self.run.load_arrays(row)["is_success"] for row in self.rows}
+        return summarise(self.config, self.rows, won)
+
+    def title(self) -> str:
+        return f"Success of {agent_name(self.summary['agent'])}, one condition changed at a time"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def overview(self) -> Table:
+        return Table(HEADER, table(self.summary))
+
+    def figures(self) -> list[Picture]:
+        summary, title = self.summary, self.title()
+        provenance = " and ".join(summary["provenance"])
+        source = f"{provenance} · {summary['lanes']} lanes each · seed {summary['seed']}"
+        path = draw_sweeps(swept(summary), as_trained(summary), title, self.run.file(FIGURE), source)
+        said = "with 95 % Wilson intervals; the dashed line is the success as trained"
+        return [Picture(path, f"{title}, {said}. Source: {source}.")]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
 def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> dict[str, Any]:

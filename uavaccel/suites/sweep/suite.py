@@ -14,9 +14,11 @@ from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.experiment import timing_of
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_cost, part_suite
-from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import AnySuite, Cost, Flown, Suite
 from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
 from uavaccel.suites.sweep.config import SweepConfig
+from uavaccel.suites.sweep.report import SweepReport
 
 
 class Sweep(Suite[SweepConfig, Case]):
@@ -24,6 +26,7 @@ class Sweep(Suite[SweepConfig, Case]):
 
     name = "sweep"
     config = SweepConfig
+    report_class = SweepReport
     batch = 1
 
     def check(self, config: SweepConfig) -> None:
@@ -72,21 +75,6 @@ class Sweep(Suite[SweepConfig, Case]):
 
     def status(self, rows: Sequence[Row]) -> str:
         return won(rows[-1])
-
-    def headline(self, summary: Summary) -> str:
-        from uavaccel.suites.sweep import report
-
-        return report.headline(summary)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.sweep import report
-
-        return SummaryTable(report.HEADER, report.table(summary))
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.sweep import report
-
-        return report.write_report(run)
 
 
 def _as_trained(config: SweepConfig) -> tuple[AnySuite, Any]:

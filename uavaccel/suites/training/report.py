@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Picture, Table
+from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.phases import PhaseTimes, draw_phases
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
@@ -17,9 +17,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import published
 from uavaccel.suites.disturbed import disturbed_words
-from uavaccel.suites.host_time import in_words, over_all_starts, wall_s
-from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.host_time import in_words, over_all_starts, pace, wall_s
+from uavaccel.suites.report import Report, Summary, listed, summary_table
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.curve import draw_over_games, draw_runs
 from uavaccel.suites.training.evaluations import evaluations
@@ -33,30 +32,44 @@ GAMES_COMPARED = "figures/learning_games_compared.png"
 OVER_GAMES, OVER_TIME = "figures/learning_games.png", "figures/learning_curve.png"
 
 
-def write_report(run: RunDirectory) -> Summary:
-    """Write them into a training's folder; the summary. Raises UserError if it has no finished game."""
-    rows = finished_rows(run, "train")
-    config = validate(TrainConfig, run.config(), str(run.path / "config.yaml"))
-    trained = trained_with(run.path)
-    over = trained.get("games") == len(rows)
-    summary = summarise(config, rows, trained["weights_sha256"] if over else None)
-    if over and (run.path / REAL_TIME).is_file():
-        summary |= in_real_time(summary["commands"], run.read_json(REAL_TIME))
-    if evaluated := summarise_evaluations(evaluations(run)):
-        summary["evaluations"] = evaluated
-    run.write_json("summary.json", summary)
-    path = draw_trainings([run], run.file(FIGURE))
-    picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
-    blocks = summary_blocks(
-        headline(summary),
-        summary,
-        _beside_the_papers(run, summary),
-        *_curves(run),
-        *_evaluated(evaluated),
-        picture,
-    )
-    write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
-    return summary
+class TrainingReport(Report):
+    """Of `uavaccel train`."""
+
+    def summarise(self) -> Summary:
+        config = validate(TrainConfig, self.config, str(self.run.path / "config.yaml"))
+        trained = trained_with(self.run.path)
+        over = trained.get("games") == len(self.rows)
+        summary = summarise(config, self.rows, trained["weights_sha256"] if over else None)
+        if over and (self.run.path / REAL_TIME).is_file():
+            summary |= in_real_time(summary["commands"], self.run.read_json(REAL_TIME))
+        if evaluated := summarise_evaluations(evaluations(self.run)):
+            summary["evaluations"] = evaluated
+        return summary
+
+    def title(self) -> str:
+        return f"Training, {self.config['algorithm']}, seed {self.config['seed']}"
+
+    def headline(self) -> str:
+        return headline(self.summary)
+
+    def pace(self) -> str:
+        return pace(self.run)
+
+    def figures(self) -> list[Picture]:
+        path = draw_trainings([self.run], self.run.file(FIGURE))
+        phases = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([self.run])}.")
+        return [*_curves(self.run), phases]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        *curves, phases = figures
+        return [
+            Paragraph(self.headline() + "."),
+            _beside_the_papers(self.run, self.summary),
+            *curves,
+            *_evaluated(self.summary.get("evaluations", ())),
+            phases,
+            summary_table(self.summary),
+        ]
 
 
 def _curves(run: RunDirectory) -> list[Picture]:

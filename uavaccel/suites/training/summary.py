@@ -11,7 +11,7 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import wilson_interval
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.host_time import in_words
-from uavaccel.suites.suite import Row, Summary
+from uavaccel.suites.report import Row, Summary
 from uavaccel.suites.training.config import TrainConfig
 
 
