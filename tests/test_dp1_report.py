@@ -25,11 +25,15 @@ from tests.dp1_games import (
 from tests.drawing import boxes, headline, labelled, points, record_figures, texts
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import figures
+from uavaccel.suites.dp1.accuracy import accuracy_figure
 from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, table
+from uavaccel.suites.dp1.trajectories import trajectory_figure
+from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.dp1.velocity import velocity_figure
 
 FIGURES = (
     "figure2_velocity",
@@ -81,7 +85,7 @@ def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, 
         speed = np.full((81, 3), row["clock_speed"])
         return line_arrays(row) | {"linear_velocity_m_s": speed, "time_s": np.arange(81) * 0.05}
 
-    picture = figures.velocity_figure(rows, load, tmp_path / "two.png")
+    picture = velocity_figure(rows, load, tmp_path / "two.png")
     slow, fast = drawn["two"].axes
     assert (slow.get_title("left"), fast.get_title("left")) == (
         "ADSC at 1x: 0.0 ms between commands",
@@ -98,7 +102,7 @@ def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, 
 
 def test_figure_3_shows_the_best_and_the_worst_replica(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = accelerated_rows()
-    picture = figures.trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+    picture = trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
     lines = labelled(drawn["three"].axes[0])
     best, worst = (1 + np.exp(-0.03 * (game + 1) ** 2) for game in (0, 2))
     assert {name: round(line.get_data_3d()[1][0], 9) for name, line in lines.items()} == {
@@ -123,7 +127,7 @@ def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[s
         ([reference], ["ADSC at 1x: reference"]),
         ([], []),
     ):
-        figures.trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+        trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
         assert list(labelled(drawn["three"].axes[0])) == labels
     assert headline(drawn["three"])[0] == "Trajectories"
 
@@ -131,7 +135,7 @@ def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[s
 def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     run_dir = write_run(tmp_path / "run", [])
     rows = [line_row("game", "tcsc", 50.0, 0, 0.0, timing="wall"), line_row("reference", "adsc", 1.0, 0, 0.0)]
-    picture = figures.trellis_figure(run_dir, rows, tmp_path / "four.png")
+    picture = trellis_figure(run_dir, rows, tmp_path / "four.png")
     assert [axes.get_title("left") for axes in drawn["four"].axes] == ["TCSC", "ADSC"]
     assert "1.000 s   end continue" in texts(drawn["four"].axes[0])
     source = "one recorded command each · measured (wall clock) · native profile · seed 0"
@@ -139,12 +143,12 @@ def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Fig
     assert source in picture.caption
     (run_dir / "traces/tcsc.json").write_text("no JSON")
     with pytest.raises(UserError, match=r"tcsc\.json: not JSON"):
-        figures.trellis_figure(run_dir, rows, tmp_path / "four.png")
+        trellis_figure(run_dir, rows, tmp_path / "four.png")
 
 
 def test_figure_5_shows_stlc_with_t_moves_pooled(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = accelerated_rows()
-    picture = figures.accuracy_figure(scored(rows), tmp_path / "five.png")
+    picture = accuracy_figure(scored(rows), tmp_path / "five.png")
     cells = {axes: boxes(axes) for axes in drawn["five"].axes}
     assert len(cells) == 2 * 3
     for axes, (command, factor, clock_speed) in zip(
@@ -167,7 +171,7 @@ def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str
     rows = accelerated_rows()
     scores = scored(rows)
     summary = summary_of(rows, scores)
-    picture = figures.speedup_figure(scores, summary, tmp_path / "six.png")
+    picture = speedup_figure(scores, summary, tmp_path / "six.png")
     adsc, tcsc = drawn["six"].axes
     assert headline(drawn["six"]) == (
         "Effective speed-up over ADSC at 1x, 24 rounds",

@@ -13,12 +13,12 @@ from tests.drawing import texts, tick_texts
 from tests.running import configured, run_into
 from uavaccel.cli.evaluate import sweep_agent
 from uavaccel.cli.run import RunRequest
-from uavaccel.draw.sweep import plot_sweeps
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.sweep.conditions import SHORT, keys_of, parse_sweep
 from uavaccel.suites.sweep.config import SweepConfig
+from uavaccel.suites.sweep.figure import plot_sweeps
 from uavaccel.suites.sweep.report import summarise, swept, table
 from uavaccel.suites.sweep.suite import Sweep
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.draw.variants import VariantCurve, draw_variants
-from uavaccel.suites.dp1.figures import source_line
+from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.source_line import source_line
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
 HEADER = (
@@ -50,7 +51,7 @@ class AblationReport(Report):
     def figures(self) -> list[Picture]:
         drawn = curves(self.summary["entries"], self.config["times_clock_speed"])
         source, path = source_line(self.rows), self.run.file("figures/ablation.png")
-        draw_variants(drawn, self.config["axis"], self.title(), path, source)
+        style.save(plot_variants(drawn, self.config["axis"], self.title(), source), path)
         return [Picture(path, f"{self.title()}. {_READING} Source: {source}.")]
 
     def overview(self) -> Table:
@@ -124,31 +125,6 @@ def _line(entry: Entry) -> tuple[str, ...]:
 
 def _number(value: float | None, spec: str) -> str:
     return "-" if value is None else format(value, spec)
-
-
-def curves(entries: Sequence[Entry], times_clock_speed: bool) -> list[VariantCurve]:
-    """A curve a command and ClockSpeed; a value without anything to compare with is NaN."""
-    grouped: dict[tuple[str, float], list[Entry]] = defaultdict(list)
-    for entry in entries:
-        grouped[entry["command"], entry["clock_speed"]].append(entry)
-    return [
-        VariantCurve(
-            command,
-            clock_speed,
-            [_place(entry["variant"], clock_speed if times_clock_speed else 1.0) for entry in own],
-            np.array([(entry["stlc_quartiles"] or [np.nan] * 3)[1] for entry in own], float),
-            np.array([entry["position_rmse_m_median"] for entry in own], float),
-            np.array([entry["effective_speedup"] for entry in own], float),
-        )
-        for (command, clock_speed), own in sorted(grouped.items())
-    ]
-
-
-def _place(name: str, factor: float) -> float | str:
-    try:
-        return float(name) * factor
-    except ValueError:
-        return name
 
 
 _READING = (

@@ -11,12 +11,16 @@ import joblib
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.records import arrays_of
-from uavaccel.suites.dp1 import figures as drawn
-from uavaccel.suites.dp1.figures import source_line
+from uavaccel.suites.dp1.accuracy import accuracy_figure
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
+from uavaccel.suites.dp1.trajectories import trajectory_figure
+from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.dp1.velocity import velocity_figure
 from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.source_line import source_line
 
 PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
 MOST_JOBS = 8
@@ -45,11 +49,11 @@ class Dp1Report(Report):
         rows, scores, load = self.rows, self.scores, self.run.load_arrays
         folder = self.run.path / "figures"
         return [
-            drawn.velocity_figure(rows, load, folder / "figure2_velocity.png"),
-            drawn.trajectory_figure(scores, load, folder / "figure3_trajectories.png"),
-            drawn.trellis_figure(self.run.path, rows, folder / "figure4_trellis.png"),
-            drawn.accuracy_figure(scores, folder / "figure5_accuracy.png"),
-            drawn.speedup_figure(scores, self.summary, folder / "figure6_speedup.png"),
+            velocity_figure(rows, load, folder / "figure2_velocity.png"),
+            trajectory_figure(scores, load, folder / "figure3_trajectories.png"),
+            trellis_figure(self.run.path, rows, folder / "figure4_trellis.png"),
+            accuracy_figure(scores, folder / "figure5_accuracy.png"),
+            speedup_figure(scores, self.summary, folder / "figure6_speedup.png"),
         ]
 
     def overview(self) -> Table:

@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
-from uavaccel.draw.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, draw_images
-from uavaccel.suites.dp1.figures import source_line
 from uavaccel.suites.dp2 import guard as dp2_guard
+from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
 from uavaccel.suites.dp2.scores import GameScore, score_games
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import HEADER, table
 from uavaccel.suites.report import Report, Row, Summary
+from uavaccel.suites.source_line import source_line
 from uavaccel.vision.guard import GuardSettings
 
 
@@ -53,7 +54,8 @@ class Dp2Report(Report):
             "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both "
             f"axes are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. Source: {source}."
         )
-        return [Picture(draw_images(clouds, self.run.file("figures/figure7_images.png"), source), caption)]
+        path = self.run.file("figures/figure7_images.png")
+        return [Picture(style.save(plot_images(clouds, source), path), caption)]
 
     def overview(self) -> Table:
         return Table(HEADER, table(self.summary))

@@ -19,8 +19,9 @@ from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
-from uavaccel.suites.evaluation.report import COMPARISON, EvaluationReport, draw_evaluations
+from uavaccel.suites.evaluation.report import EvaluationReport
 from uavaccel.suites.evaluation.side_by_side import write_simulators
+from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
 from uavaccel.suites.report import Row
 from uavaccel.suites.suite import Flown, Suite, choose_row
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
-from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_games
@@ -19,8 +19,6 @@ from uavaccel.suites.report import Row, Summary
 
 def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
     """Success ratio with its 95 % Wilson interval, and how far the agent got."""
-    successes = sum(row["is_success"] for row in rows)
-    low, high = wilson_interval(successes, len(rows))
     task = config.task
     sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
     disturbed = disturbed_games(rows)
@@ -35,11 +33,7 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
         "simulator": config.simulator,
         **({} if config.simulator == EXACT else {"device": config.device}),
         "seed": config.seed,
-        "games": len(rows),
-        "successes": successes,
-        "success_ratio": successes / len(rows),
-        "wilson_low": low,
-        "wilson_high": high,
+        **Proportion(sum(row["is_success"] for row in rows), len(rows)).as_summary(),
         "sim_time_s": sim_time_s,
         "wall_s": wall_s,
         "simulated_s_per_wall_s": sim_time_s / wall_s,

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from uavaccel.metrics.intervals import fisher_exact_p, wilson_interval
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p
 from uavaccel.suites.paper.evidence import Finding, Images, Policies, Trajectories
 
 SIMILAR = 1.8  # STLC above which trajectories look alike (section III-C2a)
@@ -177,7 +177,7 @@ def adsc_fails_accelerated(rl: Policies) -> Finding | None:
     counts = {k: rl.counts("adsc", k) for k in rl.accelerated("adsc")}
     if not counts:
         return None
-    most = wilson_interval(1, 100)[1]
+    most = Proportion(1, 100).interval[1]
     text = ", ".join(f"{k:g}x {won} of {games}" for k, (won, games) in counts.items())
     return Finding(text, all(won / games <= most for won, games in counts.values()))
 

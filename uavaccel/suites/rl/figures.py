@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
-from uavaccel.draw.distances import draw_distances
 from uavaccel.draw.document import Picture
 from uavaccel.draw.style import command_name
-from uavaccel.draw.success import SuccessLine, draw_success
-from uavaccel.draw.training_time import TrainingTime, draw_training_time
-from uavaccel.metrics.intervals import wilson_interval
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import published
 from uavaccel.suites.report import Row, listed
+from uavaccel.suites.rl.distances import plot_distances
+from uavaccel.suites.rl.success import SuccessLine, plot_success
+from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
 
 Cells = Sequence[Mapping[str, Any]]
 TABLE_I, FIGURE_8, FIGURE_9 = (
@@ -46,10 +46,10 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
     pooled = summary["pooled"]
     seeds = listed(sorted({seed for cell in pooled for seed in cell["seeds"]}))
     source = f"modelled · {summary['training_games']} training games each · seed {seeds}"
-    table = draw_success(success_lines(pooled), "Success by training", run.file(TABLE_I), source)
+    table = style.save(plot_success(success_lines(pooled), "Success by training", source), run.file(TABLE_I))
     distances = _by_panel(pooled, lambda cell: distances_m(run, rows, cell))
     rows_m = np.unique(draw_layout(0, Difficulty()).x_m).tolist()
-    figure8 = draw_distances(distances, rows_m, run.file(FIGURE_8), source)
+    figure8 = style.save(plot_distances(distances, rows_m, source), run.file(FIGURE_8))
     pictures = [
         Picture(
             table, f"Table I as a picture: bars are 95 % Wilson intervals, dots are seeds. Source: {source}."
@@ -59,7 +59,7 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
     timed = [cell for cell in pooled if cell["timing"] == "virtual"]
     if timed:
         times = {name: list(panel.values()) for name, panel in _by_panel(timed, training_time).items()}
-        figure9 = draw_training_time(times, run.file(FIGURE_9), source)
+        figure9 = style.save(plot_training_time(times, source), run.file(FIGURE_9))
         pictures.append(
             Picture(
                 figure9,
@@ -80,9 +80,7 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
                 name,
                 members[0]["command"],
                 list(panel),
-                [cell["success_ratio"] for cell in members],
-                [cell["wilson_low"] for cell in members],
-                [cell["wilson_high"] for cell in members],
+                [Proportion.of(cell) for cell in members],
                 by_seed=[
                     [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
                     for cell in members
@@ -97,14 +95,9 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
 
 
 def _papers(cells: Cells) -> SuccessLine:
-    counts = [cell["paper_successes"] for cell in cells]
-    low, high = zip(*(wilson_interval(count, published.GAMES) for count in counts), strict=True)
-    command = cells[0]["command"]
-    clocks = [cell["clock_speed"] for cell in cells]
-    ratios = [count / published.GAMES for count in counts]
-    return SuccessLine(
-        f"{command_name(command)}, the paper's", command, clocks, ratios, low, high, dashed=True
-    )
+    success = [Proportion(cell["paper_successes"], published.GAMES) for cell in cells]
+    command, clocks = cells[0]["command"], [cell["clock_speed"] for cell in cells]
+    return SuccessLine(f"{command_name(command)}, the paper's", command, clocks, success, dashed=True)
 
 
 def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import published
 from uavaccel.suites.report import Report, Summary, listed
@@ -117,10 +118,7 @@ def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def success(cell: Cell) -> str:
     """23 of 100: 23.0 % [15.8, 32.2]."""
-    return (
-        f"{cell['successes']} of {cell['games']}: {cell['success_ratio']:.1%} "
-        f"[{100 * cell['wilson_low']:.1f}, {100 * cell['wilson_high']:.1f}]"
-    )
+    return f"{cell['successes']} of {cell['games']}: {Proportion.of(cell).text(interval_digits=1)}"
 
 
 def _success_line(cell: Cell) -> tuple[str, ...]:

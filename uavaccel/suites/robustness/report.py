@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.draw.success_map import Success, draw_success_maps
-from uavaccel.metrics.intervals import wilson_interval
-from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.report import Report, Row, Summary
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.suites.evaluation.parts import agent_name
+from uavaccel.suites.report import Report, Row, Summary, SummaryCell
+from uavaccel.suites.robustness.success_map import SuccessMap, plot_success_maps
 
 FIGURE = "figures/robustness_map.png"
 FITTED = 1.0
@@ -21,8 +22,6 @@ COLLAPSE_HEADER = (
     "success at the fitted latency",
     "falls below half of that in real time",
 )
-
-Cell = Mapping[str, Any]
 
 
 class RobustnessReport(Report):
@@ -45,8 +44,8 @@ class RobustnessReport(Report):
         source = (
             f"modelled, profile {self.config['profile']} · {lanes} lanes each · seed {self.config['seed']}"
         )
-        drawn = maps(self.summary["cells"])
-        path = draw_success_maps(drawn, FITTED, self.title(), self.run.file(FIGURE), source)
+        figure = plot_success_maps(maps(self.summary["cells"]), FITTED, self.title(), source)
+        path = style.save(figure, self.run.file(FIGURE))
         said = "with 95 % Wilson intervals; the frame is the latency as fitted"
         return [Picture(path, f"{self.title()}, {said}. Source: {source}.")]
 
@@ -63,18 +62,8 @@ class RobustnessReport(Report):
 
 def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     """Every cell with its interval, and for each command and ClockSpeed between which latencies it collapses."""
-    cells = []
-    for row in rows:
-        low, high = wilson_interval(row["successes"], row["games"])
-        kept = ("command", "clock_speed", "latency_scale", "games", "successes", "distance_m_median")
-        cells.append(
-            {
-                **{name: row[name] for name in kept},
-                "success_ratio": row["successes"] / row["games"],
-                "wilson_low": low,
-                "wilson_high": high,
-            }
-        )
+    kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
+    cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
     pairs = sorted({(cell["command"], cell["clock_speed"]) for cell in cells})
     return {
         "suite": "robustness",
@@ -86,59 +75,40 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def collapse(cells: Sequence[Cell], command: str, clock_speed: float) -> dict[str, Any]:
+def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> dict[str, Any]:
     """Between which latencies success falls below half of the command's own in real time at the fitted latency.
 
     `above` is the largest latency below which it never does, `below` the next that was flown; None where there is
     none. Without the cell in real time both are None.
     """
-    line = {
-        cell["latency_scale"]: cell
+    success = {
+        (cell["clock_speed"], cell["latency_scale"]): cell["success_ratio"]
         for cell in cells
-        if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
+        if cell["command"] == command
     }
-    real_time = next(
-        (
-            cell
-            for cell in cells
-            if (cell["command"], cell["clock_speed"], cell["latency_scale"]) == (command, 1.0, FITTED)
-        ),
-        None,
-    )
+    scales = sorted(scale for clock, scale in success if clock == clock_speed)
+    real_time = success.get((1.0, FITTED))
     found: dict[str, Any] = {"above": None, "below": None}
     if real_time is not None:
-        for scale in sorted(line):
-            if line[scale]["success_ratio"] < COLLAPSED * real_time["success_ratio"]:
+        for scale in scales:
+            if success[clock_speed, scale] < COLLAPSED * real_time:
                 found["below"] = scale
                 break
             found["above"] = scale
-    fitted = line.get(FITTED)
-    return {
-        "command": command,
-        "clock_speed": clock_speed,
-        "fitted": None if fitted is None else fitted["success_ratio"],
-        "real_time": None if real_time is None else real_time["success_ratio"],
-        **found,
-    }
+    fitted = success.get((clock_speed, FITTED))
+    return {"command": command, "clock_speed": clock_speed, "fitted": fitted, "real_time": real_time, **found}
 
 
-def maps(cells: Sequence[Cell]) -> dict[str, dict[tuple[float, float], Success]]:
+def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
     """The cells as the figure takes them, ADSC first."""
-    found: dict[str, dict[tuple[float, float], Success]] = {}
+    found: dict[str, dict[tuple[float, float], Proportion]] = {}
     for cell in sorted(cells, key=lambda cell: str(cell["command"])):
         panel = found.setdefault(command_name(cell["command"]), {})
-        panel[cell["latency_scale"], cell["clock_speed"]] = Success(
-            cell["success_ratio"], cell["wilson_low"], cell["wilson_high"]
-        )
-    return found
+        panel[cell["latency_scale"], cell["clock_speed"]] = Proportion.of(cell)
+    return dict(found)
 
 
-def agent_name(agent: str) -> str:
-    """An agent in a sentence."""
-    return "the policy that ships" if agent == DEFAULT else agent
-
-
-def headline(summary: Mapping[str, Any]) -> str:
+def headline(summary: Summary) -> str:
     """How much was flown, by whom."""
     games, points = sum(cell["games"] for cell in summary["cells"]), len(summary["cells"])
     return (
@@ -147,31 +117,32 @@ def headline(summary: Mapping[str, Any]) -> str:
     )
 
 
-def header(summary: Mapping[str, Any]) -> tuple[str, ...]:
+def header(summary: Summary) -> tuple[str, ...]:
+    """A column for each ClockSpeed."""
     return ("command", "latency", *(clock_label(clock) for clock in _clocks(summary)))
 
 
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """A line for each command and latency, below `header`."""
-    cells = {(cell["command"], cell["latency_scale"], cell["clock_speed"]): cell for cell in summary["cells"]}
-    lines = []
-    for command, scale in sorted({key[:2] for key in cells}):
-        line = [cells.get((command, scale, clock)) for clock in _clocks(summary)]
-        lines.append(
-            (command_name(command), f"×{scale:g}", *("-" if each is None else _text(each) for each in line))
+    success = {
+        (cell["command"], cell["latency_scale"], cell["clock_speed"]): Proportion.of(cell).text(0)
+        for cell in summary["cells"]
+    }
+    return [
+        (
+            command_name(command),
+            f"×{scale:g}",
+            *(success.get((command, scale, clock), "-") for clock in _clocks(summary)),
         )
-    return lines
+        for command, scale in sorted({key[:2] for key in success})
+    ]
 
 
-def _clocks(summary: Mapping[str, Any]) -> list[float]:
+def _clocks(summary: Summary) -> list[float]:
     return sorted({cell["clock_speed"] for cell in summary["cells"]})
 
 
-def _text(cell: Cell) -> str:
-    return f"{cell['success_ratio']:.0%} [{100 * cell['wilson_low']:.0f}, {100 * cell['wilson_high']:.0f}]"
-
-
-def _collapse_line(found: Mapping[str, Any]) -> tuple[str, ...]:
+def _collapse_line(found: Summary) -> tuple[str, ...]:
     above, below = found["above"], found["below"]
     if found["real_time"] is None:
         where = "- (1x at the fitted latency was not flown)"

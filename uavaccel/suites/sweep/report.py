@@ -7,16 +7,17 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
-from uavaccel.draw.sweep import Sweep, SweptPoint, draw_sweeps
-from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.suites.evaluation.parts import agent_name
 from uavaccel.suites.report import Report, Row, Summary
-from uavaccel.suites.robustness.report import agent_name
-from uavaccel.suites.sweep.cases import AS_TRAINED, case_id
 from uavaccel.suites.sweep.conditions import UNITS, value_text
+from uavaccel.suites.sweep.figure import plot_sweeps
 
 FIGURE = "figures/sweep.png"
+AS_TRAINED = "as-trained"
 HEADER = ("condition", "value", "success", "95 % interval", "lanes", "median distance, m", "p")
 
 Cell = Mapping[str, Any]
@@ -43,7 +44,8 @@ class SweepReport(Report):
         summary, title = self.summary, self.title()
         provenance = " and ".join(summary["provenance"])
         source = f"{provenance} · {summary['lanes']} lanes each · seed {summary['seed']}"
-        path = draw_sweeps(swept(summary), as_trained(summary), title, self.run.file(FIGURE), source)
+        figure = plot_sweeps(swept(summary), as_trained(summary), title, source)
+        path = style.save(figure, self.run.file(FIGURE))
         said = "with 95 % Wilson intervals; the dashed line is the success as trained"
         return [Picture(path, f"{title}, {said}. Source: {source}.")]
 
@@ -79,19 +81,19 @@ def _conditions(config: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return [("", None), *((name, value) for name, values in config["sweep"].items() for value in values)]
 
 
+def case_id(condition: str, value: Any) -> str:
+    """Name of a condition's row."""
+    return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
+
+
 def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
-    low, high = wilson_interval(row["successes"], row["games"])
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
     return {
         "condition": name,
         "value": value,
-        "games": row["games"],
-        "successes": row["successes"],
-        "success_ratio": row["successes"] / row["games"],
-        "wilson_low": low,
-        "wilson_high": high,
+        **Proportion.of(row).as_summary(),
         "distance_m_median": row["distance_m_median"],
         "mcnemar_p": test,
     }
@@ -102,14 +104,14 @@ def as_trained(summary: Mapping[str, Any]) -> float | None:
     return next((cell["success_ratio"] for cell in summary["cells"] if not cell["condition"]), None)
 
 
-def swept(summary: Mapping[str, Any]) -> list[Sweep]:
-    """The cells as the figure takes them."""
-    sweeps: dict[str, list[SweptPoint]] = {}
+def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
+    """Success by condition and value, as the figure takes it."""
+    sweeps: dict[str, dict[str, Proportion]] = {}
     for cell in summary["cells"]:
         if cell["condition"]:
-            ends = cell["success_ratio"], cell["wilson_low"], cell["wilson_high"]
-            sweeps.setdefault(cell["condition"], []).append(SweptPoint(value_text(cell["value"]), *ends))
-    return [Sweep(_name(name), points) for name, points in sweeps.items()]
+            values = sweeps.setdefault(_name(cell["condition"]), {})
+            values[value_text(cell["value"])] = Proportion.of(cell)
+    return sweeps
 
 
 def headline(summary: Mapping[str, Any]) -> str:
