@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
-from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.report import Report, Summary, SummaryCell
 from uavaccel.suites.source_line import source_line
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
@@ -28,8 +28,6 @@ HEADER = (
     "effective speed-up",
     "gaps beyond the goal timeout",
 )
-
-Entry = Mapping[str, Any]
 
 
 class AblationReport(Report):
@@ -61,7 +59,9 @@ class AblationReport(Report):
         return [self.overview(), Paragraph(_READING), *figures]
 
 
-def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]) -> list[dict[str, Any]]:
+def summarise(
+    variant: str, scores: Sequence[CellScores], cells: Sequence[SummaryCell]
+) -> list[dict[str, Any]]:
     """An entry a command and ClockSpeed: games of all T_moves and rounds pooled, games without latency left out.
 
     The speed-up is the mean over the T_moves of the most rounds, as the paper averages it.
@@ -103,28 +103,23 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]
     return entries
 
 
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """One row of text an entry, below `HEADER`; what cannot be known is "-"."""
     return [_line(entry) for entry in summary["entries"]]
 
 
-def _line(entry: Entry) -> tuple[str, ...]:
-    quartiles = entry["stlc_quartiles"]
+def _line(entry: SummaryCell) -> tuple[str, ...]:
     failed = f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
     return (
         entry["variant"],
         command_name(entry["command"]),
         clock_label(entry["clock_speed"]),
         f"{entry['games']}{failed}",
-        "-" if quartiles is None else f"{quartiles[1]:.3f} [{quartiles[0]:.3f}, {quartiles[2]:.3f}]",
-        _number(entry["position_rmse_m_median"], ".3f"),
-        _number(entry["effective_speedup"], ".2f"),
-        _number(entry["share_beyond_goal_timeout"], ".0%"),
+        or_dash(entry["stlc_quartiles"], lambda q: f"{q[1]:.3f} [{q[0]:.3f}, {q[2]:.3f}]"),
+        or_dash(entry["position_rmse_m_median"], "{:.3f}".format),
+        or_dash(entry["effective_speedup"], "{:.2f}".format),
+        or_dash(entry["share_beyond_goal_timeout"], "{:.0%}".format),
     )
-
-
-def _number(value: float | None, spec: str) -> str:
-    return "-" if value is None else format(value, spec)
 
 
 _READING = (

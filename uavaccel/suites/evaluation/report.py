@@ -10,7 +10,7 @@ from uavaccel.draw.style import command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites import published
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.summary import headline, how_flown, summarise
+from uavaccel.suites.evaluation.summary import how_flown, summarise
 from uavaccel.suites.evaluation.survival import draw_evaluations, evaluations_source
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.report import Report, Summary, summary_table
@@ -29,7 +29,14 @@ class EvaluationReport(Report):
         return f"Evaluation of {self.summary['agent']}"
 
     def headline(self) -> str:
-        return headline(self.summary)
+        """The result in a sentence, with its interval, its clock and its seed."""
+        summary = self.summary
+        return (
+            f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
+            f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {how_flown(summary)}, "
+            f"{summary['command']} at {summary['clock_speed']:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
+            f"seconds per wall second, seed {summary['seed']}"
+        )
 
     def pace(self) -> str:
         return pace(self.run)

@@ -14,7 +14,7 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.report import Row, Summary
+from uavaccel.suites.report import Row
 
 
 def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
@@ -45,16 +45,6 @@ def how_flown(keys: Mapping[str, Any]) -> str:
     """Measured or modelled, and by which simulator, of a summary or of a configuration's keys with its timing."""
     by = flown_by(keys.get("simulator", EXACT), keys.get("device", ""))
     return ", ".join([timing_provenance(keys["timing"]), *filter(None, [by])])
-
-
-def headline(summary: Summary) -> str:
-    """The result in a sentence, with its interval, its clock and its seed."""
-    return (
-        f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
-        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {how_flown(summary)}, "
-        f"{summary['command']} at {summary['clock_speed']:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
-        f"seconds per wall second, seed {summary['seed']}"
-    )
 
 
 def compare(rows: Sequence[Row], other: RunDirectory) -> str:

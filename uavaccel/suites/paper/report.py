@@ -29,10 +29,20 @@ class PaperReport(Report):
         return "The paper, claim by claim"
 
     def headline(self) -> str:
-        return headline(self.summary)
+        """How many claims hold, by profile."""
+        claims, parts = self.summary["claims"], []
+        for profile in PROFILES:
+            counts = Counter(claim[profile]["verdict"] for claim in claims)
+            said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+            parts.append(f"under {profile} {said}")
+        return f"{len(claims)} claims: {'; '.join(parts)}; all times modelled unless a part says measured"
 
     def overview(self) -> Table:
-        return Table(SHORT_HEADER, overview(self.summary))
+        lines = [
+            (row["claim"], row["place"], *(_both(row[profile]) for profile in PROFILES))
+            for row in self.summary["claims"]
+        ]
+        return Table(SHORT_HEADER, lines)
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [
@@ -42,27 +52,6 @@ class PaperReport(Report):
             Paragraph(_INCONSISTENCIES),
             *[block for name in self.config["parts"] for block in _part_blocks(self.run, name)],
         ]
-
-
-def headline(summary: Mapping[str, Any]) -> str:
-    """How many claims hold, by profile."""
-    parts = []
-    for profile in PROFILES:
-        counts = Counter(row[profile]["verdict"] for row in summary["claims"])
-        parts.append(
-            f"under {profile} " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        )
-    return (
-        f"{len(summary['claims'])} claims: {'; '.join(parts)}; all times modelled unless a part says measured"
-    )
-
-
-def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """One row of text for each claim, below `SHORT_HEADER`."""
-    return [
-        (row["claim"], row["place"], *(_both(row[profile]) for profile in PROFILES))
-        for row in summary["claims"]
-    ]
 
 
 def _both(judged: Mapping[str, str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -16,12 +16,11 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import published
-from uavaccel.suites.report import Row, listed
+from uavaccel.suites.report import Row, Summary, SummaryCell, listed
 from uavaccel.suites.rl.distances import plot_distances
 from uavaccel.suites.rl.success import SuccessLine, plot_success
 from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
 
-Cells = Sequence[Mapping[str, Any]]
 TABLE_I, FIGURE_8, FIGURE_9 = (
     "figures/table1_success.png",
     "figures/figure8_distances.png",
@@ -29,19 +28,19 @@ TABLE_I, FIGURE_8, FIGURE_9 = (
 )
 
 
-def panel_name(cell: Mapping[str, Any]) -> str:
+def panel_name(cell: SummaryCell) -> str:
     """TCSC, airsim; where it says more, its clock and variant."""
     clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
     variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
 
 
-def is_papers(cell: Mapping[str, Any]) -> bool:
+def is_papers(cell: SummaryCell) -> bool:
     """Whether the paper has trained so: under AirSim, and nothing else changed."""
     return cell["profile"] == "airsim" and cell["timing"] == "virtual" and not cell["variant"]
 
 
-def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
+def draw_figures(run: RunDirectory, summary: Summary, rows: Sequence[Row]) -> list[Picture]:
     """Table I, Figure 8 and Figure 9 as pictures with their captions."""
     pooled = summary["pooled"]
     seeds = listed(sorted({seed for cell in pooled for seed in cell["seeds"]}))
@@ -69,7 +68,7 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
     return pictures
 
 
-def success_lines(pooled: Cells) -> list[SuccessLine]:
+def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
     """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
     lines: list[SuccessLine] = []
     others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
@@ -94,13 +93,13 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
     return lines
 
 
-def _papers(cells: Cells) -> SuccessLine:
+def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:
     success = [Proportion(cell["paper_successes"], published.GAMES) for cell in cells]
     command, clocks = cells[0]["command"], [cell["clock_speed"] for cell in cells]
     return SuccessLine(f"{command_name(command)}, the paper's", command, clocks, success, dashed=True)
 
 
-def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any]) -> NDArray[np.float64]:
+def distances_m(run: RunDirectory, rows: Sequence[Row], cell: SummaryCell) -> NDArray[np.float64]:
     """Metres north in all evaluation games of a cell, its seeds together."""
     keys = ("variant", "profile", "timing", "command", "clock_speed")
     arrays = [
@@ -111,7 +110,7 @@ def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any])
     return np.concatenate(arrays)
 
 
-def training_time(cell: Mapping[str, Any]) -> TrainingTime:
+def training_time(cell: SummaryCell) -> TrainingTime:
     """Of one training: the mean of the seeds; rendering is part of the paper's simulation."""
     mean_s = {phase: spent / len(cell["seeds"]) for phase, spent in cell["phase_s"].items()}
     phases = {
@@ -131,7 +130,7 @@ def training_time(cell: Mapping[str, Any]) -> TrainingTime:
 
 
 def _by_panel(
-    pooled: Iterable[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], Any]
+    pooled: Iterable[SummaryCell], value: Callable[[SummaryCell], Any]
 ) -> dict[str, dict[float, Any]]:
     panels: dict[str, dict[float, Any]] = {}
     for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):

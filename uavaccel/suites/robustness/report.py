@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.evaluation.parts import agent_name
@@ -34,7 +34,12 @@ class RobustnessReport(Report):
         return f"Success of {agent_name(self.config['agent'])} over latency and ClockSpeed"
 
     def headline(self) -> str:
-        return headline(self.summary)
+        """How much was flown, by whom."""
+        cells, who = self.summary["cells"], agent_name(self.summary["agent"])
+        return (
+            f"{who} in {sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and "
+            f"ClockSpeed, all of it modelled under {self.summary['profile']}"
+        )
 
     def overview(self) -> Table:
         return Table(header(self.summary), table(self.summary))
@@ -108,15 +113,6 @@ def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
     return dict(found)
 
 
-def headline(summary: Summary) -> str:
-    """How much was flown, by whom."""
-    games, points = sum(cell["games"] for cell in summary["cells"]), len(summary["cells"])
-    return (
-        f"{agent_name(summary['agent'])} in {games} games over {points} points of latency and ClockSpeed, all of it "
-        f"modelled under {summary['profile']}"
-    )
-
-
 def header(summary: Summary) -> tuple[str, ...]:
     """A column for each ClockSpeed."""
     return ("command", "latency", *(clock_label(clock) for clock in _clocks(summary)))
@@ -150,7 +146,7 @@ def _collapse_line(found: Summary) -> tuple[str, ...]:
         where = f"nowhere up to ×{above:g}"
     else:
         where = f"at ×{below:g} or less" if above is None else f"between ×{above:g} and ×{below:g}"
-    fitted = "-" if found["fitted"] is None else f"{found['fitted']:.1%}"
+    fitted = or_dash(found["fitted"], "{:.1%}".format)
     return command_name(found["command"]), clock_label(found["clock_speed"]), fitted, where
 
 

@@ -20,7 +20,6 @@ FIGURE = "figures/sweep.png"
 AS_TRAINED = "as-trained"
 HEADER = ("condition", "value", "success", "95 % interval", "lanes", "median distance, m", "p")
 
-Cell = Mapping[str, Any]
 Won = Mapping[str, NDArray[Any]]
 
 
@@ -35,7 +34,17 @@ class SweepReport(Report):
         return f"Success of {agent_name(self.summary['agent'])}, one condition changed at a time"
 
     def headline(self) -> str:
-        return headline(self.summary)
+        """The success as trained, and where it is least."""
+        departed = [cell for cell in self.summary["cells"] if cell["condition"]]
+        usual = as_trained(self.summary)
+        parts = [] if usual is None else [f"{usual:.1%} as trained"]
+        if departed:
+            worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
+            where = f"{worst['condition']} = {value_text(worst['value'])}"
+            parts.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
+        provenance = " and ".join(self.summary["provenance"])
+        who, lanes = agent_name(self.summary["agent"]), self.summary["lanes"]
+        return f"{who} wins {', '.join(parts)}; {provenance}, {lanes} lanes each"
 
     def overview(self) -> Table:
         return Table(HEADER, table(self.summary))
@@ -99,7 +108,7 @@ def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
     }
 
 
-def as_trained(summary: Mapping[str, Any]) -> float | None:
+def as_trained(summary: Summary) -> float | None:
     """The success under the conditions of the training, if that is flown."""
     return next((cell["success_ratio"] for cell in summary["cells"] if not cell["condition"]), None)
 
@@ -114,22 +123,7 @@ def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
     return sweeps
 
 
-def headline(summary: Mapping[str, Any]) -> str:
-    """The success as trained, and where it is least."""
-    departed = [cell for cell in summary["cells"] if cell["condition"]]
-    usual = as_trained(summary)
-    parts = [] if usual is None else [f"{usual:.1%} as trained"]
-    if departed:
-        worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
-        where = f"{worst['condition']} = {value_text(worst['value'])}"
-        parts.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
-    provenance = " and ".join(summary["provenance"])
-    return (
-        f"{agent_name(summary['agent'])} wins {', '.join(parts)}; {provenance}, {summary['lanes']} lanes each"
-    )
-
-
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """A line for each condition, below HEADER."""
     return [
         (

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
@@ -19,7 +19,7 @@ from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
 from uavaccel.suites.training.phases import draw_trainings, told_apart, trainings_source
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
-from uavaccel.suites.training.summary import headline, summarise, summarise_evaluations
+from uavaccel.suites.training.summary import summarise, summarise_evaluations
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
@@ -46,7 +46,14 @@ class TrainingReport(Report):
         return f"Training, {self.config['algorithm']}, seed {self.config['seed']}"
 
     def headline(self) -> str:
-        return headline(self.summary)
+        """The result in a sentence."""
+        summary = self.summary
+        weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
+        return (
+            f"{summary['successes']} of {summary['games']} training games succeeded, "
+            f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
+            f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
+        )
 
     def pace(self) -> str:
         return pace(self.run)
@@ -110,10 +117,10 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
     real_time_s = summary.get("modelled_real_time_s")
     rows = [
         ("games", str(summary["games"]), str(published.TRAINING_GAMES), "counted"),
-        ("wall clock", in_words(wall_s(run)) if wall_s(run) else "-", "-", "measured, start-up not counted"),
+        ("wall clock", or_dash(wall_s(run) or None, in_words), "-", "measured, start-up not counted"),
         (
             "in real time",
-            "-" if real_time_s is None else in_words(real_time_s),
+            or_dash(real_time_s, in_words),
             in_words(published.REAL_TIME_S),
             "ours modelled, the paper's measured",
         ),

@@ -10,8 +10,7 @@ import numpy as np
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.host_time import in_words
-from uavaccel.suites.report import Row, Summary
+from uavaccel.suites.report import Row
 from uavaccel.suites.training.config import TrainConfig
 
 
@@ -47,13 +46,3 @@ def summarise_evaluations(lines: Sequence[Row]) -> list[dict[str, Any]]:
         }
         for line in lines
     ]
-
-
-def headline(summary: Summary) -> str:
-    """The result in a sentence."""
-    weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
-    return (
-        f"{summary['successes']} of {summary['games']} training games succeeded, "
-        f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
-        f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
-    )
