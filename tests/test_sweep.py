@@ -105,7 +105,7 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("wnd=1", "did you mean wind"),
+        ("wnd=1", "did you mean 'wind'"),
         ("wind", "NAME=VALUE"),
         ("wind=", "NAME=VALUE"),
         ("=1", "NAME=VALUE"),

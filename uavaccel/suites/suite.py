@@ -6,7 +6,6 @@ its YAML names it: `suite: my_module:MySuite`.
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 
 import numpy as np
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
 from uavaccel.suites.report import Report, Row
@@ -171,7 +170,5 @@ def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[Row]) 
         return by_interest[0]
     by_name = {row["case"]: row for row in by_interest}
     if case not in by_name:
-        close = difflib.get_close_matches(case, by_name, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(by_name))}"
-        raise UserError(f"--case {case}: not in {run.path}; {hint}")
+        raise UserError(f"--case {case}: not in {run.path}; {suggestion(case, sorted(by_name))}")
     return by_name[case]
