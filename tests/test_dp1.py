@@ -16,11 +16,11 @@ from uavaccel.cli.progress import Progress
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import report as dp1_report
 from uavaccel.suites.dp1.cases import Case
 from uavaccel.suites.dp1.cases import cases as cases_of
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
+from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 
@@ -111,7 +111,7 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of a small run's time, and has tests of its own."""
-    monkeypatch.setattr(dp1_report, "_draw", lambda *_: [])
+    monkeypatch.setattr(Dp1Report, "figures", lambda _: [])
 
 
 def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
