@@ -16,8 +16,8 @@ from uavaccel.sim.saved import State, part, under
 from uavaccel.sim.simulation import DeferredReply
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
-from uavaccel.wire.latency import Latency, channel_of
+from uavaccel.wire.api import CALLS, Api
+from uavaccel.wire.latency import DEFAULT, Latency
 from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
@@ -25,21 +25,13 @@ POLL_NS = 1_000_000
 _READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
-LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next tick
-    {
-        "moveByVelocity",
-        "moveByVelocityZ",
-        "ping",
-        "uavaccelCollision",
-        "uavaccelImage",
-        "uavaccelRecording",
-        "uavaccelSpeed",
-        "uavaccelTrace",
-    }
-)
-AT_ONCE = frozenset(
-    {"pause", "continue", "state"}
-)  # channels whose calls keep a server busy for microseconds
+AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
+
+
+def channel_of(method: str, params: Sequence[object]) -> str:
+    """The kind of latency that a call has."""
+    called = CALLS.get(method)
+    return DEFAULT if called is None else called.channel_of(params)
 
 
 class Call:
@@ -87,7 +79,8 @@ class KnownState:
 
     def sending(self, method: str) -> None:
         """A call that may change the state is about to be sent."""
-        if method not in LEAVES_STATE:
+        called = CALLS.get(method)
+        if called is None or not called.leaves_state:
             self.state = None
 
 
