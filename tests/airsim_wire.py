@@ -11,7 +11,7 @@ import msgpack
 from tests.scenes import BLOCKS
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene_objects import SceneObjects
+from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.watched import WatchedWorld
 from uavaccel.wire import rpc

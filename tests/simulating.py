@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,14 @@ from uavaccel.sim.world import World
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
 
 
-@cache
+_worlds: dict[Profile, World] = {}
+
+
 def world_of(profile: Profile) -> World:
-    return World("blocks", profile)
+    """The profile's world; a new one if a test before has added vehicles, which stay."""
+    if profile not in _worlds or len(_worlds[profile].vehicles) > 1:
+        _worlds[profile] = World("blocks", profile)
+    return _worlds[profile]
 
 
 def simulate(clock_speed: float = 1.0, profile: Profile = NATIVE, **options: Any) -> Simulation:

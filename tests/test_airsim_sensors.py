@@ -11,8 +11,8 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.scenes import Pose
-from uavaccel.sim.earth import GeoPoint, geographic, local, magnetic_field_gauss
 from uavaccel.sim.profile import AIRSIM
+from uavaccel.sim.sensors.earth import GeoPoint, geographic, local, magnetic_field_gauss
 from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
 from uavaccel.sim.world import World

@@ -11,9 +11,9 @@ import pytest
 
 from tests.simulating import answer, simulate
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.earth import geographic
-from uavaccel.sim.flight.goal import Goal, of_velocity
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.sensors.earth import geographic
+from uavaccel.sim.vehicle.goal import Goal, of_velocity
 from uavaccel.wire import arguments, rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.flight_api import facing

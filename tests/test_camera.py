@@ -15,8 +15,8 @@ from tests.scenes import Scene
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
-from uavaccel.sim import gl
-from uavaccel.sim.camera import HEIGHT, WIDTH, Camera
+from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.camera import HEIGHT, WIDTH, Camera
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim import clearance
-from uavaccel.sim.clearance import Clearance
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
+from uavaccel.sim.vehicle import clearance
+from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.world import World
 
 
@@ -140,14 +140,14 @@ def test_no_flight_accelerates_more_than_the_strongest(
     drag = np.linalg.norm(gains["drag_factor_m2"] * density * (airspeed * along) ** 2)
     thrust = 4 * gains["max_thrust_n"] * density / 1.2250
     strongest = (thrust + drag) / gains["mass_kg"] + gains["gravity_m_s2"]
-    assert clearance._strongest_acceleration(gains, speed_m_s + wind_m_s) >= strongest
+    assert clearance.strongest_acceleration(gains, speed_m_s + wind_m_s) >= strongest
 
 
 @settings(max_examples=200)
 @given(distance_m=st.floats(1e-3, 50), speed_m_s=st.floats(0, 15), strongest=st.floats(1, 200))
 def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, strongest: float) -> None:
     """In steps of a thousandth of it: neither there yet, nor faster by more than a gust; and no time is given away."""
-    free_s = clearance._time_to(distance_m, speed_m_s, strongest)
+    free_s = clearance.time_to.py_func(distance_m, speed_m_s, strongest)
     times = np.linspace(0, free_s, 1001)
     gained = strongest * times
     travelled = np.append(0, np.cumsum(np.diff(times) * (speed_m_s + (gained[1:] + gained[:-1]) / 2)))
@@ -184,8 +184,8 @@ def test_the_free_time_is_that_to_the_nearest_of_ground_walls_and_posts(
     room_m = nearest_m - math.hypot(0.3418, 0.045) - 0.01
     speed = float(np.linalg.norm(world.state["velocity"]))
     airspeed = speed + float(np.linalg.norm(wind_m_s))
-    strongest = clearance._strongest_acceleration(world.parameters, airspeed)
-    assert free_s == pytest.approx(clearance._time_to(room_m, speed, strongest), abs=1e-9)
+    strongest = clearance.strongest_acceleration(world.parameters, airspeed)
+    assert free_s == pytest.approx(clearance.time_to.py_func(room_m, speed, strongest), abs=1e-9)
     hull = world.model.geom("quadrotor_hull").id
     true_m = min(
         mujoco.mj_geomDistance(world.model, world.data, hull, geom, 70.0, None)

@@ -11,11 +11,11 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from tests.simulating import simulate, world_of
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim import autopilot
-from uavaccel.sim.earth import GeoPoint, geographic
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.quadrotor import density_ratio
+from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import autopilot
+from uavaccel.sim.vehicle.quadrotor import density_ratio
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, euler_from_quaternion
 from uavaccel.wire import rpc

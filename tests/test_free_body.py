@@ -10,10 +10,10 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.sim.airframe import set_airframe
-from uavaccel.sim.free_body import HUGE, free_step
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.quadrotor import parameters
+from uavaccel.sim.vehicle.airframe import set_airframe
+from uavaccel.sim.vehicle.free_body import HUGE, free_step
+from uavaccel.sim.vehicle.quadrotor import parameters
 from uavaccel.sim.world import FlightError, World
 
 STEPS = 10

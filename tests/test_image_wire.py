@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
-from uavaccel.sim.mounted_camera import MOST_LENSES
+from uavaccel.sim.camera.mounted import MOST_LENSES
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World

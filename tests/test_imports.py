@@ -21,6 +21,7 @@ GROUND = {
         "parent",
         "yaml_io",
         "config",
+        "machine",
         "manifest",
         "records",
         "standstill",

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaccel.sim import autopilot
 from uavaccel.sim.profile import AIRSIM
-from uavaccel.sim.quadrotor import density_ratio
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle import autopilot
+from uavaccel.sim.vehicle.quadrotor import density_ratio
 from uavaccel.sim.world import World
 from uavaccel.units import attitude_difference_rad, euler_from_quaternion
 from uavaccel.wire.api import Api

@@ -8,8 +8,8 @@ import pytest
 from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim import autopilot
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
+from uavaccel.sim.vehicle import autopilot
 from uavaccel.wire.api import Api
 
 TICK_NS = NATIVE.tick_ns

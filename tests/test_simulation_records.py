@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
 from uavaccel.errors import UserError
 from uavaccel.sim import recording as recordings
-from uavaccel.sim import samples
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
+from uavaccel.sim.vehicle import samples
 from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns

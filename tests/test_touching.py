@@ -11,8 +11,8 @@ from tests.simulating import go_to, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.quadrotor import air_density
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.quadrotor import air_density
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.types import EPOCH_NS

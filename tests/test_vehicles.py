@@ -10,9 +10,9 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.scene import DRONE_GROUP, OTHERS_GROUP
+from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle import Newcomer, Start
+from uavaccel.sim.vehicle.vehicle import Newcomer, Start
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

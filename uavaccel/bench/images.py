@@ -14,7 +14,7 @@ from uavaccel.bench.speed import Measurement, elapsed_s
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.gl import describe_renderer
+from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import NATIVE

@@ -22,7 +22,7 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Course, Moment, Task
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim import gl
+from uavaccel.sim.camera import gl
 from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import ImageNoise, noise_seed

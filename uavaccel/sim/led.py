@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.flight.goal import of_velocity
-from uavaccel.sim.quadrotor import Record
-from uavaccel.sim.touch import Touches
-from uavaccel.sim.vehicle import Vehicle
+from uavaccel.sim.vehicle.collisions import Touches
+from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.vehicle.quadrotor import Record
+from uavaccel.sim.vehicle.vehicle import Vehicle
 
 
 class Led:

@@ -14,16 +14,16 @@ from typing import Any
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim import simulation_state
+from uavaccel.sim.deferred_reply import Continue, DeferredReply
 from uavaccel.sim.executor import UNBOUND, Executor
 from uavaccel.sim.flight.commanded import Commanded
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.running import Continue, DeferredReply
 from uavaccel.sim.saved import State
 from uavaccel.sim.tally import Speed, Trace
-from uavaccel.sim.vehicle import Newcomer
+from uavaccel.sim.vehicle.vehicle import Newcomer
 from uavaccel.sim.world import LEVEL, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 

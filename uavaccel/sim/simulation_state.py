@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from uavaccel.clock import Pacer
-from uavaccel.sim.running import Continue, DeferredReply
+from uavaccel.sim.deferred_reply import Continue, DeferredReply
 from uavaccel.sim.saved import State, number_or_none, optional, part, under
 from uavaccel.sim.tally import Speed
 

@@ -12,23 +12,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim import hotloop, world_state
-from uavaccel.sim.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
-from uavaccel.sim.clearance import Clearance
+from uavaccel.sim import world_state
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.led import Led
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State
-from uavaccel.sim.scene import load_scene, scene_path
-from uavaccel.sim.scene_objects import take_over
-from uavaccel.sim.standing import depth, on_the_ground, stand
-from uavaccel.sim.vehicle import BODY, HERE, LEVEL, Newcomer, Start, Vehicle
+from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
+from uavaccel.sim.scene.model import load_scene, scene_path
+from uavaccel.sim.scene.objects import take_over
+from uavaccel.sim.vehicle import hotloop
+from uavaccel.sim.vehicle.clearance import Clearance
+from uavaccel.sim.vehicle.samples import Samples
+from uavaccel.sim.vehicle.standing import depth, on_the_ground, stand
+from uavaccel.sim.vehicle.vehicle import BODY, HERE, LEVEL, Newcomer, Start, Vehicle
 
 if TYPE_CHECKING:
-    from uavaccel.sim.camera import FrontCamera
-    from uavaccel.sim.mounted_camera import MountedCamera
+    from uavaccel.sim.camera.camera import FrontCamera
+    from uavaccel.sim.camera.mounted import MountedCamera
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
@@ -43,7 +44,7 @@ class FlightError(RuntimeError):
 class World(Led):
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
-    `furnished` for AirSim's clients (uavaccel.sim.furnished).
+    `furnished` for AirSim's clients (uavaccel.sim.scene.furnished).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act. Where no vehicle is named, the leading one is meant.
     """
@@ -96,7 +97,7 @@ class World(Led):
 
     def camera(self, width: int, height: int) -> FrontCamera:
         """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
-        from uavaccel.sim.camera import make_camera  # what needs no images needs no OpenGL
+        from uavaccel.sim.camera.camera import make_camera  # what needs no images needs no OpenGL
 
         if (width, height) not in self._cameras:
             self._cameras[width, height] = make_camera(self.model, width, height)
@@ -104,7 +105,7 @@ class World(Led):
 
     def mounted_camera(self, width: int, height: int) -> MountedCamera:
         """A camera to be pointed anywhere, for pictures up to a size; kept. Raises UserError without OpenGL."""
-        from uavaccel.sim.mounted_camera import MountedCamera
+        from uavaccel.sim.camera.mounted import MountedCamera
 
         camera = self._mounted_camera
         if camera is None or camera.width_most < width or camera.height_most < height:

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, TypeVar, get_origin
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.bounds import LONGEST_NAME, STRONGEST_WIND_M_S
-from uavaccel.sim.earth import GeoPoint
-from uavaccel.sim.flight.goal import Yaw
 from uavaccel.sim.poses import Pose
+from uavaccel.sim.scene.bounds import LONGEST_NAME, STRONGEST_WIND_M_S
+from uavaccel.sim.sensors.earth import GeoPoint
+from uavaccel.sim.vehicle.goal import Yaw
 
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # a place that physics still resolves

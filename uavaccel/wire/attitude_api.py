@@ -13,10 +13,10 @@ from typing import Annotated
 import numpy as np
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.autopilot import POSITION, THROTTLE
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import Goal, Yaw
-from uavaccel.sim.flight.manual import RATE_MODE, STICKS, VALID, Sticks
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
+from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim.vehicle.sticks import RATE_MODE, STICKS, VALID, Sticks
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName, flag, number
 from uavaccel.wire.calls import Calls, call, command

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, call

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene_objects import ASSETS
+from uavaccel.sim.scene.objects import ASSETS
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, finite
 from uavaccel.wire.calls import Calls, WithoutEffect, call

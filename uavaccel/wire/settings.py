@@ -18,10 +18,10 @@ from pydantic.alias_generators import to_pascal
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json
-from uavaccel.sim.airsim_keys import AirSimKeys
-from uavaccel.sim.bounds import STRONGEST_WIND_M_S
-from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings

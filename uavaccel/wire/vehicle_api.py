@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import Annotated, NamedTuple
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.earth import geographic
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.vehicle import Newcomer
+from uavaccel.sim.sensors.earth import geographic
+from uavaccel.sim.vehicle.vehicle import Newcomer
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose

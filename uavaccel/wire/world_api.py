@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
-from uavaccel.sim.rays import sees
+from uavaccel.sim.scene.rays import sees
+from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Point, VehicleName, Wind, coordinate
 from uavaccel.wire.calls import Calls, WithoutEffect, call

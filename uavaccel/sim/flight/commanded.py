@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.flight.goal import of_velocity
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
-from uavaccel.sim.running import DeferredReply
+from uavaccel.sim.vehicle.goal import of_velocity
 
 
 class Commanded:

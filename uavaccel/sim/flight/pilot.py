@@ -13,18 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.goal import Goal
-from uavaccel.sim.flight.manual import IDLE, STICKS, VALID, MoveByManual, Sticks, stick_goal
+from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.manual import MoveByManual
 from uavaccel.sim.flight.saved_task import state_of, task_of
 from uavaccel.sim.flight.task import Task
 from uavaccel.sim.recording import CommandLog
-from uavaccel.sim.running import DeferredReply
 from uavaccel.sim.saved import State, number_or_none, optional
+from uavaccel.sim.vehicle.goal import Goal
+from uavaccel.sim.vehicle.sticks import IDLE, STICKS, VALID, Sticks, stick_goal
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uavaccel.sim.simulation import Simulation
-    from uavaccel.sim.vehicle import Vehicle
+    from uavaccel.sim.vehicle.vehicle import Vehicle
 
 OTHERS_LOG_LENGTH = 64  # nobody asks for it
 LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of

@@ -9,8 +9,8 @@ import mujoco
 
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim.furnished import furnished_model, furnished_spec, put_spares_by
 from uavaccel.sim.lane.layout import PLAIN
+from uavaccel.sim.scene.furnished import furnished_model, furnished_spec, put_spares_by
 
 QUADROTOR = "quadrotor"
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which a camera that it carries leaves out
@@ -31,7 +31,7 @@ def load_scene(
 ) -> mujoco.MjModel:
     """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
 
-    `furnished` for AirSim's clients (uavaccel.sim.furnished). Raises UserError for an unknown scene.
+    `furnished` for AirSim's clients (uavaccel.sim.scene.furnished). Raises UserError for an unknown scene.
     """
     path = scene_path(scene, scenery)
     if not others:

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim import autopilot, hotloop
-from uavaccel.sim.airframe import set_airframe
-from uavaccel.sim.flight.goal import Goal
-from uavaccel.sim.flight.manual import IDLE
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
-from uavaccel.sim.samples import Samples
 from uavaccel.sim.saved import State, into_record, of_record, part, under
-from uavaccel.sim.touch import Touches
+from uavaccel.sim.vehicle import autopilot, hotloop
+from uavaccel.sim.vehicle.airframe import set_airframe
+from uavaccel.sim.vehicle.collisions import Touches
+from uavaccel.sim.vehicle.goal import Goal
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
+from uavaccel.sim.vehicle.samples import Samples
+from uavaccel.sim.vehicle.sticks import IDLE
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
 AT_REST_M_S = 0.05

@@ -1,7 +1,7 @@
 """The objects of a scene as AirSim's clients move them: found by name, placed, scaled, spawned and destroyed.
 
 An object is a geom of the world body, moved in place: neither the model nor a GL context is made anew. Places are NED,
-of the object's middle. Spawned objects take spare geoms (uavaccel.sim.furnished); they stand still.
+of the object's middle. Spawned objects take spare geoms (uavaccel.sim.scene.furnished); they stand still.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.boxes import refit_bounding_boxes
-from uavaccel.sim.furnished import PARKED_M, SPARE
 from uavaccel.sim.lane.looks import LOOKS_GROUP
 from uavaccel.sim.poses import Pose
+from uavaccel.sim.scene.bounding_boxes import refit_bounding_boxes
+from uavaccel.sim.scene.furnished import PARKED_M, SPARE
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 
 if TYPE_CHECKING:

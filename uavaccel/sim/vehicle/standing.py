@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import mujoco
 
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.bounds import DEEPEST_M
-from uavaccel.sim.clearance import PLANE
-from uavaccel.sim.touch import deepest_contact
-from uavaccel.sim.vehicle import HERE, Vehicle
+from uavaccel.sim.scene.bounds import DEEPEST_M
+from uavaccel.sim.vehicle.clearance import PLANE
+from uavaccel.sim.vehicle.collisions import deepest_contact
+from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.world import World
