@@ -102,24 +102,21 @@ class Api:
         if bound is None:
             self.refusals.add(method, "is not known here")
             raise rpc.unknown_method(method, len(params))
-        try:
-            return self._call(bound, method, params, wall_ns)
-        except rpc.RpcError as error:
-            if bound.call.joined:
-                self.refusals.add(method, f"was refused: {error.reason}")
-            raise
-
-    def _call(self, bound: BoundCall, method: str, params: Sequence[object], wall_ns: int) -> Any:
+        call = bound.call
+        if not call.required <= len(params) <= call.most:
+            raise self._refused(call, rpc.wrong_arity(method, call.most, len(params)))
         self._context.wall_ns = wall_ns
+        if self.simulation.trace.enabled:
+            self.simulation.note(f"handle {method}", wall_ns)
         try:
-            arguments = bound.call.arguments(params)
-            if self.simulation.trace.enabled:
-                self.simulation.note(f"handle {method}", wall_ns)
-            return bound.handler(*arguments)
-        except rpc.RpcError:
-            raise
+            return bound.handler(*call.arguments(params)) if params else bound.handler()
         except Exception as error:  # costs the caller its call and nobody else, as in rpclib
-            raise self._failed(method, params, error) from error
+            raise self._refused(call, self._failed(method, params, error)) from error
+
+    def _refused(self, call: WireCall, error: rpc.RpcError) -> rpc.RpcError:
+        if call.joined:
+            self.refusals.add(call.name, f"was refused: {error.reason}")
+        return error
 
     def _failed(self, method: str, params: Sequence[object], error: Exception) -> rpc.RpcError:
         """What the client is told. What is not the client's mistake is logged, once for a call and a kind of error."""

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar, get_type_hints
 
-from uavaccel.wire import rpc
 from uavaccel.wire.arguments import coercion_of
 from uavaccel.wire.latency import DEFAULT
 from uavaccel.wire.notices import Notices
@@ -59,14 +58,7 @@ class WireCall:
         return self._channel if isinstance(self._channel, str) else self._channel(params)
 
     def arguments(self, params: Sequence[object]) -> list[object]:
-        """What the method takes for a client's parameters.
-
-        Raises rpc.RpcError for too few or too many of them, ValueError that names the first that is wrong.
-        """
-        if not self.required <= len(params) <= self.most:
-            raise rpc.wrong_arity(self.name, self.most, len(params))
-        if not params:
-            return []
+        """What the method takes for a client's parameters. Raises ValueError that names the first that is wrong."""
         return [coerce(value, name) for value, (coerce, name) in zip(params, self._coercions, strict=False)]
 
 

@@ -15,11 +15,13 @@ def stamp(time_ns: int) -> int:
 
 
 def vector_map(vector: Vector) -> dict[str, float]:
-    return dict(zip(("x_val", "y_val", "z_val"), vector, strict=True))
+    x, y, z = vector
+    return {"x_val": x, "y_val": y, "z_val": z}
 
 
 def quaternion_map(quaternion: Quaternion) -> dict[str, float]:
-    return dict(zip(("w_val", "x_val", "y_val", "z_val"), quaternion, strict=True))
+    w, x, y, z = quaternion
+    return {"w_val": w, "x_val": x, "y_val": y, "z_val": z}
 
 
 def kinematics_map(kinematics: Kinematics) -> dict[str, dict[str, float]]:
