@@ -7,7 +7,7 @@ from 0 to 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import numpy as np
@@ -53,60 +53,67 @@ def sticks(value: object, name: str) -> Sticks:
 Gains = Annotated[Vector, gains]
 
 
+def _fly(calls: Calls, goal: Goal, duration_s: float, vehicle: str) -> Answer:
+    return fly_for(calls.scenery.flying_pilot(vehicle), goal, duration_s, calls.wall_ns)
+
+
+def _by_angles(name: str, yaw_is_rate: bool, z_mode: int) -> Callable[..., Answer]:
+    """A command for an attitude, whose yaw may be a rate and whose z a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll: float,
+        pitch: float,
+        yaw: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        return _fly(self, goals.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
+
+    return move
+
+
+def _by_rates(name: str, z_mode: int) -> Callable[..., Answer]:
+    """A command for body rates, whose z may be a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll_rate: float,
+        pitch_rate: float,
+        yaw_rate: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        return _fly(self, goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
+
+    return move
+
+
+def _set_gains(name: str, level: str) -> Callable[..., None]:
+    """A call that sets the gains of one level of the cascade."""
+
+    @call(name)
+    def set_gains(self: Calls, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
+        self.scenery.flying_pilot(vehicle).vehicle.set_gains(level, kp, ki, kd)
+
+    return set_gains
+
+
 class AttitudeApi(Calls, title="Flight"):
-    # --- attitude, body rates, motors -------------------------------------------------------------
-
-    @command("moveByRollPitchYawZ")
-    def move_by_angles_z(
-        self, roll: float, pitch: float, yaw: float, z: float, duration: Seconds, vehicle: VehicleName = ""
-    ) -> Answer:
-        return self._fly(goals.attitude(roll, pitch, Yaw(yaw, False), z, POSITION), duration, vehicle)
-
-    @command("moveByRollPitchYawThrottle")
-    def move_by_angles_throttle(
-        self, roll: float, pitch: float, yaw: float, z: float, duration: Seconds, vehicle: VehicleName = ""
-    ) -> Answer:
-        """`z` is the throttle."""
-        return self._fly(goals.attitude(roll, pitch, Yaw(yaw, False), z, THROTTLE), duration, vehicle)
-
-    @command("moveByRollPitchYawrateZ")
-    def move_by_yaw_rate_z(
-        self, roll: float, pitch: float, yaw: float, z: float, duration: Seconds, vehicle: VehicleName = ""
-    ) -> Answer:
-        """`yaw` is a rate."""
-        return self._fly(goals.attitude(roll, pitch, Yaw(yaw, True), z, POSITION), duration, vehicle)
-
-    @command("moveByRollPitchYawrateThrottle")
-    def move_by_yaw_rate_throttle(
-        self, roll: float, pitch: float, yaw: float, z: float, duration: Seconds, vehicle: VehicleName = ""
-    ) -> Answer:
-        """`yaw` is a rate, `z` the throttle."""
-        return self._fly(goals.attitude(roll, pitch, Yaw(yaw, True), z, THROTTLE), duration, vehicle)
-
-    @command("moveByAngleRatesZ")
-    def move_by_rates_z(
-        self,
-        roll_rate: float,
-        pitch_rate: float,
-        yaw_rate: float,
-        z: float,
-        duration: Seconds,
-        vehicle: VehicleName = "",
-    ) -> Answer:
-        return self._fly(goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, POSITION), duration, vehicle)
-
-    @command("moveByAngleRatesThrottle")
-    def move_by_rates_throttle(
-        self,
-        roll_rate: float,
-        pitch_rate: float,
-        yaw_rate: float,
-        z: float,
-        duration: Seconds,
-        vehicle: VehicleName = "",
-    ) -> Answer:
-        """`z` is the throttle."""
-        return self._fly(goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, THROTTLE), duration, vehicle)
+    move_by_angles_z = _by_angles("moveByRollPitchYawZ", False, POSITION)
+    move_by_angles_throttle = _by_angles("moveByRollPitchYawThrottle", False, THROTTLE)
+    move_by_yaw_rate_z = _by_angles("moveByRollPitchYawrateZ", True, POSITION)
+    move_by_yaw_rate_throttle = _by_angles("moveByRollPitchYawrateThrottle", True, THROTTLE)
+    move_by_rates_z = _by_rates("moveByAngleRatesZ", POSITION)
+    move_by_rates_throttle = _by_rates("moveByAngleRatesThrottle", THROTTLE)
+    set_rate_gains = _set_gains("setAngleRateControllerGains", "rate")
+    set_angle_gains = _set_gains("setAngleLevelControllerGains", "angle")
+    set_velocity_gains = _set_gains("setVelocityControllerGains", "velocity")
+    set_position_gains = _set_gains("setPositionControllerGains", "position")
 
     @command("moveByMotorPWMs")
     def move_by_motor_pwms(
@@ -119,10 +126,7 @@ class AttitudeApi(Calls, title="Flight"):
         vehicle: VehicleName = "",
     ) -> Answer:
         goal = goals.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
-        return self._fly(goal, duration, vehicle)
-
-    def _fly(self, goal: Goal, duration_s: float, vehicle: str) -> Answer:
-        return fly_for(self.scenery.flying_pilot(vehicle), goal, duration_s, self.wall_ns)
+        return _fly(self, goal, duration, vehicle)
 
     @call("moveByRC")
     def move_by_rc(self, rcdata: Annotated[Sticks, sticks], vehicle: VehicleName = "") -> None:
@@ -143,27 +147,6 @@ class AttitudeApi(Calls, title="Flight"):
             for output, sign in zip(outputs, TURNS, strict=True)
         ]
         return {"rotors": rotors, "timestamp": types.stamp(pilot.kinematics().time_ns)}
-
-    # --- gains ------------------------------------------------------------------------------------
-
-    @call("setAngleRateControllerGains")
-    def set_rate_gains(self, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
-        self._set_gains("rate", kp, ki, kd, vehicle)
-
-    @call("setAngleLevelControllerGains")
-    def set_angle_gains(self, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
-        self._set_gains("angle", kp, ki, kd, vehicle)
-
-    @call("setVelocityControllerGains")
-    def set_velocity_gains(self, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
-        self._set_gains("velocity", kp, ki, kd, vehicle)
-
-    @call("setPositionControllerGains")
-    def set_position_gains(self, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
-        self._set_gains("position", kp, ki, kd, vehicle)
-
-    def _set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector, vehicle: str) -> None:
-        self.scenery.flying_pilot(vehicle).vehicle.set_gains(level, kp, ki, kd)
 
 
 def stick_map(sticks: Sticks) -> dict[str, object]:
