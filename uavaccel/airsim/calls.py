@@ -64,7 +64,7 @@ def _answer(annotation: Any) -> Callable[[Any], Any] | None:
     """What makes a server's answer one of the annotated type; None for a `Future`, whose answer is waited for later."""
     if annotation is Future:
         return None
-    if annotation is Any:
+    if annotation is object:
         return lambda answer: answer
     if annotation is type(None):
         return lambda answer: None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from uavaccel.airsim.calls import Calls, CameraName, remote
 from uavaccel.airsim.types import CameraInfo, DetectionInfo, ImageRequest, ImageResponse, Pose
@@ -123,12 +123,12 @@ class CameraCalls(Calls):
     @remote
     def simGetPresetLensSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simGetLensSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetPresetLensSettings(
@@ -142,7 +142,7 @@ class CameraCalls(Calls):
     @remote
     def simGetPresetFilmbackSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetPresetFilmbackSettings(
@@ -156,7 +156,7 @@ class CameraCalls(Calls):
     @remote
     def simGetFilmbackSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetFilmbackSettings(
@@ -166,12 +166,12 @@ class CameraCalls(Calls):
         camera_name: str | int,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simGetFocalLength(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetFocalLength(
@@ -186,7 +186,7 @@ class CameraCalls(Calls):
     @remote
     def simGetFocusDistance(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetFocusDistance(
@@ -196,7 +196,7 @@ class CameraCalls(Calls):
     @remote
     def simGetFocusAperture(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...
 
     @remote
     def simSetFocusAperture(
@@ -211,4 +211,4 @@ class CameraCalls(Calls):
     @remote
     def simGetCurrentFieldOfView(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any: ...
+    ) -> object: ...

@@ -8,7 +8,6 @@ Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airs
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 from uavaccel.airsim.calls import remote
 from uavaccel.airsim.camera_calls import CameraCalls
@@ -161,5 +160,5 @@ class MultirotorClient(VehicleClient, MultirotorCalls):
 class CarClient(VehicleClient):
     """For scripts that import it. Raises NotImplementedError: no car drives here."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments: object, **options: object) -> None:
         raise NotImplementedError("uavaccel simulates multirotors; there is no car")

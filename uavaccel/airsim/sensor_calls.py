@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 from uavaccel.airsim.calls import Calls, remote
 from uavaccel.airsim.types import (
@@ -41,6 +40,6 @@ class SensorCalls(Calls):
     @remote
     def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
 
-    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> Any:
+    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> object:
         logging.warning("simGetLidarSegmentation API is deprecated, use getLidarData() API instead")
         return self.getLidarData(lidar_name, vehicle_name).segmentation

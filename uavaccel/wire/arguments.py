@@ -17,7 +17,7 @@ from uavaccel.sim.vehicle.goal import Yaw
 
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # a place that physics still resolves
-Coercion = Callable[[Any, str], object]
+Coercion = Callable[[object, str], object]
 Same = TypeVar("Same")
 
 
@@ -154,9 +154,9 @@ def wind(value: object, name: str) -> Vector:
     return speeds
 
 
-def yaw_mode(value: Any, name: str) -> Yaw:
+def yaw_mode(value: object, name: str) -> Yaw:
     """A YawMode, which has degrees, or degrees per second."""
-    if type(value) is not dict and not isinstance(value, Mapping):
+    if not isinstance(value, dict):
         raise ValueError(f"{name} must be a map, not {type(value).__name__}")
     is_rate = flag(value.get("is_rate", True), f"{name}.is_rate")
     return Yaw(math.radians(number(value.get("yaw_or_rate", 0.0), f"{name}.yaw_or_rate")), is_rate)

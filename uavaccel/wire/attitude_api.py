@@ -6,7 +6,6 @@ from 0 to 1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Annotated
 
@@ -17,13 +16,10 @@ from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
 from uavaccel.sim.vehicle.goal import Goal, Yaw
 from uavaccel.sim.vehicle.sticks import RATE_MODE, STICKS, VALID, Sticks
-from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName, flag, number
 from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.flight_api import Answer, Seconds, fly_for
 
-TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
-MAX_SPEED_RAD_S = 669.857
 LARGEST_GAIN = 1e3  # thousands of times SimpleFlight's own
 STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
@@ -132,21 +128,6 @@ class AttitudeApi(Calls, title="Flight"):
     def move_by_rc(self, rcdata: Annotated[Sticks, sticks], vehicle: VehicleName = "") -> None:
         """The sticks of a remote control: they fly the vehicle while no program has control, and moveByManual."""
         self.scenery.flying_pilot(vehicle).move_sticks(rcdata)
-
-    @call("getRotorStates")
-    def rotor_states(self, vehicle: VehicleName = "") -> dict[str, object]:
-        """RotorStates: N and N m at sea level's air, rad/s (RotorActuator.hpp)."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        parameters, outputs = pilot.vehicle.parameters, pilot.vehicle.state["rotor_output"].tolist()
-        rotors = [
-            {
-                "thrust": float(parameters["max_thrust_n"]) * output,
-                "torque_scaler": float(parameters["max_torque_n_m"]) * output * sign,
-                "speed": MAX_SPEED_RAD_S * math.sqrt(output),
-            }
-            for output, sign in zip(outputs, TURNS, strict=True)
-        ]
-        return {"rotors": rotors, "timestamp": types.stamp(pilot.kinematics().time_ns)}
 
 
 def stick_map(sticks: Sticks) -> dict[str, object]:

@@ -23,7 +23,7 @@ from uavaccel.wire import types
 from uavaccel.wire.arguments import Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
-from uavaccel.wire.image_files import png
+from uavaccel.wire.image_files import Pixels, png
 from uavaccel.wire.pictures import Scene, known_type
 from uavaccel.wire.steps import Steps
 
@@ -114,7 +114,7 @@ class ImageApi(Calls, title="Cameras and images"):
     def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
-    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
+    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
         """The picture; or an empty one, and why."""
         try:
             known_type(request.image_type)
@@ -142,7 +142,7 @@ def image_request(value: object, cameras: Cameras) -> ImageRequest:
     return ImageRequest(cameras.named(name), name, image_type, as_float, compress)
 
 
-def lane_layout(lane: Any) -> LaneLayout:
+def lane_layout(lane: object) -> LaneLayout:
     """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")

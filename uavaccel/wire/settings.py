@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -177,7 +177,7 @@ def read_settings(path: Path) -> Settings:
     return validate(Settings, mapping, str(path))
 
 
-def _unknown(value: Any, prefix: str) -> Iterator[str]:
+def _unknown(value: object, prefix: str) -> Iterator[str]:
     """Dotted names of the keys that no field of the models takes."""
     if isinstance(value, BaseModel):
         yield from (f"{prefix}{name}" for name in value.model_extra or {})

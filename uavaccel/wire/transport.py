@@ -95,7 +95,7 @@ class Transport(Protocol):
     Of calls that take no simulated time, and of a continue-for beyond its end, 0.1 s are seen; of others a second.
     """
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         """Issue a call; `blocking` says that the caller waits for it at once.
 
         A `coalesced` one may travel with the next: for a caller who knows that nothing happens before.
@@ -156,7 +156,7 @@ class SocketTransport:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
         call.sent_ns = self.clock.now_ns()
@@ -250,7 +250,7 @@ class VirtualTransport:
         self._handled_ns = clock.now_ns()
         self._unanswered: Call | None = None  # the last command sent without waiting
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
         arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())

@@ -22,6 +22,8 @@ from uavaccel.wire.vehicles import free_place, put_at, standing
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond them a tick's drag or turn is no small change
 KIND = "simpleflight"
+TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
+MAX_SPEED_RAD_S = 669.857
 
 
 class Motion(NamedTuple):
@@ -123,6 +125,21 @@ class VehicleApi(Calls, title="Vehicles"):
             "landed_state": 0 if pilot.vehicle.landed else 1,
             "rc_data": types.rc_data_map() | stick_map(pilot.sticks),
         }
+
+    @call("getRotorStates")
+    def rotor_states(self, vehicle: VehicleName = "") -> dict[str, object]:
+        """RotorStates: N and N m at sea level's air, rad/s (RotorActuator.hpp)."""
+        pilot = self.scenery.flying_pilot(vehicle)
+        parameters, outputs = pilot.vehicle.parameters, pilot.vehicle.state["rotor_output"].tolist()
+        rotors = [
+            {
+                "thrust": float(parameters["max_thrust_n"]) * output,
+                "torque_scaler": float(parameters["max_torque_n_m"]) * output * sign,
+                "speed": MAX_SPEED_RAD_S * math.sqrt(output),
+            }
+            for output, sign in zip(outputs, TURNS, strict=True)
+        ]
+        return {"rotors": rotors, "timestamp": types.stamp(pilot.kinematics().time_ns)}
 
     @call("simGetCollisionInfo")
     def collision_info(self, vehicle: VehicleName = "") -> dict[str, object]:
