@@ -23,7 +23,10 @@ from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.spans import make_desk
 
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
-ABOVE = ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch")
+ABOVE = {
+    "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
+    "uavaccel.rl": ("device_replay", "device_dqn"),
+}
 
 
 class Plan(NamedTuple):
@@ -201,6 +204,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def _forget() -> None:
-    for name in ABOVE:
-        sys.modules.pop(f"uavaccel.envs.{name}", None)
-        vars(uavaccel.envs).pop(name, None)
+    for room, names in ABOVE.items():
+        for name in names:
+            sys.modules.pop(f"{room}.{name}", None)
+            vars(import_module(room)).pop(name, None)

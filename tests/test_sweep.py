@@ -13,12 +13,12 @@ from tests.drawing import texts, tick_texts
 from tests.running import configured, run_into
 from uavaccel.cli.evaluate import sweep_agent
 from uavaccel.cli.run import RunRequest
-from uavaccel.draw.sweep import plot_sweeps
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.sweep.conditions import SHORT, keys_of, parse_sweep
 from uavaccel.suites.sweep.config import SweepConfig
+from uavaccel.suites.sweep.figure import plot_sweeps
 from uavaccel.suites.sweep.report import summarise, swept, table
 from uavaccel.suites.sweep.suite import Sweep
 
@@ -105,7 +105,7 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("wnd=1", "did you mean wind"),
+        ("wnd=1", "did you mean 'wind'"),
         ("wind", "NAME=VALUE"),
         ("wind=", "NAME=VALUE"),
         ("=1", "NAME=VALUE"),

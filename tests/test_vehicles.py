@@ -99,7 +99,7 @@ def test_the_first_flies_as_if_it_were_alone(profile: Profile) -> None:
         if api is two:
             call(api, "takeoff", 20.0, "B")
         go_on(api, 3.0)
-    states = [api.simulation.world.state for api in (alone, two)]
+    states = [api.simulation.world.lead.state for api in (alone, two)]
     for name in ("position", "quaternion", "velocity", "rotor_output", "z_integral", "tick"):
         assert np.array_equal(states[0][name], states[1][name]), name
     assert place(two, "B")[2] < -0.5

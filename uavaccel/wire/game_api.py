@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.simulation import DeferredReply
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire.arguments import Coordinate, number
 from uavaccel.wire.calls import Calls, call
@@ -58,7 +58,7 @@ class GameApi(Calls, title="Games"):
         simulation.records_game = True
         simulation.pause(wall_ns)
         simulation.reset(wall_ns, (START_M[0], START_M[1], height_m), recording=True)
-        simulation.api_control = True
+        simulation.lead.api_control = True
         return encode_state(simulation.kinematics())
 
     @call("uavaccelSetClockSpeed")
@@ -79,7 +79,7 @@ class GameApi(Calls, title="Games"):
     def collision(self) -> dict[str, object]:
         """When, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        touch = world.touches.first
+        touch = world.lead.touches.first
         if touch is None:
             return {}
         return {

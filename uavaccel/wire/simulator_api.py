@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from uavaccel.sim.simulation import DeferredReply
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire.arguments import number
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.flight_api import LONGEST_S
