@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.records import RunDirectory
@@ -48,7 +49,14 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
 
 def row_table(rows: Sequence[Mapping[str, Any]]) -> Columns:
     """A column per dotted key; lists, and what one row has and another lacks, as JSON and None."""
-    flat = [dict(_leaves(row)) for row in rows]
+    flat = [
+        {
+            key: json.dumps(value) if isinstance(value, list) else value
+            for key, value in dotted_keys(row).items()
+            if value != {}
+        }
+        for row in rows
+    ]
     names = list(dict.fromkeys(name for line in flat for name in line))
     return {name: _of_one_kind([line.get(name) for line in flat]) for name in names}
 
@@ -76,14 +84,6 @@ def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Col
                 table |= {name if single else f"{name}.{n}": flat[:, n] for n in range(flat.shape[1])}
         if table:
             yield length, table
-
-
-def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _leaves(inner, f"{key}.{name}" if key else str(name))
-    else:
-        yield key, json.dumps(value) if isinstance(value, list) else value
 
 
 def _written(path: Path, table: Columns, write: Any) -> Path:
