@@ -13,7 +13,7 @@ from uavaccel.suites.dp1 import cases as dp1_cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.suites.dp1.suite import CALL_S, CALLS, RECORDER_BYTES_PER_S
-from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
+from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 
@@ -70,11 +70,11 @@ class Ablation(Suite[AblationConfig, Case]):
     ) -> AbstractContextManager[Sessions]:
         return _opened(config, timing)
 
-    def fly(self, config: AblationConfig, case: Case, opened: Sessions) -> Flown:
+    def fly(self, config: AblationConfig, case: Case, opened: Sessions) -> GameResult:
         experiment, session = opened.of(case.variant)
         row, arrays = fly_game(experiment, case.game, session)
         name = config.variants[case.variant].name
-        return Flown(row | {"suite": self.name, "case": case.id, "variant": name}, arrays)
+        return GameResult(row | {"suite": self.name, "case": case.id, "variant": name}, arrays)
 
     def cost(self, config: AblationConfig, case: Case) -> Cost:
         calls_s = CALLS * CALL_S * case.simulated_s() / case.game.t_move_s

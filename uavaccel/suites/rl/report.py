@@ -9,7 +9,7 @@ from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.report import Report, Summary, SummaryCell, listed
 from uavaccel.suites.rl.figures import draw_figures, panel_name
 from uavaccel.suites.rl.summary import KEY, summarise
@@ -93,7 +93,10 @@ class RlReport(Report):
             blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
         if summary["as_trained"]:
             lines = [_as_trained(flown) for flown in summary["as_trained"]]
-            blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
+            blocks += [
+                Heading("GameResult at the ClockSpeed of the training"),
+                Table(AS_TRAINED_HEADER, lines),
+            ]
         minutes = _machine_minutes(self.run, self.rows)
         return [
             *blocks,
@@ -208,7 +211,7 @@ def _key(cell: SummaryCell) -> tuple[Any, ...]:
 
 
 _WHAT_N_TELLS = (
-    f"The paper evaluated one training of each kind in {published.GAMES} games. Of its differences only the "
+    f"The paper evaluated one training of each kind in {paper_results.GAMES} games. Of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = "
     "0.19. 100 games tell ratios 16 points apart, 300 nine points, 1 000 five. Wilson intervals and Fisher's test "
     "here are of pooled games, and so of these very policies: what another training would have given is seen in "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.report import Row
 
 Arrays = Callable[[Row], Mapping[str, NDArray[Any]]]
@@ -64,7 +64,7 @@ def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> d
     """All seeds of one training together, against the same at 1x and against the paper."""
     first = members[0]
     key = [first[each] for each in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = published.speedups(*key)
+    simulation, whole = paper_results.speedups(*key)
     other = [] if first["clock_speed"] == 1.0 else real_time
     return {
         **{each: first[each] for each in KEY},
@@ -72,7 +72,7 @@ def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> d
         "successes_by_seed": [row["evaluations"][0]["successes"] for row in members],
         **pooled_success(members, 0),
         "trained_games": sum(row["training"]["games"] for row in members),
-        "paper_successes": published.successes(*key),
+        "paper_successes": paper_results.successes(*key),
         **against(members, other, 0, load),
         **_times(members, real_time),
         "paper_training_speedup": simulation,
