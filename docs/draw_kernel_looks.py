@@ -15,7 +15,7 @@ import numpy as np
 from uavaccel.kernels.looks import empty_scenes, fill_scenes, read_looks
 from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
 from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.lane.layout import Difficulty, draw_layout, lane_seed
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.poses import Pose

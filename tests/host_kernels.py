@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -17,11 +18,15 @@ import torch as th
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import cpu, lanes
+from uavaccel.kernels import cpu, lane_clocks, lanes
 from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.spans import make_desk
 
-NAME, ABOVE = "uavaccel.kernels.cuda", ("cuda_lanes", "cuda_batch")
+NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
+ABOVE = {
+    "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
+    "uavaccel.rl": ("device_replay", "device_dqn"),
+}
 
 
 class Plan(NamedTuple):
@@ -32,20 +37,60 @@ class Plan(NamedTuple):
     sensor: Any
 
 
+def launch(run: Callable[..., None]) -> Any:
+    """`kernel[grid](...)` runs."""
+
+    class Launch:
+        def __getitem__(self, grid: Any) -> Callable[..., None]:
+            return run
+
+    return Launch()
+
+
+class ClockKernels:
+    """The same of kernels/cuda_clocks: kernels/lane_clocks' functions, lane by lane."""
+
+    def __getattr__(self, name: str) -> Any:
+        return launch(
+            getattr(type(self), f"run_{name}", None) or partial(_each_lane, getattr(lane_clocks, name))
+        )
+
+    @staticmethod
+    def run_begin(which: Any, rows: Any, scales: Any, games: Any, *clocks: Any) -> None:
+        for lane in np.flatnonzero(which):
+            lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, *clocks)
+
+    @staticmethod
+    def run_reach(
+        which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any
+    ) -> None:
+        looking[:] = 0
+        _each_lane(lane_clocks.reach, which, sample, now, timing, clocks, looking, legs)
+
+    @staticmethod
+    def run_keep(which: Any, now: Any, clocks: Any, to_shown: Any) -> None:
+        _each_lane(lane_clocks.keep_shown, which & (to_shown >= 0), now, clocks)
+
+    @staticmethod
+    def run_turn(which: Any, now: Any, clocks: Any) -> None:
+        _each_lane(lane_clocks.turn_to_shown, which, now, clocks)
+
+
+def _each_lane(function: Callable[..., None], which: Any, *arguments: Any) -> None:
+    for lane in np.flatnonzero(which):
+        function(lane, *arguments)
+
+
 class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
         self._desk, self._picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+        self._levels: dict[int, Any] = {}  # sums of the picture that a lane has drawn last
 
     def __getattr__(self, name: str) -> Any:
         work: Callable[..., None] = getattr(type(self), f"run_{name}")
-
-        class Launch:
-            def __getitem__(launch, grid: Any) -> Callable[..., None]:  # noqa: N805 - `self` is the kernels
-                return lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments)
-
-        return Launch()
+        return launch(lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments))
 
     def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
         for lane in which:
@@ -65,7 +110,8 @@ class Kernels:
     ) -> None:
         for lane in which:
             cpu.draw_gray(lane, plan.looks, games, now, 1, self._desk, self._picture)
-            cpu.start_single(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
+            self._levels[lane] = self._desk.channels[0].sum()
+            cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
     def run_see_noise(
         self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
@@ -78,9 +124,10 @@ class Kernels:
                 continue
             game = now.game[lane]
             cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._desk, self._picture)
+            self._levels[lane] = self._desk.channels[0].sum()
             time_s = cpu.moment_ns(lane, now, tick_ns) * cpu.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
-            cpu.see_single(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
+            cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
             cpu.take_events(lane, pixels, frames[lane][None])
 
     def run_show(
@@ -93,8 +140,17 @@ class Kernels:
                 continue
             if kind == cpu.COLOUR:
                 cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._desk, frames[lane])
+                self._levels[lane] = self._desk.channels.sum(axis=(1, 2))
             else:
                 cpu.draw_depth(lane, plan.looks, games, now, self._desk, frames[lane])
+
+    def run_add_grey(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
+        for lane in which:
+            sums[lane, 0] = self._levels[lane]
+
+    def run_add_colours(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
+        for lane in which:
+            sums[lane] = self._levels[lane]
 
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
@@ -120,8 +176,10 @@ def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
     return tensor, shared(tensor).view(arrays.dtype)
 
 
-def _size(name: str) -> int:
+def _size(name: str) -> Any:
     """Of grids and rooms, of which nothing here makes use."""
+    if name == "grid":
+        return lambda threads, per_block: (1, 1)
     if not name.isupper():
         raise AttributeError(name)
     return 1
@@ -135,6 +193,10 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     module.__dict__.update(functions, Plan=Plan, compiled=lambda usual: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
+    clocks = ModuleType(CLOCKS)
+    clocks.__dict__["compiled"] = ClockKernels
+    monkeypatch.setitem(sys.modules, CLOCKS, clocks)
+    monkeypatch.setattr(uavaccel.kernels, "cuda_clocks", clocks, raising=False)
     _forget()
     monkeypatch.setattr(import_module("uavaccel.envs.cuda_batch"), "DEVICE", "cpu")
     yield
@@ -142,6 +204,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def _forget() -> None:
-    for name in ABOVE:
-        sys.modules.pop(f"uavaccel.envs.{name}", None)
-        vars(uavaccel.envs).pop(name, None)
+    for room, names in ABOVE.items():
+        for name in names:
+            sys.modules.pop(f"{room}.{name}", None)
+            vars(import_module(room)).pop(name, None)

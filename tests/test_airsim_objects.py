@@ -11,9 +11,9 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from uavaccel.resources import asset
-from uavaccel.sim.furnished import SPARES, furnished_spec, put_spares_by
-from uavaccel.sim.rays import cast
-from uavaccel.sim.scene_objects import take_over
+from uavaccel.sim.scene.model import SPARES, furnished_spec, put_spares_by
+from uavaccel.sim.scene.objects import take_over
+from uavaccel.sim.scene.rays import cast
 from uavaccel.wire import rpc
 from uavaccel.wire.segmentation import colours
 
@@ -110,7 +110,7 @@ def test_what_is_spawned_has_its_form_stops_the_vehicle_and_goes(
     assert not wire.call("simDestroyObject", "crate")
     wire.call("reset")
     assert ahead_m(wire) == pytest.approx(42.0)
-    wire.simulation.api_control = True
+    wire.simulation.lead.api_control = True
     wire.call("moveByVelocityZ", 4.0, 0.0, -10.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(3.0)
     assert not wire.call("simGetCollisionInfo", "")["has_collided"]
@@ -203,7 +203,7 @@ def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire
 def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
     """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
     from uavaccel.sim.profile import NATIVE
-    from uavaccel.sim.scene_objects import SceneObjects
+    from uavaccel.sim.scene.objects import SceneObjects
     from uavaccel.sim.world import World
 
     world = World("blocks", NATIVE, furnished=True)

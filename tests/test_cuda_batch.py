@@ -19,11 +19,16 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 
 LANES = 3
+VIRTUAL = {"timing": "virtual", "max_commands": 3, "knows": ["frame_age"], "image_processing_s": 0.02}
 FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (ObstacleLane, {"max_commands": 2, "knows": ["last_action", "frame_age"], "history": 2}),
     (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
     (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
     (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
+    (ObstacleLane, VIRTUAL | {"command": "adsc", "clock_speed": 5.0}),
+    (ObstacleLane, VIRTUAL | {"command": "tcsc", "profile": "airsim", "clock_speed": 20.0}),
+    (ObstacleLane, VIRTUAL | {"command": "adsc", "profile": "airsim", "observation": "colour"}),
+    (Hover, {"timing": "virtual", "command": "adsc", "clock_speed": 10.0, "hold_s": 0.4, "max_commands": 6}),
 ]
 
 

@@ -251,11 +251,11 @@ def test_a_flight_that_diverges_is_a_row_with_an_error(
     config = paper_config(clock_speed=[100.0], t_move_s=[0.1], rounds=[1], games=1)
     with VirtualSession(SCENE, "native", config.latency) as session:
         for command in ("adsc", "tcsc"):
-            session._world(1.0).state["wind"] = 1e200
+            session._world(1.0).lead.state["wind"] = 1e200
             case = case_of(config, f"{command}-k100-t0.1-r1-g00")
             row, _ = fly_game(config, case, session)
             assert "mjWARN_BAD" in row["error"]
-            session._world(1.0).state["wind"] = 0.0
+            session._world(1.0).lead.state["wind"] = 0.0
             row, arrays = fly_game(config, case, session)
             assert row["error"] is None
             assert np.isfinite(arrays["position_m"]).all()

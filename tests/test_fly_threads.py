@@ -96,9 +96,15 @@ def test_events_conditions_and_queues_wake_who_waits(script: Any) -> None:
     assert [full.get_nowait(), full.get_nowait(), full.empty()] == [3, 4, True]
 
 
-def test_who_waits_for_nobody_is_told(script: Any) -> None:
+def test_who_waits_for_nobody_is_told() -> None:
+    """Whatever else the process did before the script, such as a library's thread that waits for its own work."""
+    done = threading.Event()
+    threading.Thread(target=done.wait, daemon=True).start()
+    turns = Turns(VirtualClock())
+    modules = ThreadKinds(turns).modules()
     with pytest.raises(RuntimeError, match="would wait for ever"):
-        script.threading.Event().wait()
+        modules["threading"].Event().wait()
+    done.set()
 
 
 def test_who_all_wait_for_each_other_are_told(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,10 +10,10 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.sim.airframe import set_airframe
-from uavaccel.sim.free_body import HUGE, free_step
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.quadrotor import parameters
+from uavaccel.sim.vehicle.airframe import set_airframe
+from uavaccel.sim.vehicle.free_body import HUGE, free_step
+from uavaccel.sim.vehicle.quadrotor import parameters
 from uavaccel.sim.world import FlightError, World
 
 STEPS = 10
@@ -68,6 +68,6 @@ def test_a_flight_that_breaks_down_in_open_air_is_mujocos_to_report() -> None:
     world = World("lane", NATIVE)
     world.advance(100)
     assert world.clearance.left_out
-    world.state["wind"] = (1e9, 0.0, 0.0)
+    world.lead.state["wind"] = (1e9, 0.0, 0.0)
     with pytest.raises(FlightError, match="mjWARN_BAD"):
         world.advance(50)

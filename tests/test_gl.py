@@ -13,8 +13,8 @@ from tests.opengl import needs_opengl
 from tests.scenes import Scene
 from uavaccel.bench.camera import frame_rates
 from uavaccel.errors import UserError
-from uavaccel.sim import gl
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.camera import Camera
 
 
 @needs_opengl
@@ -36,7 +36,7 @@ def test_contexts_open_and_close_many_times(lane_scene: Scene) -> None:
 LOOK = """
 import mujoco, sys
 from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera.camera import Camera
 model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
 camera, dropped = Camera(model), Camera(model, 32, 18)
 print(camera.colour(mujoco.MjData(model)).any())
@@ -81,7 +81,7 @@ if __name__ == "__main__":
 WORKER = """
 import mujoco
 from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera.camera import Camera
 
 kept = []
 

@@ -12,12 +12,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FLY = """
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 world = World("blocks", NATIVE)
-world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
+world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0))))
 world.advance(100)
-print(world.state["position"][0])
+print(world.lead.state["position"][0])
 """
 
 
@@ -36,13 +37,15 @@ def test_a_change_of_any_file_that_the_hot_loop_reaches_is_flown(tmp_path: Path)
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     sim = tmp_path / "uavaccel" / "sim"
     (sim / "sign.py").write_text("SIGN = 1.0\n")
-    function = "from numba import njit\nfrom uavaccel.sim import sign\n\n\n@njit\ndef signed(x):\n    return {} * x\n"
+    imports = "from uavaccel.parts import part\nfrom uavaccel.sim import sign\n"
+    function = imports + "\n\n@part\ndef signed(x):\n    return {} * x\n"
     (sim / "signed.py").write_text(function.format("sign.SIGN"))
-    pilot = (sim / "autopilot.py").read_text()
+    pilot = (sim / "vehicle" / "autopilot.py").read_text()
     pilot = pilot.replace(
-        "from numba import njit\n", "from numba import njit\nfrom uavaccel.sim.signed import signed\n"
+        "from uavaccel.parts import part\n",
+        "from uavaccel.parts import part\nfrom uavaccel.sim.signed import signed\n",
     )
-    (sim / "autopilot.py").write_text(
+    (sim / "vehicle" / "autopilot.py").write_text(
         pilot.replace("pitch_goal = -tilt_goal(", "pitch_goal = -signed(1.0) * tilt_goal(")
     )
     before = flown_m(tmp_path)

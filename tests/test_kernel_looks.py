@@ -23,7 +23,7 @@ from uavaccel.kernels.looks import empty_scenes, fill_scene, fill_scenes, mipmap
 from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
 from uavaccel.kernels.project import project
 from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera, make_cameras_with
+from uavaccel.sim.camera.camera import Camera, make_cameras_with
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout, lane_seed
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.units import (

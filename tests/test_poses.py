@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uavaccel.sim.earth import GeoPoint, geographic, local
 from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.sensors.earth import GeoPoint, geographic, local
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import rpc
 

@@ -9,7 +9,7 @@ import pytest
 
 from uavaccel.envs import batch
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.sim import gl
+from uavaccel.sim.camera import gl
 
 LOADED = """
 import sys

@@ -6,10 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,10 +27,8 @@ from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.factory import make_learner
-from uavaccel.rl.lanes import Lanes, make_lanes, seed_lanes
-from uavaccel.rl.learner import learning_rhythm
+from uavaccel.rl.lanes import Lanes, make_lanes
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
-from uavaccel.rl.replay import Batch
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.runner import begin_run, run_suite
@@ -55,8 +51,12 @@ from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training import flights
 from uavaccel.suites.training.suite import Training
 from uavaccel.yaml_io import load_yaml
+from tests.test_training import side_by_side
+
+flights.make_lanes = side_by_side
 
 def die(case, row):
     if row["game"] + 1 == int(sys.argv[3]):
@@ -65,6 +65,20 @@ def die(case, row):
 config = validate(TrainConfig, load_yaml(sys.argv[1]), sys.argv[1])
 run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {}), on_flown=die)
 """
+
+
+def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
+    """As make_lanes, but in this process."""
+    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
+    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_processes() -> Iterator[None]:
+    """Lanes fly in this process, whose weights are those of lanes in others: so says a test of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "make_lanes", side_by_side)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -187,16 +201,9 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
     assert find_checkpoint(tmp_path / "elsewhere") is None
 
 
-def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
-    """As make_lanes, but in this process."""
-    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
-    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
-
-
 def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(training, "make_lanes", side_by_side)
     config, without = (tiny_config(STATE, mirror=False, **keys) for keys in (EVALUATED, {}))
     summary = train_into(tmp_path / "evaluated", config)
     evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
@@ -239,7 +246,6 @@ class GamesHere:
 def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "make_lanes", side_by_side)
     monkeypatch.setattr("uavaccel.suites.training.evaluations.GamesInBatch", GamesHere)
     config = tiny_config(STATE, mirror=False, games=7, checkpoint_games=4, **EVALUATED)
     whole, cut = (begin_run(Training(), config, tmp_path / name, {}) for name in ("whole", "cut"))
@@ -264,74 +270,23 @@ def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny_config(STATE, mirror=False, environments=2)
-    processes = train_into(tmp_path / "processes", config)
-    monkeypatch.setattr(training, "make_lanes", side_by_side)
-    assert train_into(tmp_path / "one", config) == processes
+    one = train_into(tmp_path / "one", config)
+    monkeypatch.setattr(training, "make_lanes", make_lanes)
+    assert train_into(tmp_path / "processes", config) == one
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
 
 
-def test_lanes_in_turns_are_learned_from_row_by_row(tmp_path: Path) -> None:
-    config = tiny_config(STATE, mirror=False, environments=3, turns=2)
-    lanes = make_lanes(config.task, 3)
-    try:
-        learner = DoubleDQN(config, lanes)
-        seed_lanes(lanes, config.seed)
-        while len(learner.buffer) < 10:
-            learner.advance()
-        assert [len(group) for group in learner.groups] == [2, 1]
-        stored = learner.buffer.get_state()
-        goes_on = stored["dones"][:9] == 0  # elsewhere the next observation is that of another game
-        assert goes_on.sum() > 20
-        assert np.array_equal(stored["next_observations"][:9][goes_on], stored["observations"][1:10][goes_on])
-    finally:
-        lanes.close()
-
-
-def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path) -> None:
+def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "make_lanes", make_lanes)
+    killed = KILLED.replace("flights.make_lanes", "_")
     config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     (tmp_path / "config.yaml").write_text(to_yaml(config))
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "7"]
+    command = [sys.executable, "-c", killed, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "7"]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
     resumed = train_into(tmp_path / "killed", config, resume=True)
     assert resumed == train_into(tmp_path / "whole", config)
-
-
-class Logged(DummyVecEnv):
-    """Says when it is told to fly, and when it is waited for."""
-
-    def __init__(self, said: list[str]) -> None:
-        super().__init__([lambda: ObstacleLane(max_commands=12, **STATE)])
-        self.said = said
-
-    def step_async(self, actions: Any) -> None:
-        self.said.append("flies")
-        super().step_async(actions)
-
-    def step_wait(self) -> Any:
-        self.said.append("waited for")
-        return super().step_wait()
-
-
-def test_the_learner_learns_while_the_lanes_fly() -> None:
-    said: list[str] = []
-    lanes = Logged(said)
-    learner: Any = untrained(lanes, task=STATE, mirror=False)
-    for name in ("_draw", "_step"):
-        setattr(learner, name, partial(say_and, said, getattr(learner, name)))
-    for _ in range(12):  # it learns after eight commands, and then after every fourth
-        learner.advance()
-    assert (learner.owed, learner.updates) == (1, 0)
-    for _ in range(4):
-        learner.advance()
-    assert (learner.owed, learner.updates) == (1, 1)
-    alone, beside = ["flies", "waited for"], ["flies", "learns", "waited for"]
-    assert said == [*alone * 12, *beside * 2, *alone * 2]  # a gradient step has two parts
-    lanes.close()
-
-
-def say_and(said: list[str], part: Callable[[], None]) -> None:
-    said.append("learns")
-    part()
 
 
 # --- schedules and records --------------------------------------------------------------------------------------
@@ -344,39 +299,6 @@ def test_exploration_falls_with_games_however_long_they_are(tmp_path: Path, lock
         # From 1 to 0.01 over the first 0.3 of four games, as it was before each game's end.
         expected = [1.0, 1.0 - 0.99 * 0.25 / 0.3, 0.01, 0.01]
         assert [row["exploration"] for row in run.rows()] == pytest.approx(expected)
-
-
-def test_learning_rate_and_exploration_fall_with_games() -> None:
-    lanes = side_by_side(LaneTask(max_commands=2, observation="state"), 1)
-    learner = untrained(lanes, task=STATE, mirror=False, games=4)
-    expected = {0: (3e-4, 1.0), 1: (3e-4 * (0.02 + 0.98 * 0.75), 1.0 - 0.99 * 0.25 / 0.3), 4: (6e-6, 0.01)}
-    for games, (rate, exploration) in expected.items():
-        learner.games = games
-        learner._schedule()
-        assert (learner.rate, learner.exploration_rate) == pytest.approx((rate, exploration))
-    lanes.close()
-
-
-def test_the_target_network_follows_now_and_then() -> None:
-    """Every 16 commands, whatever the number of lanes; in between it stays as it is."""
-    lanes = side_by_side(LaneTask(max_commands=50, observation="state"), 2)
-    learner = untrained(lanes, task=STATE, mirror=False, environments=2)
-    first = next(learner.policy.q_net.parameters())
-    target = next(learner.policy.q_net_target.parameters())
-    with th.no_grad():
-        first.add_(1.0)
-    for steps in range(1, 9):
-        learner._schedule()
-        assert th.equal(first, target) == (steps == 8)
-    lanes.close()
-
-
-@pytest.mark.parametrize(
-    ("commands", "environments", "rhythm"), [(4, 1, (4, 1)), (4, 5, (4, 5)), (4, 8, (1, 2)), (1, 3, (1, 3))]
-)
-def test_the_ratio_of_learning_is_exact(commands: int, environments: int, rhythm: tuple[int, int]) -> None:
-    assert learning_rhythm(commands, environments) == rhythm
-    assert rhythm[1] * commands == rhythm[0] * environments
 
 
 @needs_opengl
@@ -403,63 +325,7 @@ def test_virtual_charges_each_gradient_step_to_the_games(tmp_path: Path) -> None
     assert phases["inference"] == pytest.approx(0.125 * commands, abs=0.5)
 
 
-# --- learning ---------------------------------------------------------------------------------------------------
-
-
-class Rated(th.nn.Module):
-    """A network whose ratings of the actions are known: one row an observation."""
-
-    def __init__(self, ratings: list[list[float]]) -> None:
-        super().__init__()
-        self.ratings, self.features_extractor = th.tensor(ratings), None
-
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        return self.ratings
-
-
-def a_batch(count: int) -> Batch:
-    """Observations (count, 1, 1, 2), actions 0, 1, ...; the first game goes on, the last is over."""
-    images = th.arange(count * 2, dtype=th.float32).reshape(count, 1, 1, 2)
-    actions = th.arange(count).reshape(-1, 1)
-    rewards = th.arange(1.0, count + 1).reshape(-1, 1)
-    dones = th.zeros(count, 1)
-    dones[-1] = 1.0
-    return Batch(images, actions, images + 100, dones, rewards, th.full((count, 1), 0.5))
-
-
-def learner(mirror: tuple[int, ...] | None = None) -> DoubleDQN:
-    """Without lanes: just what targets and mirror need."""
-    made = DoubleDQN.__new__(DoubleDQN)
-    made.mirror = None if mirror is None else th.tensor(mirror)
-    made.policy = SimpleNamespace(
-        q_net=Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]]),
-        q_net_target=Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]]),
-    )
-    return made
-
-
-def test_the_target_network_rates_what_the_online_network_would_do() -> None:
-    targets = learner().targets(a_batch(3))
-    # 1 + 0.5 * 20 and 2 + 0.5 * 30, where plain DQN would take 40; the last game is over.
-    np.testing.assert_allclose(targets.numpy(), [[11.0], [17.0], [3.0]])
-
-
-def test_several_steps_have_discounts_of_their_own() -> None:
-    batch = a_batch(3)._replace(discounts=th.tensor([[0.125], [0.25], [0.5]]))
-    np.testing.assert_allclose(learner().targets(batch).numpy(), [[3.5], [9.5], [3.0]])
-
-
-def test_half_of_a_batch_is_seen_in_a_mirror() -> None:
-    batch = a_batch(4)
-    turned = learner((3, 2, 1, 0))._half_mirrored(batch)
-    np.testing.assert_array_equal(turned.actions.ravel(), [3, 2, 2, 3])
-    for before, after in (
-        (batch.observations, turned.observations),
-        (batch.next_observations, turned.next_observations),
-    ):
-        np.testing.assert_array_equal(after[:2], before[:2].flip(-1))
-        np.testing.assert_array_equal(after[2:], before[2:])
-    np.testing.assert_array_equal(turned.rewards, batch.rewards)
+# --- policies -------------------------------------------------------------------------------------------------
 
 
 def test_the_first_weights_come_from_the_seed() -> None:

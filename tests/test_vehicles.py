@@ -10,9 +10,9 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.scene import DRONE_GROUP, OTHERS_GROUP
+from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle import Newcomer, Start
+from uavaccel.sim.vehicle.vehicle import Newcomer, Start
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -92,7 +92,7 @@ def test_the_first_flies_as_if_it_were_alone(profile: Profile) -> None:
         if api is two:
             call(api, "takeoff", 20.0, "B")
         go_on(api, 3.0)
-    states = [api.simulation.world.state for api in (alone, two)]
+    states = [api.simulation.world.lead.state for api in (alone, two)]
     for name in ("position", "quaternion", "velocity", "rotor_output", "z_integral", "tick"):
         assert np.array_equal(states[0][name], states[1][name]), name
     assert place(two, "B")[2] < -0.5

@@ -3,12 +3,12 @@
 import os
 import platform
 import subprocess
-import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import uavaccel
+from uavaccel.machine import host
 from uavaccel.resources import source_tree
 
 _PACKAGES = (
@@ -38,7 +38,7 @@ def describe_run(
         "seed": seed,
         "versions": _versions(),
         "git": _git(),
-        "host": _host(),
+        "host": host(),
         "gl_renderer": gl_renderer,
         "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
     }
@@ -71,28 +71,3 @@ def _git() -> dict[str, Any] | None:
 def _output(command: list[str]) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     return done.stdout.strip()
-
-
-def _host() -> dict[str, Any]:
-    return {
-        "platform": platform.platform(),
-        "cpu_model": _cpu_model(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "memory_bytes": memory_bytes(),
-    }
-
-
-def _cpu_model() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    except OSError:
-        models = []
-    return models[0] if models else platform.processor() or platform.machine()
-
-
-def memory_bytes() -> int | None:
-    """Main memory of this machine; None where the system does not say."""
-    if sys.platform == "win32":
-        return None
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

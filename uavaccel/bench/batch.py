@@ -14,10 +14,10 @@ from uavaccel.bench.speed import Measurement, elapsed_s
 from uavaccel.envs.batch import MOST_TILES, LaneBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.resources import asset
+from uavaccel.sim.camera.view import View
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.rendering.tiles import Tiles
-from uavaccel.sim.view import View
 
 WARM_UP = 3
 TILE_ROUNDS = 30

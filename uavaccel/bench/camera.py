@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.resources import asset
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.units import NS_PER_S

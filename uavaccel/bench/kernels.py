@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.bench.speed import Measurement, elapsed_s
-from uavaccel.envs.batch import cores
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.kernel_plan import plan_of
@@ -25,6 +24,7 @@ from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.spans import make_desk
+from uavaccel.machine import usable_cores
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.vision.dvs_sensor import draw_pixels
@@ -92,7 +92,7 @@ def bench_on_cores() -> Iterator[Measurement]:
     both_s = median(_seen_s() for _ in range(REPEATS))
     note = "bound: picture and DVS one after the other"
     yield Measurement("kernels: picture and DVS", 1 / both_s, "frames/s", 1 / (gray_s + dvs_s), note)
-    task, threads = LaneTask(), cores()
+    task, threads = LaneTask(), usable_cores()
     ticks = int(plan_of(task, np.zeros(3), True).slices.sum())
     parts_s = ticks / ticks_per_s + task.frames_per_command * both_s
     for lanes in CPU_LANES:
@@ -132,7 +132,7 @@ def _picture_s() -> tuple[float, float]:
         cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, desk, picture)
 
     def see(number: int) -> None:
-        cpu.see_single(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
+        cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
 
     draw(0)  # compiled
     see(0)
@@ -197,7 +197,6 @@ def _round_s(lanes: int, task: LaneTask) -> float:
 
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
-    flying.send([flying.draw(lane) for lane in range(lanes)])
     flying.begin()
     actions = th.full((lanes,), AHEAD, device=CUDA)
     flying.fly(actions)  # compiled

@@ -6,6 +6,7 @@ import os
 from typing import Any
 
 from uavaccel.clock import timer_grain_ns
+from uavaccel.machine import usable_cores
 
 MAX_LOAD_PER_CORE = 0.5
 MAX_TIMER_P90_US = 200.0
@@ -13,7 +14,7 @@ MAX_TIMER_P90_US = 200.0
 
 def check_machine() -> dict[str, Any]:
     """Load, lateness of short sleeps, and a verdict in words, to be written beside the numbers that they qualify."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     late_us = [ns / 1e3 for ns in timer_grain_ns()]
     load, median_us, p90_us = os.getloadavg()[0], late_us[len(late_us) // 2], late_us[len(late_us) * 9 // 10]
     doubts = []

@@ -14,7 +14,7 @@ from uavaccel.cli.paths import check_file
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
-from uavaccel.sim.gl import describe_renderer
+from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import read_latency, shipped_latency
 from uavaccel.yaml_io import dump_yaml

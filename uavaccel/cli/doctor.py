@@ -28,7 +28,7 @@ from uavaccel.clock import MonotonicClock
 clock = MonotonicClock()
 import mujoco, numba, numpy, pydantic
 start_ns = clock.now_ns()
-from uavaccel.sim import hotloop
+from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 World("blocks", NATIVE).advance(1)
@@ -36,7 +36,7 @@ print(json.dumps({"cached": bool(hotloop.ENTRY_POINTS.fly.cache_hits), "seconds"
 """
 RENDERER = """
 import dataclasses, json
-from uavaccel.sim.gl import describe_renderer
+from uavaccel.sim.camera.gl import describe_renderer
 print(json.dumps(dataclasses.asdict(describe_renderer())))
 """
 

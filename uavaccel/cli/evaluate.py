@@ -65,7 +65,7 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
         if not theirs & {case.lane for case in suite.cases(config)}:
             raise UserError(f"--against {other.path}: is no evaluation of the same lanes")
     if films:
-        from uavaccel.sim.gl import describe_renderer
+        from uavaccel.sim.camera.gl import describe_renderer
 
         try:
             describe_renderer()

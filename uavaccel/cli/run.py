@@ -140,7 +140,7 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Any]:
     """What the run is made with. Looks at the machine first, and at the renderer of a suite that needs one."""
     name = None
     if suite.renders(config):
-        from uavaccel.sim.gl import describe_renderer
+        from uavaccel.sim.camera.gl import describe_renderer
 
         renderer = describe_renderer()
         name = renderer.name

@@ -13,7 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
-from uavaccel.sim.gl import describe_renderer
+from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.events import lane_events
 from uavaccel.suites.evaluation.film import best_first, film_lane

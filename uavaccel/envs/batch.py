@@ -16,11 +16,12 @@ from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
-from uavaccel.envs.checks import make_task
+from uavaccel.envs.checks import make_task, seeds_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
-from uavaccel.sim.gl import known_renderer
+from uavaccel.machine import usable_cores
+from uavaccel.sim.camera.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
 
@@ -61,7 +62,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         space = self.single_observation_space
         self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
-        self.processes = min(processes or 2 * cores(), num_envs)
+        self.processes = min(processes or 2 * usable_cores(), num_envs)
         options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
@@ -79,7 +80,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[Any], dict[str, Any]]:
         """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
-        infos = self.reset_each(_seeds(seed, self.num_envs), [options] * self.num_envs)
+        infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -211,18 +212,3 @@ def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderServic
         service.close()
         return None
     return service
-
-
-def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, (int, np.integer)):
-        return [int(seed) + index for index in range(count)]
-    if len(seed) != count:
-        raise UserError(f"seed: {len(seed)} seeds for {count} environments")
-    return [None if each is None else int(each) for each in seed]
-
-
-def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

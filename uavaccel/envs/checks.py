@@ -48,3 +48,14 @@ def known_options(options: Mapping[str, Any], known: Sequence[str]) -> Mapping[s
     if unknown:
         raise UserError(f"reset: unknown option {unknown[0]!r}; known: {', '.join(known) or 'none'}")
     return options
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """A seed for each environment, counted up from one, or as they are."""
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (int, np.integer)):
+        return [int(seed) + index for index in range(count)]
+    if len(seed) != count:
+        raise UserError(f"seed: {len(seed)} seeds for {count} environments")
+    return [None if each is None else int(each) for each in seed]

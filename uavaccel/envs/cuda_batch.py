@@ -13,30 +13,14 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from uavaccel.envs.checks import ROUNDING, make_task
+from uavaccel.envs.checks import ROUNDING, make_task, seeds_of
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.kernel_batch import seeds_of
-from uavaccel.envs.kernel_plan import check_flyable
+from uavaccel.envs.kernel_plan import check_flyable_on_gpu
 from uavaccel.errors import UserError
 
 DEVICE = "cuda"
 Steps = tuple[th.Tensor, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
-
-
-class _Lanes(CudaLanes):
-    """Lanes whose games are renewed when this is asked for, so that what became of them can be read before."""
-
-    def __init__(self, task: Any, count: int, device: th.device) -> None:
-        super().__init__(task, count, device, renews=False)
-
-    def renew(self) -> None:
-        """Begin the next games where one is over."""
-        self._renew(self.going == 0)
-
-    def positions(self) -> th.Tensor:
-        """Where the vehicles are: NED (L, 3) float64."""
-        return self._place.T.clone()
 
 
 class CudaBatch(VectorEnv[Any, Any, Any]):
@@ -56,7 +40,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs)
+        check_flyable_on_gpu(self.task, num_envs)
         if AutoresetMode(autoreset_mode) != AutoresetMode.SAME_STEP:
             raise UserError("autoreset_mode: with device = cuda it is SameStep")
         self.num_envs, self.render_mode, self.device = num_envs, None, th.device(DEVICE)
@@ -65,7 +49,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self.single_action_space = self.task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._lanes = _Lanes(self.task, num_envs, self.device)
+        self._lanes = CudaLanes(self.task, num_envs, self.device, renews=False)
         self._begun: list[int] = []
 
     def reset(
@@ -81,16 +65,16 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             self._begun = [0] * self.num_envs
             self._draw_first(options)
         elif options:
-            self._begun = self._lanes.available.tolist()
-            self._lanes.begun.copy_(self._lanes.available)
+            self._begun = self._lanes.games.available.tolist()
+            self._lanes.games.begun.copy_(self._lanes.games.available)
             self._draw_first(options)
         self._lanes.begin()
         self._begun = [begun + 1 for begun in self._begun]
-        self._lanes.refill(self._begun)
+        self._lanes.games.refill(self._begun)
         return self._lanes.observations.clone(), self._infos()
 
     def _draw_first(self, options: dict[str, Any] | None) -> None:
-        self._lanes.send([self._lanes.draw(lane, options) for lane in range(self.num_envs)])
+        self._lanes.games.draw_one_each([options] * self.num_envs)
 
     def step(self, actions: Any) -> Steps:
         """One command each."""
@@ -111,10 +95,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             for lane in over
         }
         if over:
-            lanes.renew()
+            lanes.renew(lanes.going == 0)
             for lane in over:
                 self._begun[lane] += 1
-            lanes.refill(self._begun)
+            lanes.games.refill(self._begun)
         infos = self._infos()
         for lane, info in ended.items():
             infos = self._add_info(infos, info, lane)

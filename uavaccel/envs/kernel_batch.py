@@ -6,7 +6,6 @@ Each flies as it would in the exact simulator, and sees what the kernels draw in
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -18,11 +17,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.checks import make_task, within
+from uavaccel.envs.checks import make_task, seeds_of, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
-from uavaccel.envs.kernel_plan import check_flyable, plan_of
+from uavaccel.envs.kernel_plan import check_flyable, kind_of, plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import NO_ACTION, age_levels
@@ -32,11 +31,11 @@ from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
+from uavaccel.machine import usable_cores
 from uavaccel.sim.saved import State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 
-KINDS = {"state": cpu.STATE, "dvs": cpu.DVS, "colour": cpu.COLOUR, "depth": cpu.DEPTH}
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
 
@@ -56,7 +55,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs, clocks=True)
+        check_flyable(self.task, num_envs)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -68,7 +67,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._maker = GameMaker(self.task)
         self._allocate()
         self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != cpu.STATE)
-        self._threads = min(threads or _cores(), num_envs)
+        self._threads = min(threads or usable_cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
         self._clock = MonotonicClock()
@@ -83,7 +82,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._now = rows.flights(count)
         blank = task.sensor().blank
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
-        kind = cpu.STATE if task.blank_images else KINDS[task.observation]
+        kind = kind_of(task)
         pixels = events.pixels_of(count if kind == cpu.DVS else 0, task.dvs_parameters)
         self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
@@ -443,18 +442,3 @@ def _assign(whole: Any, lanes: Any, part: Any) -> None:
             _assign(each, lanes, new)
     else:
         whole[lanes] = part
-
-
-def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each environment, counted up from one, or as they are."""
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, (int, np.integer)):
-        return [int(seed) + index for index in range(count)]
-    if len(seed) != count:
-        raise UserError(f"seed: {len(seed)} seeds for {count} environments")
-    return [None if each is None else int(each) for each in seed]
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

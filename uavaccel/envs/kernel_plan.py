@@ -14,7 +14,7 @@ from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels import timeline
-from uavaccel.kernels.cpu import Command
+from uavaccel.kernels.cpu import COLOUR, DEPTH, DVS, STATE, Command
 from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.timeline import Timing
 from uavaccel.sim.profile import PROFILES, Profile
@@ -24,20 +24,41 @@ from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
 
 MOST_DIGITS = 1_000_000  # of a clock's speed as a fraction: its products have to fit 64 bits for hours
 
+KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
+
 Simulator = Literal["mujoco", "kernels"]
 """Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
 
 
-def check_flyable(task: Task, lanes: int, clocks: bool = False) -> None:
-    """Raise UserError, one line, for what only the exact simulator flies.
-
-    `clocks`: whether lanes have clocks of their own (kernels/timeline); without, all pass the same ticks.
-    """
+def check_flyable(task: Task, lanes: int) -> None:
+    """Raise UserError, one line, for what only the exact simulator flies."""
     if lanes < 1:
         raise UserError(f"num_envs = {lanes}: must be at least 1")
-    why = _why_not(task) or (_why_no_clock(task) if clocks else _why_not_together(task))
-    if why:
+    if why := _why_not(task) or _why_no_clock(task):
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
+
+
+def check_flyable_on_gpu(task: Task, lanes: int) -> None:
+    """The same for one GPU, where lanes pass a command's samples together."""
+    check_flyable(task, lanes)
+    if passes_together(task):
+        return
+    if task.dvs_ticks:
+        raise UserError("device = cuda: dvs_rate_hz is flown by TCSC in lockstep there; use device = cpu")
+    if kind_of(task) == DEPTH and task.timing == "virtual":
+        raise UserError(
+            "device = cuda: the guard of depth pictures is the CPU's in virtual; use device = cpu"
+        )
+
+
+def kind_of(task: Task) -> int:
+    """What lanes observe: STATE, DVS, COLOUR or DEPTH."""
+    return STATE if task.blank_images else KINDS[task.observation]
+
+
+def passes_together(task: Task) -> bool:
+    """Whether the same ticks pass in all lanes, whatever messages cost."""
+    return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
 
 
 def _why_not(task: Task) -> str:
@@ -63,12 +84,6 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     speed = exact(task.clock_speed)
     wall_ns = [ceil_div(each * profile.tick_ns * speed.denominator, speed.numerator) for each in ticks]
     return np.array(ticks), np.array(wall_ns)
-
-
-def _why_not_together(task: Task) -> str:
-    if (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc"):
-        return ""
-    return f"{task.command} with timing {task.timing} and profile {task.profile} is not flown there"
 
 
 def _why_no_clock(task: Task) -> str:

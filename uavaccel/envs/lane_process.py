@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.batch_memory import Observations
 from uavaccel.errors import UserError
 from uavaccel.parent import end_with_parent
-from uavaccel.sim.camera import make_cameras_with
+from uavaccel.sim.camera.camera import make_cameras_with
 from uavaccel.sim.rendering.camera import RemoteCamera
 
 NICENESS = 5  # the renderer and the learner, for whom all lanes wait, go first

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
+from weakref import WeakSet
 
 from uavaccel.clock import WallClock
 from uavaccel.errors import UserError
@@ -53,6 +54,9 @@ class Turns:
         self._waiting: list[Turn] = []
         self._order = 0
         self._threads = {threading.get_ident()}
+        self._strangers = WeakSet(
+            threading.enumerate()
+        )  # they ran before the script did, and do nothing for it
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
@@ -152,7 +156,8 @@ class Turns:
         if outside is not None:
             outside()
         elif any(
-            thread.ident not in self._threads and thread.name not in OURS for thread in threading.enumerate()
+            thread.ident not in self._threads and thread.name not in OURS and thread not in self._strangers
+            for thread in threading.enumerate()
         ):
             threading.Event().wait(FOREIGN_S)
         else:

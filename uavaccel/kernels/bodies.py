@@ -12,7 +12,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.touching import BOX, CYLINDER, PLANE, SOLID_FIELDS
 from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, object_name, obstacle_geoms
-from uavaccel.sim.vehicle import BODY
+from uavaccel.sim.vehicle.vehicle import BODY
 
 KINDS = {
     int(mujoco.mjtGeom.mjGEOM_BOX): BOX,

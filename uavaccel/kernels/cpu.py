@@ -10,6 +10,7 @@ from numba.extending import overload
 
 from uavaccel.kernels import events, timeline
 from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
+from uavaccel.kernels.lane_clocks import DARKEST, MOST_CHANGE, keep_shown, turn_to_shown
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
     PICTURE_SEED,
@@ -25,10 +26,10 @@ from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.parts import part
-from uavaccel.sim.hotloop import sources
+from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
-from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings
+from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 from uavaccel.vision.observation import BLOCK_SIDE
 
@@ -36,7 +37,6 @@ STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
 SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
 NS = 1e-9
 SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
-DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 
 
 @part
@@ -51,15 +51,7 @@ def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
     """Thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
         for x in range(COLUMNS):
-            out[y, x] = events.single_threshold(nominal, sigma, normal[y, x])
-
-
-@part
-def spread_wide(nominal: float, sigma: float, normal: Any, out: Any) -> None:
-    """The same after a low-pass."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            out[y, x] = events.double_threshold(nominal, sigma, normal[y, x])
+            out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
 
 
 @part(error_model="numpy")
@@ -125,74 +117,64 @@ def shoot(
 
 
 @part(error_model="numpy")
-def start_single(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
-    """A game's first frame makes no events."""
-    pixels.base[lane] = dvs.look_up(picture, sensor.logs)
-    start_clock(lane, pixels, camera)
-
-
-@part(error_model="numpy")
-def start_double(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
-    """The same of a sensor with a low-pass."""
+def start(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+    """A game's first frame makes no events; none are gathered."""
     for y in range(ROWS):
         for x in range(COLUMNS):
-            log = np.float64(sensor.logs[picture[y, x]])
-            pixels.base[lane, y, x] = pixels.filtered[lane, y, x] = log
-    start_clock(lane, pixels, camera)
-
-
-@part
-def start_clock(lane: int, pixels: events.Pixels, camera: Any) -> None:
-    """No frames seen, no events gathered."""
+            log = sensor.logs[picture[y, x]]
+            pixels.base[lane, y, x] = log
+            if pixels.filtered.size:
+                pixels.filtered[lane, y, x] = log
     pixels.clock[lane], pixels.time_s[lane], pixels.gathered[lane] = 0, 0.0, 0
     if pixels.last_s.size:
         pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
 
 
+def logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
+    """A frame's logarithms, float32, or float64 after the low-pass of which `filtered` (144, 256) are the last."""
+
+
+def counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    """Signed counts in the precision of the logarithms."""
+
+
+@overload(logs_of)
+def _logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
+    if filtered.dtype == types.float32:
+        return lambda picture, filtered, sensor, weights: dvs.look_up(picture, sensor.logs)
+    return lambda picture, filtered, sensor, weights: dvs.low_pass(picture, filtered, sensor.logs, weights)
+
+
+@overload(counts_of)
+def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    of_type = dvs.count_single if log.dtype == types.float32 else dvs.count_double
+    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
 @part(error_model="numpy")
-def see_single(
+def see(
     lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
 ) -> None:
     """A lane's event camera sees a frame (144, 256)."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float32), np.empty((ROWS, COLUMNS), np.float32)
+    base, low_passed, dt_s = pixels.base[lane], pixels.filtered.size > 0, time_s - before_s
+    positive, negative = np.empty_like(base), np.empty_like(base)
     spread(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
     spread(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    log = dvs.look_up(picture, sensor.logs)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_single(log, base, positive, negative)
+    weights = np.minimum(sensor.weights * (dt_s / camera[events.TAU]), 1.0)
+    log = logs_of(picture, pixels.filtered[lane] if low_passed else base, sensor, weights)
+    base = leak(base, positive, camera, sensor, seed, index, dt_s)
+    signed = counts_of(log, base, positive, negative)
     if pixels.last_s.size:
         signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
     base = dvs.advance_base(signed, base, positive, negative)
     gather(signed, pixels.gathered[lane])
     if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
+        noise = seed, index, dt_s
         shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
     pixels.base[lane] = base
-    pixels.clock[lane], pixels.time_s[lane] = index, time_s
-
-
-@part(error_model="numpy")
-def see_double(
-    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
-) -> None:
-    """The same of a sensor with a low-pass, in double precision."""
-    before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    positive, negative = np.empty((ROWS, COLUMNS), np.float64), np.empty((ROWS, COLUMNS), np.float64)
-    spread_wide(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    spread_wide(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    weights = np.minimum(sensor.weights * ((time_s - before_s) / camera[events.TAU]), 1.0)
-    log = dvs.low_pass(picture, pixels.filtered[lane], sensor.logs, weights)
-    base = leak(pixels.base[lane], positive, camera, sensor, seed, index, time_s - before_s)
-    signed = dvs.count_double(log, base, positive, negative)
-    if pixels.last_s.size:
-        signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
-    base = dvs.advance_base(signed, base, positive, negative)
-    gather(signed, pixels.gathered[lane])
-    if camera[events.SHOT] > 0.0:
-        noise = seed, index, time_s - before_s
-        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
-    pixels.base[lane], pixels.filtered[lane] = base, log
+    if low_passed:
+        pixels.filtered[lane] = log
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
@@ -274,28 +256,6 @@ class Command(NamedTuple):
     hold_ticks: int
     """After which position hold sets in unless another command came."""
     timing: Timing
-
-
-def see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    """`see_single` or `see_double`, as the sensor's memory is."""
-
-
-def start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    """`start_single` or `start_double`, as the sensor's memory is."""
-
-
-@overload(see)
-def _see(lane, picture, time_s, pixels, sensor, camera, seed):  # type: ignore[no-untyped-def]
-    of_type = see_single if pixels[0].dtype == types.float32 else see_double
-    return lambda lane, picture, time_s, pixels, sensor, camera, seed: of_type(
-        lane, picture, time_s, pixels, sensor, camera, seed
-    )
-
-
-@overload(start)
-def _start(lane, picture, pixels, sensor, camera):  # type: ignore[no-untyped-def]
-    of_type = start_single if pixels[0].dtype == types.float32 else start_double
-    return lambda lane, picture, pixels, sensor, camera: of_type(lane, picture, pixels, sensor, camera)
 
 
 class View(NamedTuple):
@@ -403,23 +363,8 @@ def fly_to(
     shown = clocks.row[lane, timeline.SHOWN]
     if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
         fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, desk, picture)
-        for axis in range(3):
-            clocks.shown[lane, axis] = now.state[lane].position[axis]
-        for number in range(4):
-            clocks.shown[lane, 3 + number] = now.state[lane].quaternion[number]
+        keep_shown(lane, now, clocks)
     return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
-
-
-@part(error_model="numpy")
-def turn_to_shown(lane: int, now: Flights, plan: Command, clocks: Clocks) -> None:
-    """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
-    if plan.timing.rules[timeline.STALE_POSE] == 0 or clocks.row[lane, timeline.SHOWN] < 0:
-        return
-    state, shown = now.state[lane], clocks.shown[lane]
-    for axis in range(3):
-        shown[axis], state.position[axis] = state.position[axis], shown[axis]
-    for number in range(4):
-        shown[3 + number], state.quaternion[number] = state.quaternion[number], shown[3 + number]
 
 
 @part
@@ -488,12 +433,14 @@ def look_at_sample(
 ) -> None:
     """The frame of a sample; the event camera may have seen its moment."""
     if not seen:
-        turn_to_shown(lane, now, plan, clocks)
+        if plan.timing.rules[timeline.STALE_POSE]:
+            turn_to_shown(lane, now, clocks)
         if view.kind == DVS:
             look_at_events(lane, view, games, now, plan, desk, picture)
         else:
             draw_frame(lane, view, games, now, plan, desk, frame)
-        turn_to_shown(lane, now, plan, clocks)
+        if plan.timing.rules[timeline.STALE_POSE]:
+            turn_to_shown(lane, now, clocks)
     if view.kind == DVS:
         take_events(lane, view.pixels, frame)
 

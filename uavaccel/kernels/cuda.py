@@ -30,7 +30,7 @@ from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.touching import NOTHING
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
@@ -428,6 +428,39 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
     frames[lane, 2, down, across] = round(blue_sum / number) if free else 0
 
 
+def add_grey(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
+    """Add the grey levels of each lane's picture to its first sum (L, 3) int64."""
+    lane, y, x = pixels_of_thread()
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
+        return
+    total = np.int32(0)
+    for half in range(2):
+        top = np.int32(y + 2 * half)
+        first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
+        levels = grey_quad(faces[lane], shown, first, plan, top, x)
+        total += np.int32(levels[0] + levels[1] + levels[2] + levels[3])
+    for distance in (1, 2, 4, 8, 16):
+        total += np.int32(cuda.shfl_xor_sync(WHOLE_WARP, total, distance))
+    if cuda.laneid == 0:
+        cuda.atomic.add(sums, (lane, 0), np.int64(total))
+
+
+def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
+    """Add red, green and blue of each lane's picture to its sums (L, 3) int64: a thread a column."""
+    thread = cuda.grid(1)
+    lane, column = thread // at.COLUMNS, thread % at.COLUMNS
+    if lane >= len(going) or going[lane] == 0:
+        return
+    red_sum = green_sum = blue_sum = 0
+    for row in range(at.ROWS):
+        face = np.int32(shown[lane, row, column])
+        red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, row, column)
+        red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
+    cuda.atomic.add(sums, (lane, 0), np.int64(red_sum))
+    cuda.atomic.add(sums, (lane, 1), np.int64(green_sum))
+    cuda.atomic.add(sums, (lane, 2), np.int64(blue_sum))
+
+
 LIMITS: dict[Any, int] = {see_events: 72}
 """Registers a thread, so that enough of them wait for memory at the same time."""
 
@@ -445,6 +478,8 @@ class Kernels(NamedTuple):
     see_noise: Any
     note: Any
     show: Any
+    add_grey: Any
+    add_colours: Any
 
 
 def compiled(usual: Any) -> Kernels:
@@ -461,10 +496,17 @@ def compiled(usual: Any) -> Kernels:
         see_noise,
         note_seen,
         show_lanes,
+        add_grey,
+        add_colours,
     )
     return Kernels(
         *(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions)
     )
+
+
+def grid(threads: int, per_block: int) -> tuple[int, int]:
+    """Blocks, and threads of each."""
+    return -(-threads // per_block), per_block
 
 
 def stream() -> Any:

@@ -1,4 +1,4 @@
-"""What many event cameras see: the pixels of vision/dvs_kernels over lanes, four in a row at a time.
+"""What many event cameras see: the pixels of vision/dvs_kernels over lanes.
 
 A lane's camera differs from the next one's in its parameters alone; what is drawn once per pixel is the sensor's, and
 one for all lanes. Events are summed over blocks of 4 x 4 pixels (vision/observation) until they are taken.
@@ -19,7 +19,7 @@ from uavaccel.parts import part
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
-from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, normal_block, uniform_block
+from uavaccel.vision.noise import LEAK_JITTER, SHOT_NOISE, normal_block, uniform_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 
@@ -27,8 +27,6 @@ from uavaccel.vision.rounding import times
 POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
 CAMERA_FIELDS = 10
 
-SEED, INDEX = range(2)  # of a game's noise; frames seen: int64 (2,) a lane
-TWO_PI = 2.0 * np.pi
 ON_AND_OFF = 2
 
 Four = tuple[Any, Any, Any, Any]
@@ -98,21 +96,6 @@ def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float
             parameters.hot_share,
             read_noise,
         ]
-    )
-
-
-@part
-def read_noise(levels: Four, sigma: float, seed: int, moment_ns: int, block: int) -> Four:
-    """Four grey levels in a row as a noisy camera reads them (vision/image_noise)."""
-    drawn, deviation = (
-        normal_block(np.uint64(seed), np.uint64(moment_ns), READ_NOISE, block),
-        np.float32(sigma),
-    )
-    return (
-        noisy(levels[0], deviation, drawn[0]),
-        noisy(levels[1], deviation, drawn[1]),
-        noisy(levels[2], deviation, drawn[2]),
-        noisy(levels[3], deviation, drawn[3]),
     )
 
 
@@ -225,30 +208,6 @@ for _function, _chosen in BY_TYPE:
     overload(_function)(_chosen)
 
 
-@part(error_model="numpy", inline=False)
-def see(
-    levels: Four,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    filtered: Any,
-    noise: tuple[int, int],
-    y: int,
-    x: int,
-    dt_s: float,
-) -> int:
-    """Four pixels in a row from (y, x) on see their grey levels: ON minus OFF events.
-
-    `base` (144, 256), and after a low-pass `filtered`, else empty, go on; `noise` are the game's seed and the frame.
-    """
-    normals, draws = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
-    total = 0
-    for place in range(BLOCK_SIDE):
-        draw = normals[place], draws[place]
-        total += see_pixel(levels[place], camera, sensor, base, filtered, draw, y, x + place, dt_s)
-    return total
-
-
 @part(error_model="numpy")
 def see_pixel(
     level: int,
@@ -261,7 +220,11 @@ def see_pixel(
     x: int,
     dt_s: float,
 ) -> Any:
-    """One pixel of `see`; `draw` are its numbers of this frame, for the leak and for shot noise."""
+    """A pixel sees a grey level: ON minus OFF events.
+
+    `base` (144, 256), and after a low-pass `filtered`, else empty, go on. `draw` are the pixel's numbers of this frame,
+    for the leak and for shot noise.
+    """
     positive = threshold(base[y, x], camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
     negative = threshold(base[y, x], camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
     log = new_log(level, base, filtered, y, x, camera, sensor, dt_s)
@@ -304,83 +267,6 @@ def add_shot(
     if noise != 0:
         base[y, x] = log
     return 0 if noise == ON_AND_OFF else noise
-
-
-@part(error_model="numpy", inline=False)
-def count(
-    levels: Four,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    filtered: Any,
-    counts: Any,
-    noise: tuple[int, int],
-    y: int,
-    x: int,
-    dt_s: float,
-) -> int:
-    """The first half of `see` with a refractory period: `counts` (144, 256) int32 take what is due; the largest."""
-    normals, _ = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
-    most = 0
-    for place in range(BLOCK_SIDE):
-        at = x + place
-        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
-        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
-        log = new_log(levels[place], base, filtered, y, at, camera, sensor, dt_s)
-        base[y, at] = leaked(base[y, at], positive, camera, sensor, y, at, dt_s, normals[place])
-        counts[y, at] = due(log, base[y, at], positive, negative)
-        most = max(most, abs(counts[y, at]))
-    return most
-
-
-@part(error_model="numpy", inline=False)
-def settle(
-    levels: Four,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    filtered: Any,
-    counts: Any,
-    noise: tuple[int, int],
-    y: int,
-    x: int,
-    dt_s: float,
-) -> int:
-    """The second half, for the counts that were kept."""
-    _, draws = drawn(camera, noise[0], noise[1], (y * base.shape[1] + x) // BLOCK_SIDE)
-    total = 0
-    for place in range(BLOCK_SIDE):
-        at, level = x + place, levels[place]
-        positive = threshold(base[y, at], camera[POSITIVE], camera[SIGMA], sensor.up[y, at])
-        negative = threshold(base[y, at], camera[NEGATIVE], camera[SIGMA], sensor.down[y, at])
-        log = (
-            filtered[y, at]
-            if filtered.size
-            else log_of(base[y, at], level, base[y, at], camera, sensor, dt_s)
-        )
-        base[y, at] = pixel.advanced(base[y, at], counts[y, at], positive, negative)
-        total += counts[y, at]
-        if camera[SHOT] > 0.0:
-            total += add_shot(level, camera, sensor, base, log, y, at, dt_s, positive, negative, draws[place])
-    return total
-
-
-@part
-def keep_late(
-    counts: Any, last_s: Any, y: int, x: int, before_s: float, time_s: float, most: int, dead_s: Any
-) -> None:
-    """Drop the events of four pixels in a row that come within `dead_s` of the one before (kernels.drop_refractory).
-
-    `most`: the largest count of the whole picture, which sets the stamps.
-    """
-    for at in range(x, x + BLOCK_SIDE):
-        kept, sign = 0, 1 if counts[y, at] > 0 else -1
-        for number in range(abs(counts[y, at])):
-            stamp_s = stamp(before_s, time_s, most, number)
-            if stamp_s - last_s[y, at] > dead_s:
-                kept += 1
-                last_s[y, at] = stamp_s
-        counts[y, at] = sign * kept
 
 
 @part

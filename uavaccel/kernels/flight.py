@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels.touching import NOTHING, Solids, free_ticks, touched
 from uavaccel.parts import part
-from uavaccel.sim.autopilot import control
-from uavaccel.sim.free_body import free_step, move, normalised
-from uavaccel.sim.hotloop import kick, read_pose
-from uavaccel.sim.quadrotor import NEVER, Record, accelerate, turn_rotors
+from uavaccel.sim.vehicle.autopilot import control
+from uavaccel.sim.vehicle.free_body import free_step, move, normalised
+from uavaccel.sim.vehicle.hotloop import kick, read_pose
+from uavaccel.sim.vehicle.quadrotor import NEVER, Record, accelerate, turn_rotors
 
 HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; the reach is that of a ball around the hull
 NEXT_LOOK, TOUCHED = range(2)  # tick of the next look at the surroundings; the solid that ended the flight

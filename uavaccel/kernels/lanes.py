@@ -15,9 +15,9 @@ from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.touching import NOTHING, SOLID_FIELDS
 from uavaccel.parts import part
-from uavaccel.sim.autopilot import POSITION, RATE, VELOCITY
-from uavaccel.sim.hotloop import kick, read_pose
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
+from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
+from uavaccel.sim.vehicle.hotloop import kick, read_pose
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 
 SPEED, HELD_Z = range(2)  # of a game's commands: m/s, and the NED height that they hold, NaN for none
 PICTURE_SEED, EVENT_SEED = range(2)  # of a game's noise
@@ -108,7 +108,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
 
 @part
 def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
-    """Take a direction (L, 3) for a goal: moveByVelocity, or moveByVelocityZ where a height is held (flight/goal)."""
+    """Take a direction (L, 3) for a goal: moveByVelocity, or moveByVelocityZ where a height is held (vehicle/goal)."""
     state, told = now.state[lane], games.commands[now.game[lane]]
     for axis in range(3):
         state.goal[axis] = directions[lane, axis] * told[SPEED]

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunlight
-from uavaccel.sim.scene import DRONE_GROUP
-from uavaccel.sim.view import HEIGHT, WIDTH, far_m
+from uavaccel.sim.scene.model import DRONE_GROUP
 
 Levels = list[NDArray[np.uint8]]
 KINDS = {

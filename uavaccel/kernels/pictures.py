@@ -17,7 +17,7 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk, turn_colour, turn_gray
-from uavaccel.sim.hotloop import sources
+from uavaccel.sim.vehicle.hotloop import sources
 
 Poses = NDArray[np.float64]
 Lanes = NDArray[np.int32]

@@ -16,39 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
-from uavaccel.sim.quadrotor import Record
+from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
+from uavaccel.sim.vehicle.quadrotor import Record
 
 BOX, CYLINDER, PLANE = 0, 1, 2
 SOLID_FIELDS = 7  # middle x, y, z; half sizes x, y, z, of a cylinder radius, radius, half height; kind
 NOTHING = -1
 
-MARGIN_M = 0.01
-GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at again
-DENSEST_AIR = 1.5  # kg/m³, kilometres below the sea
-STRONGEST_THRUST = 1.3  # of that at sea level, there
 SEARCH_STEPS = 40
 SHRINK = 0.6180339887498949  # golden section
 
 Solids = NDArray[np.float64]
-
-
-@part
-def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
-    """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
-    rotors = 4 * parameters.max_thrust_n * STRONGEST_THRUST
-    factor = parameters.drag_factor_m2
-    drag_m2 = math.sqrt(factor[0] * factor[0] + factor[1] * factor[1] + factor[2] * factor[2])
-    fastest = airspeed_m_s + GUST_M_S
-    return (rotors + drag_m2 * DENSEST_AIR * fastest * fastest) / parameters.mass_kg + parameters.gravity_m_s2
-
-
-@part
-def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
-    """Seconds within which not even the strongest acceleration brings the vehicle so far."""
-    if not (distance_m > 0.0 and speed_m_s < np.inf and acceleration_m_s2 < np.inf):
-        return 0.0
-    arrival_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * acceleration_m_s2 * distance_m)
-    return min((arrival_m_s - speed_m_s) / acceleration_m_s2, GUST_M_S / acceleration_m_s2)
 
 
 @part
@@ -70,11 +48,7 @@ def free_ticks(
     distance_m = np.inf
     for solid in range(count):
         distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
-    v, w = state.velocity, state.wind
-    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    wind = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    free_s = time_to(distance_m - reach_m - MARGIN_M, speed, strongest_acceleration(parameters, speed + wind))
-    return int(free_s / parameters.tick_s)
+    return int(free_s(parameters, state, distance_m - reach_m - MARGIN_M) / parameters.tick_s)
 
 
 @part

@@ -17,7 +17,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.errors import UserError
-from uavaccel.manifest import memory_bytes
+from uavaccel.machine import memory_bytes
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.mirror import rated_both_ways

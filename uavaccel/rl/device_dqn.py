@@ -109,7 +109,7 @@ class DeviceDQN:
         for _ in range(CHUNK):
             self._round(self._kind())
         log = self._log.to("cpu", non_blocking=True)
-        begun = self.lanes.begun.to("cpu", non_blocking=True)
+        begun = self.lanes.games.begun.to("cpu", non_blocking=True)
         read = th.cuda.Event()
         read.record()
         self._unread.append((read, log, begun, begun_ns))
@@ -152,12 +152,20 @@ class DeviceDQN:
         self.lanes.fly(actions)
         if learns:
             main.wait_stream(self._side)
+        self._charge(flown, learns)
         self.replay.note(self.lanes.rewards, self.lanes.terminated, self.lanes.truncated, flown)
         self._schedule()
         if follows:
             pairs = zip(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), strict=True)
             for online, target in pairs:
                 target.data.copy_(online.data)
+
+    def _charge(self, flown: th.Tensor, learns: bool) -> None:
+        """In `virtual` each lane pays for its next decision, and for the gradient steps that its commands cause."""
+        self.lanes.charge(flown, self.config.inference_s, "inference")
+        if learns:
+            _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
+            self.lanes.charge(flown, steps / self.lanes.count * self.config.learning_s, "learning")
 
     @th.no_grad()
     def _decide(self, unknowing: bool) -> th.Tensor:
@@ -242,7 +250,7 @@ class DeviceDQN:
             share_s = spent_s / len(games)
             for game in games:
                 game.info["host_phase_s"]["simulation"] = share_s
-        self.lanes.refill(begun.tolist())
+        self.lanes.games.refill(begun.tolist())
         return games
 
     # --- going on after a stop ----------------------------------------------------------------------

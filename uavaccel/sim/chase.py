@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.mounted_camera import Lens
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.sim.autopilot import POSITION, THROTTLE
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import Goal, Yaw
-from uavaccel.sim.flight.manual import RATE_MODE, STICKS, VALID, Sticks
 from uavaccel.sim.flight.pilot import Pilot
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
+from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim.vehicle.sticks import RATE_MODE, STICKS, VALID, Sticks
 from uavaccel.wire import types
 from uavaccel.wire.flight_api import Answer, fly_for
 from uavaccel.wire.method import Method

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.mounted_camera import Lens
+from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, MountedAs

@@ -11,9 +11,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from uavaccel.sim.airsim_keys import AirSimKeys
-from uavaccel.sim.mounted_camera import FRONT_CENTER, Lens
+from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 
 SCENE = 0
 MOUNTS = {

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.bounds import LONGEST_NAME
-from uavaccel.sim.earth import geographic
-from uavaccel.sim.mounted_camera import Lens
+from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.rays import cast
+from uavaccel.sim.scene.bounds import LONGEST_NAME
+from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
 from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.method import Method

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.earth import GeoPoint, geographic
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import Goal, Yaw
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.manual import MoveByManual
 from uavaccel.sim.flight.path import FollowPath, check_lookahead
 from uavaccel.sim.flight.path import facing as facing_along
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.flight.task import AT_REST_M_S, Land, RotateToYaw, Task
-from uavaccel.sim.running import DeferredReply
+from uavaccel.sim.sensors.earth import GeoPoint, geographic
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.goal import Goal, Yaw
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.geodesy import ned_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.earth import GeoPoint
+from uavaccel.sim.sensors.earth import GeoPoint
 
 SEMI_MAJOR_M = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.view import HEIGHT, WIDTH
 from uavaccel.wire import types
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import png
@@ -139,7 +139,7 @@ class ImageApi:
     def collision(self) -> dict[str, Any]:
         """Our own: when, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        touch = world.touches.first
+        touch = world.lead.touches.first
         if touch is None:
             return {}
         return {

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from uavaccel.sim.bounds import LONGEST_NAME
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene_objects import ASSETS
+from uavaccel.sim.scene.bounds import LONGEST_NAME
+from uavaccel.sim.scene.objects import ASSETS
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices

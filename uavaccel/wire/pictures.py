@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.mounted_camera import FRONT_CENTER, Lens, MountedCamera
-from uavaccel.sim.rays import cast
+from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens, MountedCamera
+from uavaccel.sim.camera.view import vehicle_pose
+from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.view import vehicle_pose
 from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.segmentation import Segmentation, colours
 

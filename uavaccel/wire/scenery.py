@@ -6,10 +6,10 @@ from functools import cached_property
 from typing import Any
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.name_pattern import NamePattern
-from uavaccel.sim.scene_objects import SceneObjects
+from uavaccel.sim.scene.name_pattern import NamePattern
+from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle import Vehicle
+from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
 from uavaccel.wire.pictures import Pictures, can_draw
 from uavaccel.wire.segmentation import Segmentation

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.resources import asset
-from uavaccel.sim.scene_objects import SceneObjects
-from uavaccel.sim.view import GeomImage
+from uavaccel.sim.camera.view import GeomImage
+from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.world import World
 
 BODY = "quadrotor"

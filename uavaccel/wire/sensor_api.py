@@ -15,7 +15,7 @@ from uavaccel.sim.sensors.field import Barometer, Gps, Magnetometer
 from uavaccel.sim.sensors.inertial import Imu
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
 from uavaccel.sim.sensors.state import Truth
-from uavaccel.sim.vehicle import BODY
+from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
 from uavaccel.wire.scenery import Scenery

@@ -18,9 +18,9 @@ from pydantic.alias_generators import to_pascal
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json
-from uavaccel.sim.airsim_keys import AirSimKeys
-from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
@@ -147,8 +147,8 @@ class Settings(AirSimKeys):
         wind = (self.wind.x, self.wind.y, self.wind.z)
         if not hypot(*wind) <= STRONGEST_WIND_M_S:
             raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
-        world.state["wind"] = wind
-        world.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
+        world.lead.state["wind"] = wind
+        world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
     def passed_over(self) -> list[str]:
         """Dotted names of what was given and has no meaning here."""

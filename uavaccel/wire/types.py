@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.earth import GeoPoint
+from uavaccel.sim.sensors.earth import GeoPoint
 
 STRONGEST_WIND_M_S = 100.0  # more than any storm's
 EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated time begins on AirSim's calls

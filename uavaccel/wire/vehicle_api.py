@@ -11,7 +11,7 @@ from typing import Any
 
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.vehicle import Newcomer
+from uavaccel.sim.vehicle.vehicle import Newcomer
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.method import Method

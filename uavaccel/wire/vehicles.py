@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.bounds import APART_M, check_name
+from uavaccel.sim.scene.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle import HERE, Newcomer, Start
+from uavaccel.sim.vehicle.vehicle import HERE, Newcomer, Start
 from uavaccel.sim.world import START_M
 from uavaccel.wire.settings import Settings, Vehicle
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.earth import GRAVITY_M_S2, atmosphere, geographic, local
-from uavaccel.sim.rays import sees
+from uavaccel.sim.scene.rays import sees
+from uavaccel.sim.sensors.earth import GRAVITY_M_S2, atmosphere, geographic, local
 from uavaccel.wire import types
 from uavaccel.wire.method import Method
 from uavaccel.wire.notices import Notices

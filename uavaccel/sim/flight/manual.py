@@ -1,7 +1,6 @@
-"""Flying with the sticks of a remote control: AirSim's moveByRC and moveByManual.
+"""Flying by hand while a program has control: AirSim's moveByManual.
 
-Source: AirSim v1.8.1, RemoteControl.hpp (updateGoal), SimpleFlightApi.hpp (setRCData), MultirotorApiBase.cpp
-(moveByManual). The sticks hold until they are moved: their age is not looked at.
+Source: AirSim v1.8.1, MultirotorApiBase.cpp (moveByManual).
 """
 
 from __future__ import annotations
@@ -10,37 +9,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion
-from uavaccel.sim import autopilot
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import Goal, Yaw
 from uavaccel.sim.flight.path import facing
 from uavaccel.sim.flight.task import Turn
-from uavaccel.sim.quadrotor import world_to_body
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim.vehicle.quadrotor import world_to_body
+from uavaccel.sim.vehicle.sticks import PITCH, ROLL, THROTTLE, VALID, YAW, Sticks
 
-ROLL, PITCH, THROTTLE, YAW, RATE_MODE, VALID = range(6)
-STICKS = 6
 LARGEST_STICK = 10_000.0  # moveByManual's scale, kMaxRCValue
 YAW_STICK_DEG = 100.0
-RATE_SWITCH = 0.3
-TILT_LIMIT_RAD = math.pi / 5.5
-
-Sticks = NDArray[np.float64]  # roll, pitch, throttle, yaw, the switch for rates, whether they are valid
-
-
-def stick_goal(sticks: Sticks) -> Goal:
-    """What the sticks ask for while no program has control: angles, or rates where the switch says so."""
-    throttle = max(sticks[THROTTLE], autopilot.IDLE_THROTTLE)
-    roll, pitch = sticks[ROLL] * TILT_LIMIT_RAD, -sticks[PITCH] * TILT_LIMIT_RAD
-    yaw_rate = sticks[YAW] * math.pi
-    if sticks[RATE_MODE] >= RATE_SWITCH:
-        return goals.body_rates(roll, pitch, yaw_rate, throttle, autopilot.THROTTLE)
-    return goals.attitude(roll, pitch, Yaw(yaw_rate), throttle, autopilot.THROTTLE)
-
-
-IDLE = stick_goal(np.zeros(STICKS))
 
 
 @dataclass

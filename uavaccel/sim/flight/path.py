@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import STRAIGHT_ON, Goal, Yaw
 from uavaccel.sim.flight.task import Turn
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.goal import STRAIGHT_ON, Goal, Yaw
 
 COMMAND_PERIOD_S = 0.02
 ACCURACY_M = 0.5

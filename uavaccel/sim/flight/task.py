@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.flight import goal as goals
-from uavaccel.sim.flight.goal import STRAIGHT_ON, Goal, Yaw
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.goal import STRAIGHT_ON, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
 
 LANDING_M_S = 0.2

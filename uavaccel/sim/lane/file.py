@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config, validate
-from uavaccel.sim.bounds import check_wind
 from uavaccel.sim.lane.layout import (
     GROUND_TEXTURES,
     HULL_RADIUS_M,
@@ -30,6 +29,7 @@ from uavaccel.sim.lane.layout import (
     Share,
     clearance_m,
 )
+from uavaccel.sim.scene.bounds import check_wind
 from uavaccel.yaml_io import load_yaml
 
 HalfWidth = Annotated[float, Field(gt=0.0, le=WIDTH_M / 2)]

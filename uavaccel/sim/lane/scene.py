@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.boxes import refit_bounding_boxes
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, WALL_TEXTURES, LaneLayout
 from uavaccel.sim.lane.looks import named, put_on_looks
+from uavaccel.sim.scene.bounding_boxes import refit_bounding_boxes
 from uavaccel.units import ned_to_mujoco
 
 OBSTACLE_HALF_HEIGHT_M = 10.0

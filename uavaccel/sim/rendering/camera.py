@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera import object_names
-from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
-from uavaccel.sim.view import (
+from uavaccel.sim.camera.camera import object_names
+from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
     WIDTH,
@@ -24,6 +23,7 @@ from uavaccel.sim.view import (
     ray_lengths,
     to_metres,
 )
+from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
 
 PATIENCE_S = 60.0  # for one picture: a driver that hangs must not hang everything
 

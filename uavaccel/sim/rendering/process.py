@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.camera.view import View
 from uavaccel.sim.rendering.slots import (
     DONE,
     KINDS,
@@ -34,8 +35,7 @@ from uavaccel.sim.rendering.slots import (
     slot_dtype,
 )
 from uavaccel.sim.rendering.tiles import SHEETS, Tiles
-from uavaccel.sim.scene import load_scene
-from uavaccel.sim.view import View
+from uavaccel.sim.scene.model import load_scene
 
 _READ_BYTES = 1 << 12
 

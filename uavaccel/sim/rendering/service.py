@@ -11,11 +11,11 @@ from typing import Any
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.sim.gl import GlRenderer
+from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.slots import anonymous_memory, slot_dtype
-from uavaccel.sim.scene import load_scene
+from uavaccel.sim.scene.model import load_scene
 from uavaccel.standstill import FIRST_LOOKS, LOOK_S, Standstill
 from uavaccel.units import NS_PER_S
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.view import HEIGHT, WIDTH
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 
 KINDS = ("gray", "colour", "depth", "segmentation")
 REQUEST_BYTES = 2  # the camera's number, little-endian: writes of so few bytes are whole

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim import gl
-from uavaccel.sim.view import HEIGHT, WIDTH, set_quality
+from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, set_quality
 
 TILE_BYTES = WIDTH * HEIGHT * 4  # four bytes of colour per pixel, or a float of depth
 SHEETS = 2

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.airsim_keys import AirSimKeys
-from uavaccel.sim.earth import (
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.earth import (
     SEA_LEVEL_PA,
     GeoPoint,
     atmosphere,

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.airsim_keys import AirSimKeys
-from uavaccel.sim.earth import GRAVITY_M_S2
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.earth import GRAVITY_M_S2
 from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
 from uavaccel.sim.sensors.state import Truth
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.sim.airsim_keys import AirSimKeys
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.rays import cast
+from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
 from uavaccel.sim.sensors.noise import White
 from uavaccel.sim.sensors.state import Truth

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.earth import GeoPoint, geographic
 from uavaccel.sim.poses import Pose
+from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.units import NS_PER_S
 
 

@@ -27,15 +27,16 @@ class LanesOnGpu:
     """Lanes whose games are not renewed."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        self._device = th.device(DEVICE)
+        self._device, self._inference_s = th.device(DEVICE), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), self._device, renews=False)
         self._lanes.seed([game_seed(config, lane) for lane in lanes])
-        self._lanes.send([self._lanes.draw(place, {"lane": lane}) for place, lane in enumerate(lanes)])
+        self._lanes.games.draw_one_each([{"lane": lane} for lane in lanes])
         self._lanes.begin()
         self._agent, self._blocks = _moved(make_agent(config.agent, config.task), self._device), Blocks(lanes)
         self._places: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
 
     def decide_and_fly(self, going: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Ended]]:
+        self._lanes.charge(self._lanes.going, self._inference_s, "inference")
         actions = self._decide(going)
         self._lanes.fly(actions)
         told = self._lanes.ended.tolist()  # the host waits for the device here

@@ -17,11 +17,10 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.batch import cores
-from uavaccel.envs.kernel_plan import check_flyable
+from uavaccel.envs.kernel_plan import check_flyable, check_flyable_on_gpu
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
-from uavaccel.errors import UserError
+from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import game_seed, row_of
@@ -48,11 +47,7 @@ def check_kernels(config: EvaluateConfig) -> None:
     check_simulator(config.simulator, config.device)
     if config.simulator == EXACT:
         return
-    if config.task.timing == "virtual":
-        raise UserError(
-            "simulator = kernels: timing virtual is not flown there; add --set task.timing=lockstep"
-        )
-    check_flyable(config.task, 1)
+    (check_flyable_on_gpu if config.device == CUDA else check_flyable)(config.task, 1)
 
 
 class GamesOverArrays:
@@ -118,13 +113,16 @@ class LanesOnCores:
         task = config.task.model_dump(mode="json")
         self._batch = KernelBatch(ObstacleLane, len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
+        self._inference_s = config.inference_s
         self._blocks = Blocks(lanes)
-        self._raters = ThreadPoolExecutor(cores(), initializer=th.set_num_threads, initargs=(1,))
+        self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
         options = [{"lane": lane} for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
 
     def decide_and_fly(self, going: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Ended]]:
+        for place in going.tolist():
+            self._batch.charge(place, self._inference_s)
         actions = self._decide(going)
         self._batch.step_async(actions, going.tolist())
         seen, _, terminated, truncated, infos = self._batch.step_wait(going.tolist())

@@ -103,6 +103,7 @@ class Trainer:
         export_policy(self._run.path, policy, self._config, trained)
 
     def close(self) -> None:
+        self._rows.close()
         self._evaluations.close()
         self._lanes.close()
 

@@ -35,6 +35,10 @@ class GameRows:
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
 
+    def close(self) -> None:
+        """End the curves' file, and the thread that writes it."""
+        self._curves.close()
+
     @contextmanager
     def clock_stopped(self) -> Iterator[None]:
         """What is done meanwhile is no part of the training's wall time."""

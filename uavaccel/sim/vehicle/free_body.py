@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
-from uavaccel.sim.quadrotor import Record
+from uavaccel.sim.vehicle.quadrotor import Record
 
 Triple: TypeAlias = tuple[float, float, float]
 Quad: TypeAlias = tuple[float, float, float, float]

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim import hotloop
-from uavaccel.sim.quadrotor import NEVER
 from uavaccel.sim.saved import State, into_record, of_record
+from uavaccel.sim.vehicle import hotloop
+from uavaccel.sim.vehicle.quadrotor import NEVER
 
 SAMPLE_CAPACITY = 1 << 16
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.sim import autopilot
+from uavaccel.sim.vehicle import autopilot
 
 
 class Yaw(NamedTuple):

@@ -20,9 +20,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim import gl
-from uavaccel.sim.lane.scene import object_name
-from uavaccel.sim.view import (
+from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
     WIDTH,
@@ -35,6 +34,7 @@ from uavaccel.sim.view import (
     set_quality,
     to_metres,
 )
+from uavaccel.sim.lane.scene import object_name
 
 _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera import Camera
+from uavaccel.sim.camera.camera import Camera
+from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
 
 MOST_LENSES = 8  # whose rays are kept
 SKY_M = 65504.0  # AirSim's depth of what has none: the largest half-precision number

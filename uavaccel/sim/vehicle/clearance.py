@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.sim.quadrotor import Record
+from uavaccel.parts import part
+from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at again
@@ -90,24 +91,40 @@ class Clearance:
         if not self.alone:
             return 0.0
         distance_m = _distance(self._qpos, self._still, *self._places)
-        speed = math.hypot(*state["velocity"].tolist())
-        strongest = _strongest_acceleration(parameters, speed + math.hypot(*state["wind"].tolist()))
-        return _time_to(distance_m - self._radius_m - MARGIN_M, speed, strongest)
+        return float(_free_s(parameters, state, distance_m - self._radius_m - MARGIN_M))
 
 
-def _strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
+@part
+def free_s(parameters: Record, state: Record, gap_m: float) -> float:
+    """Seconds of flight, 0 or more, in which a gap to everything is not used up, whatever the autopilot does."""
+    v, w = state.velocity, state.wind
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    wind = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    return time_to(gap_m, speed, strongest_acceleration(parameters, speed + wind))
+
+
+@part
+def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
     """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
-    rotors = 4 * parameters["max_thrust_n"] * STRONGEST_THRUST
-    drag = math.hypot(*parameters["drag_factor_m2"].tolist()) * DENSEST_AIR * (airspeed_m_s + GUST_M_S) ** 2
-    return float((rotors + drag) / parameters["mass_kg"] + parameters["gravity_m_s2"])
+    rotors = 4 * parameters.max_thrust_n * STRONGEST_THRUST
+    factor = parameters.drag_factor_m2
+    drag_m2 = math.sqrt(factor[0] * factor[0] + factor[1] * factor[1] + factor[2] * factor[2])
+    fastest = airspeed_m_s + GUST_M_S
+    return (rotors + drag_m2 * DENSEST_AIR * fastest * fastest) / parameters.mass_kg + parameters.gravity_m_s2
 
 
-def _time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
+@part
+def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
     """Seconds within which not even the strongest acceleration brings the vehicle so far."""
-    if not (distance_m > 0 and math.isfinite(speed_m_s) and math.isfinite(acceleration_m_s2)):
+    if not (distance_m > 0.0 and speed_m_s < np.inf and acceleration_m_s2 < np.inf):
         return 0.0
-    arrival = (math.sqrt(speed_m_s**2 + 2 * acceleration_m_s2 * distance_m) - speed_m_s) / acceleration_m_s2
-    return min(arrival, GUST_M_S / acceleration_m_s2)
+    arrival_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * acceleration_m_s2 * distance_m)
+    return min((arrival_m_s - speed_m_s) / acceleration_m_s2, GUST_M_S / acceleration_m_s2)
+
+
+@njit(cache=True)
+def _free_s(parameters: Record, state: Record, gap_m: float) -> float:
+    return float(free_s(parameters, state, gap_m))
 
 
 @njit(cache=True)

@@ -1,20 +1,65 @@
-"""A scene for AirSim's clients: its ground goes on to the horizon, and it has room for objects that they spawn.
+"""The MJCF model of a scene, with one quadrotor or several.
 
-NAME_airsim.xml stands for NAME.xml where there is one. The experiments fly the plain scene, whose pictures stay as they
-are.
+Furnished for AirSim's clients its ground goes on to the horizon, and it has room for objects that they spawn;
+NAME_airsim.xml stands for NAME.xml there if there is one. The experiments fly the plain scene, whose pictures stay as
+they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 
+from uavaccel.errors import UserError
+from uavaccel.resources import asset
+from uavaccel.sim.lane.layout import PLAIN
+
+QUADROTOR = "quadrotor"
+DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which a camera that it carries leaves out
+OTHERS_GROUP = 2  # those of the others, which it sees
 SPARE = "spare_"  # begins the names of geoms that stand by until an object is spawned
 SPARES = 64
 PARKED_M = (0.0, 0.0, -500.0)  # below the ground, out of reach
 GROUND_HALF_M = 10_000.0
 NEAR_M, FAR_M = 0.05, 20_000.0  # drawn from and to
+
+
+def scene_path(scene: str, scenery: str = PLAIN) -> Path:
+    """The file of a scene in a scenery. Raises UserError where there is none."""
+    plain = asset(f"mjcf/{scene}.xml")
+    path = plain if scenery == PLAIN else plain.parent / scenery / plain.name
+    if not path.is_file():
+        raise UserError(f"scenery = {scenery}: the scene {scene} has none of that name")
+    return path
+
+
+def load_scene(
+    scene: str, others: Sequence[str] = (), furnished: bool = False, scenery: str = PLAIN
+) -> mujoco.MjModel:
+    """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
+
+    `furnished` for AirSim's clients. Raises UserError for an unknown scene.
+    """
+    path = scene_path(scene, scenery)
+    if not others:
+        return furnished_model(path) if furnished else mujoco.MjModel.from_xml_path(str(path))
+    spec = furnished_spec(path) if furnished else mujoco.MjSpec.from_file(str(path))
+    attach_quadrotors(spec, others)
+    model = spec.compile()
+    if furnished:
+        put_spares_by(model)
+    return model
+
+
+def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
+    """One quadrotor more for each prefix, whose names begin with it; what there was keeps its numbers."""
+    for prefix in prefixes:
+        quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
+        for geom in quadrotor.geoms:
+            geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
+        spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
 
 
 def furnished_model(scene: Path) -> mujoco.MjModel:

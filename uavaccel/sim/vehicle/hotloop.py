@@ -30,9 +30,16 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
-from uavaccel.sim.autopilot import control
-from uavaccel.sim.free_body import free_step
-from uavaccel.sim.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
+from uavaccel.sim.vehicle.autopilot import control
+from uavaccel.sim.vehicle.free_body import free_step
+from uavaccel.sim.vehicle.quadrotor import (
+    FLIGHT_DTYPE,
+    NEVER,
+    PARAMETERS_DTYPE,
+    Record,
+    accelerate,
+    turn_rotors,
+)
 
 PACKAGE = __name__.partition(".")[0] + "."
 

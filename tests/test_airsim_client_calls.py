@@ -1,0 +1,353 @@
+"""What uavaccel.airsim sends for each method, against AirSim's own client; and what it makes of the answers."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import pytest
+
+from uavaccel import airsim
+from uavaccel.airsim import client as client_module
+from uavaccel.airsim import gains, old_client, types
+from uavaccel.airsim.connection import Future, connect_with, plain
+
+TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
+DEFAULTS = {"RED": [1.0, 0.0, 0.0, 1.0], "FREE": 0, "STILL": {"is_rate": True, "yaw_or_rate": 0.0}}
+OF_CLIENT_ALONE = {
+    *("getClientVersion", "getMinRequiredServerVersion", "confirmConnection"),
+    *("simSetDistortionParams", "simGetLidarSegmentation", "simSetCameraOrientation"),
+}
+GAINS = {
+    "angle_rate_gains": (gains.AngleRateControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
+    "angle_level_gains": (gains.AngleLevelControllerGains, [[2.5] * 3, [0] * 3, [0] * 3]),
+    "velocity_gains": (gains.VelocityControllerGains, [[0.2, 0.2, 2.0], [0, 0, 2.0], [0] * 3]),
+    "position_gains": (gains.PositionControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
+}
+
+
+class Call(NamedTuple):
+    """A line of the table: parameters with their defaults as text, and expressions of what is sent."""
+
+    method: str
+    parameters: list[tuple[str, str | None]]
+    on_wire: str
+    sent: str
+
+
+def read_table() -> list[Call]:
+    calls = []
+    for line in TABLE.read_text(encoding="utf-8").splitlines():
+        if found := re.fullmatch(r"(\w+)\((.*)\) -> (\w+)(?:: (.*))?", line):
+            method, given, on_wire, sent = found.groups()
+            signature = ast.parse(f"def f({given}): ...").body[0]
+            assert isinstance(signature, ast.FunctionDef)
+            names = [each.arg for each in signature.args.args]
+            defaults = [ast.unparse(each) for each in signature.args.defaults]
+            pairs = list(zip(names, [None] * (len(names) - len(defaults)) + [*defaults], strict=True))
+            calls.append(Call(method, pairs, on_wire, sent or ", ".join(names)))
+    return calls
+
+
+CALLS = {call.method: call for call in read_table()}
+
+
+class Recorder:
+    """A connection that keeps what is sent, and answers what it is told to."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[Any, ...]] = []
+        self.answer: Any = None
+        self.future = Future("", lambda future: future.answer(None, self.answer))
+
+    def call(self, method: str, *params: Any) -> Any:
+        self._keep(method, params)
+        return self.answer
+
+    def call_async(self, method: str, *params: Any) -> Future:
+        self._keep(method, params)
+        return self.future
+
+    def close(self) -> None: ...
+
+    def _keep(self, method: str, params: Any) -> None:
+        self.sent.append((method, *msgpack.unpackb(msgpack.packb(params, default=plain))))
+
+
+@pytest.fixture
+def recorder() -> Iterator[Recorder]:
+    made = Recorder()
+    with connect_with(lambda host, port, timeout_s: made):
+        yield made
+
+
+@pytest.fixture
+def client(recorder: Recorder) -> airsim.MultirotorClient:
+    return airsim.MultirotorClient()
+
+
+def ask(client: Any, method: str, *arguments: Any, **named: Any) -> Any:
+    """What a call returns; None where the recorder's answer is none of its kind."""
+    try:
+        return getattr(client, method)(*arguments, **named)
+    except (TypeError, AttributeError):
+        assert client.client.sent, method
+        return None
+
+
+def value_of(name: str, number: int) -> Any:
+    """An argument that is no other's."""
+    if name in GAINS:
+        return GAINS[name][0](
+            *(gains.PIDGains(number + i, 10 * number + i, 0.1 * number + i) for i in range(3))
+        )
+    return [number + 0.25] if name in ("requests", "path") else number + 0.5
+
+
+def lists(given: Any) -> list[list[float]]:
+    axes = [vars(axis) for axis in vars(given).values()]
+    return [[axis[gain] for axis in axes] for gain in ("kp", "ki", "kd")]
+
+
+def test_the_table_has_every_public_method() -> None:
+    public = {name for name, _ in inspect.getmembers(airsim.MultirotorClient, inspect.isfunction)}
+    assert {name for name in public if not name.startswith("_")} == {*CALLS, *OF_CLIENT_ALONE}
+    assert len(CALLS) == 124
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+def test_a_method_sends_what_airsims_does(client: Any, recorder: Recorder, call: Call) -> None:
+    signature = inspect.signature(getattr(airsim.MultirotorClient, call.method))
+    ours = [each for each in signature.parameters.values() if each.name != "self"]
+    assert [each.name for each in ours] == [name for name, _ in call.parameters]
+    for parameter, (_, default) in zip(ours, call.parameters, strict=True):
+        if default is None:
+            assert parameter.default is inspect.Parameter.empty
+        else:
+            told = plain(parameter.default) if hasattr(parameter.default, "to_msgpack") else parameter.default
+            told = list(told) if isinstance(told, tuple) else told
+            assert told == eval(default, DEFAULTS.copy()), parameter.name
+    given = {name: value_of(name, number) for number, (name, _) in enumerate(call.parameters)}
+    found = ask(client, call.method, *given.values())
+    expected = eval(f"[{call.sent}]", {"lists": lists, **given})
+    assert recorder.sent == [(call.on_wire, *expected)]
+    assert (found is recorder.future) == call.method.endswith("Async")
+
+
+@pytest.mark.parametrize("name", GAINS)
+def test_gains_are_those_of_simpleflight_unless_others_are_given(
+    client: Any, recorder: Recorder, name: str
+) -> None:
+    (method,) = (each for each, call in CALLS.items() if (name, "None") in call.parameters)
+    getattr(client, method)()
+    assert recorder.sent == [(method, *GAINS[name][1], "")]
+
+
+def test_moving_by_rc_alone_lets_go_of_the_sticks(client: Any, recorder: Recorder) -> None:
+    client.moveByRC(vehicle_name="B")
+    (_, sticks, vehicle), *_ = recorder.sent
+    assert vehicle == "B"
+    assert sticks == vars(airsim.RCData())
+    assert {key for key, value in sticks.items() if value} <= {"is_valid"}
+
+
+def test_enumerations_have_airsims_numbers() -> None:
+    images = (
+        *("Scene", "DepthPlanar", "DepthPerspective", "DepthVis", "DisparityNormalized", "Segmentation"),
+        *("SurfaceNormals", "Infrared", "OpticalFlow", "OpticalFlowVis"),
+    )
+    weather = ("Rain", "Roadwetness", "Snow", "RoadSnow", "MapleLeaf", "RoadLeaf", "Dust", "Fog", "Enabled")
+    for kind, names in (
+        (types.ImageType, images),
+        (types.WeatherParameter, weather),
+        (types.LandedState, ("Landed", "Flying")),
+        (types.DrivetrainType, ("MaxDegreeOfFreedom", "ForwardOnly")),
+    ):
+        assert [getattr(kind, name) for name in names] == list(range(len(names)))
+
+
+# --- answers ----------------------------------------------------------------------------------------------------
+
+POINT = {"x_val": 1.0, "y_val": 2.0, "z_val": 3.0}
+TURN = {"w_val": 0.5, "x_val": 0.1, "y_val": 0.2, "z_val": 0.3}
+PLACE = {"latitude": 47.0, "longitude": -122.0, "altitude": 99.0}
+
+
+@pytest.mark.parametrize(
+    ("method", "arguments", "answer", "returns"),
+    [
+        ("ping", (), True, True),
+        ("simIsPause", (), 1, True),
+        ("isApiControlEnabled", (), 0, False),
+        ("getServerVersion", (), 4, 4),
+        ("listVehicles", (), ("A", "B"), ["A", "B"]),
+        ("simListSceneObjects", (), ("Ground",), ["Ground"]),
+        ("simGetSegmentationObjectID", ("x",), -1, -1),
+        ("simGetImage", ("0", 0), b"png", b"png"),
+        ("simGetImage", ("0", 0), "", None),
+        ("simGetImage", ("0", 0), b"\0", None),
+        ("simSpawnObject", ("a", "b", None, None), "a_1", "a_1"),
+        ("getSettingsString", (), "{}", "{}"),
+        ("simGetDistortionParams", (0,), (1, 2), [1, 2]),
+        ("isRecording", (), False, False),
+    ],
+)
+def test_plain_answers(
+    client: Any, recorder: Recorder, method: str, arguments: Any, answer: Any, returns: Any
+) -> None:
+    recorder.answer = answer
+    found = getattr(client, method)(*arguments)
+    assert (found, type(found)) == (returns, type(returns))
+
+
+@pytest.mark.parametrize(
+    ("method", "answer", "kind"),
+    [
+        ("simGetVehiclePose", {"position": POINT, "orientation": TURN}, airsim.Pose),
+        ("simGetObjectPose", {"position": POINT, "orientation": TURN}, airsim.Pose),
+        ("simGetObjectScale", POINT, airsim.Vector3r),
+        ("getHomeGeoPoint", PLACE, airsim.GeoPoint),
+        ("simGetCollisionInfo", {"normal": POINT, "has_collided": True}, airsim.CollisionInfo),
+        ("simGetGroundTruthKinematics", {"linear_velocity": POINT}, airsim.KinematicsState),
+        ("simGetGroundTruthEnvironment", {"geo_point": PLACE}, airsim.EnvironmentState),
+        ("getMultirotorState", {"gps_location": PLACE, "landed_state": 1}, airsim.MultirotorState),
+        ("getRotorStates", {"rotors": [], "timestamp": 7}, airsim.RotorStates),
+        ("simGetCameraInfo", {"fov": 90.0}, airsim.CameraInfo),
+        ("getImuData", {"linear_acceleration": POINT}, airsim.ImuData),
+        ("getBarometerData", {"pressure": 3.0}, airsim.BarometerData),
+        ("getMagnetometerData", {"magnetic_field_body": POINT}, airsim.MagnetometerData),
+        ("getGpsData", {"is_valid": True}, airsim.GpsData),
+        ("getDistanceSensorData", {"distance": 4.0}, airsim.DistanceSensorData),
+        ("getLidarData", {"point_cloud": [1.0]}, airsim.LidarData),
+    ],
+)
+def test_answers_are_airsims_types(
+    client: Any, recorder: Recorder, method: str, answer: dict[str, Any], kind: type
+) -> None:
+    recorder.answer = answer
+    found = getattr(client, method)(*([0] if CALLS[method].parameters[0][1] is None else []))
+    assert type(found) is kind
+    for key, value in answer.items():
+        assert (plain(getattr(found, key)) if isinstance(value, dict) else getattr(found, key)) == value
+
+
+def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> None:
+    recorder.answer = [{"width": 3}, {"width": 4}]
+    images = client.simGetImages([airsim.ImageRequest("0", 0)])
+    assert [(type(each), each.width) for each in images] == [
+        (airsim.ImageResponse, 3),
+        (airsim.ImageResponse, 4),
+    ]
+    recorder.answer = [{"name": "A"}]
+    assert [(type(each), each.name) for each in client.simGetDetections("0", 0)] == [
+        (airsim.DetectionInfo, "A")
+    ]
+    recorder.answer = [PLACE, PLACE]
+    assert [type(each) for each in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
+
+
+def test_what_the_client_does_with_several_calls_or_none(
+    client: Any, recorder: Recorder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client.simSetDistortionParams(2, {"K1": 0.5, "P2": 0.25}, "B", True)
+    expected = [("simSetDistortionParam", "2", *each, "B", True) for each in (("K1", 0.5), ("P2", 0.25))]
+    assert recorder.sent == expected
+    recorder.sent.clear()
+    recorder.answer = {"segmentation": [5]}
+    assert client.simGetLidarSegmentation("eye", "B") == [5]
+    assert recorder.sent == [("getLidarData", "eye", "B")]
+    recorder.sent.clear()
+    client.simSetCameraOrientation(1, airsim.Quaternionr(*TURN.values()), "B")
+    ((method, camera, pose, *rest),) = recorder.sent
+    assert (method, camera, rest) == ("simSetCameraPose", "1", ["B", False])
+    assert all(math.isnan(each) for each in pose["position"].values())
+    assert list(pose["orientation"].values()) == list(
+        airsim.Quaternionr(*TURN.values()).to_msgpack().values()
+    )
+    assert (client.getClientVersion(), client.getMinRequiredServerVersion()) == (1, 1)
+    recorder.answer = 1
+    client.confirmConnection()
+    assert capsys.readouterr().out.startswith(
+        "Connected!\nClient Ver:1 (Min Req: 1), Server Ver:1 (Min Req: 1)\n"
+    )
+    recorder.answer = 0
+    client.confirmConnection()
+    assert "AirSim server is too old" in capsys.readouterr().out
+
+
+def test_a_client_connects_to_where_airsim_listens(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(client_module, "connect", lambda *given: told.append(given))
+    airsim.MultirotorClient()
+    airsim.VehicleClient("10.0.0.1", 5, timeout_value=2)
+    assert told == [("127.0.0.1", 41451, 3600), ("10.0.0.1", 5, 2)]
+    with pytest.raises(NotImplementedError, match="there is no car"):
+        airsim.CarClient()
+
+
+# --- before 1.2 -------------------------------------------------------------------------------------------------
+
+FREE, STILL = DEFAULTS["FREE"], DEFAULTS["STILL"]
+HOW = (FREE, STILL, -1, 1, "")
+
+
+@pytest.mark.parametrize(
+    ("method", "arguments", "sent"),
+    [
+        ("takeoff", (), ("takeoff", 15, "")),
+        ("takeoff", (0,), ("takeoff", 3e38, "")),
+        ("land", (), ("land", 60, "")),
+        ("goHome", (), ("goHome", 3e38, "")),
+        ("hover", (), ("hover", "")),
+        ("moveByAngle", (0.1, 0.2, -3, 0.4, 5), ("moveByRollPitchYawZ", 0.2, 0.1, 0.4, -3, 5, "")),
+        ("moveByAngleZ", (0.1, 0.2, -3, 0.4, 5), ("moveByRollPitchYawZ", 0.2, 0.1, 0.4, -3, 5, "")),
+        ("moveByVelocity", (1, 2, 3, 4), ("moveByVelocity", 1, 2, 3, 4, FREE, STILL, "")),
+        ("moveByVelocityZ", (1, 2, 3, 4), ("moveByVelocityZ", 1, 2, 3, 4, FREE, STILL, "")),
+        ("moveByManual", (1, 2, 3, 4), ("moveByManual", 1, 2, 3, 4, FREE, STILL, "")),
+        ("moveOnPath", ([1], 2), ("moveOnPath", [1], 2, 60, *HOW)),
+        ("moveToPosition", (1, 2, 3, 4), ("moveToPosition", 1, 2, 3, 4, 60, *HOW)),
+        ("moveToZ", (1, 2), ("moveToZ", 1, 2, 60, *HOW[1:])),
+        ("rotateToYaw", (9,), ("rotateToYaw", 9, 60, 5, "")),
+        ("rotateByYawRate", (9, 2), ("rotateByYawRate", 9, 2, "")),
+        ("getCollisionInfo", (), ("simGetCollisionInfo", "")),
+        ("getCameraInfo", (3,), ("simGetCameraInfo", "3", "", False)),
+        ("simSetPose", (7, True), ("simSetVehiclePose", 7, True, "")),
+        ("simGetPose", (), ("simGetVehiclePose", "")),
+        ("setRCData", (7,), ("moveByRC", 7, "")),
+    ],
+)
+def test_the_client_before_1_2_sends_the_same_calls(
+    recorder: Recorder, method: str, arguments: Any, sent: Any
+) -> None:
+    client = old_client.MultirotorClient()
+    ask(client, method, *arguments)
+    assert recorder.sent == [sent]
+
+
+def test_the_client_before_1_2_waits_for_the_end_of_what_has_a_time_limit(recorder: Recorder) -> None:
+    client = old_client.MultirotorClient()
+    recorder.answer = False
+    for command in (lambda: client.takeoff(0), lambda: client.moveByVelocity(1, 0, 0, 1)):
+        assert command() is True
+        assert not recorder.future.done
+    assert client.moveToZ(-3, 1) is False
+    assert recorder.future.done
+
+
+def test_the_client_before_1_2_reads_parts_of_the_state(recorder: Recorder) -> None:
+    client = old_client.MultirotorClient()
+    flown = {"position": POINT, "linear_velocity": {**POINT, "x_val": 9.0}, "orientation": TURN}
+    recorder.answer = {
+        "kinematics_estimated": flown, "gps_location": PLACE, "landed_state": 1, "timestamp": 5,
+    }  # fmt: skip
+    assert plain(client.getPosition()) == POINT
+    assert client.getVelocity().x_val == 9.0
+    assert client.getGpsLocation().altitude == 99.0
+    assert (client.getLandedState(), client.timestampNow(), client.isSimulationMode()) == (1, 5, True)
+    assert client.getPitchRollYaw() == airsim.to_eularian_angles(client.getOrientation())

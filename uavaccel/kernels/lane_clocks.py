@@ -1,0 +1,121 @@
+"""A lane's clock through a command, step by step, between which all lanes fly: the CPU flies a lane at once instead.
+
+Scalar functions for a GPU's threads; kernels/timeline has the clock itself. `lane` has its row in all arrays.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uavaccel.kernels import timeline
+from uavaccel.kernels.fields import COLUMNS, ROWS
+from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
+from uavaccel.kernels.timeline import Clocks, Timing
+from uavaccel.parts import part
+from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings
+
+DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
+RED, GREEN, BLUE = LUMA_WEIGHTS
+PIXELS = ROWS * COLUMNS
+
+
+@part
+def begin(lane: int, game: int, scale: float, games: Games, timing: Timing, clocks: Clocks) -> None:
+    """The clock of a game that begins, up to its first picture."""
+    clocks.scale[lane], clocks.brightness[lane] = scale, np.nan
+    timeline.start(clocks.row[lane], scale, timing, games.seeds[game, PICTURE_SEED])
+
+
+@part
+def show_start(lane: int, levels: Any, timing: Timing, clocks: Clocks) -> None:
+    """The game's first picture."""
+    suspect = guard(lane, levels, timing, clocks)
+    timeline.show_start(clocks.row[lane], clocks.scale[lane], timing, suspect)
+
+
+@part
+def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Any) -> None:
+    """A command begins; `legs` (L,) take the ticks until it acts."""
+    tick = timeline.issue(clocks.row[lane], clocks.scale[lane], timing)
+    legs[lane] = tick - now.state[lane].tick
+
+
+@part
+def take(lane: int, hold_ticks: int, directions: Any, games: Games, now: Flights) -> None:
+    """It acts, and position hold sets in after so many ticks unless another one comes."""
+    command(lane, directions, games, now)
+    now.state[lane].hover_tick = now.state[lane].tick + hold_ticks
+
+
+@part
+def reach(
+    lane: int, sample: int, now: Flights, timing: Timing, clocks: Clocks, looking: Any, legs: Any
+) -> None:
+    """Wait for a sample: `legs` take the ticks until then, `looking` (L,) whether there is one."""
+    row = clocks.row[lane]
+    looking[lane] = 1 if row[timeline.LAST] == 0 else 0
+    if looking[lane] == 0:
+        legs[lane] = 0
+        return
+    clocks.taken[lane] = sample
+    legs[lane] = timeline.reach(row, clocks.scale[lane], timing, sample) - now.state[lane].tick
+
+
+@part
+def leave(lane: int, sample: int, levels: Any, now: Flights, timing: Timing, clocks: Clocks) -> None:
+    """Go on after a sample; of one after a touch there is nothing to see."""
+    row, hit, suspect = clocks.row[lane], touched(lane, now), False
+    if not hit:
+        clocks.ticks[lane, sample], clocks.taken[lane] = now.state[lane].tick, sample + 1
+        suspect = guard(lane, levels, timing, clocks)
+    timeline.leave(row, clocks.scale[lane], timing, hit, suspect)
+    if row[timeline.LAST] != 0:
+        timeline.switch(row, timeline.NO_PHASE)
+
+
+@part
+def split(lane: int, now: Flights, clocks: Clocks, legs: Any, to_shown: Any) -> None:
+    """The ticks to the pose that pictures will show, -1 where that is kept already; `legs` are what follows."""
+    shown = clocks.row[lane, timeline.SHOWN]
+    to_shown[lane] = shown - now.state[lane].tick if shown >= now.state[lane].tick else -1
+    legs[lane] -= max(to_shown[lane], 0)
+
+
+@part
+def keep_shown(lane: int, now: Flights, clocks: Clocks) -> None:
+    """The present pose is what pictures show until the next one of Unreal's frames."""
+    for axis in range(3):
+        clocks.shown[lane, axis] = now.state[lane].position[axis]
+    for number in range(4):
+        clocks.shown[lane, 3 + number] = now.state[lane].quaternion[number]
+
+
+@part
+def turn_to_shown(lane: int, now: Flights, clocks: Clocks) -> None:
+    """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
+    if clocks.row[lane, timeline.SHOWN] < 0:
+        return
+    state, shown = now.state[lane], clocks.shown[lane]
+    for axis in range(3):
+        shown[axis], state.position[axis] = state.position[axis], shown[axis]
+    for number in range(4):
+        shown[3 + number], state.quaternion[number] = state.quaternion[number], shown[3 + number]
+
+
+@part
+def guard(lane: int, levels: Any, timing: Timing, clocks: Clocks) -> bool:
+    """Whether the guard asks for the picture again (vision/guard), noted for the next one.
+
+    `levels` (L, 3) are sums over its pixels: of grey, or of red, green and blue.
+    """
+    if timing.rules[timeline.GUARDED] == 0:
+        return False
+    of_lane = levels[lane]
+    bright = of_lane[0] / PIXELS
+    if of_lane[1] >= 0:
+        bright = RED * bright + GREEN * (of_lane[1] / PIXELS) + BLUE * (of_lane[2] / PIXELS)
+    suspect = timeline.is_suspect(bright, clocks.brightness[lane], DARKEST, MOST_CHANGE)
+    clocks.brightness[lane] = bright
+    return suspect

@@ -1,0 +1,1 @@
+"""Cameras drawn off-screen: the OpenGL context, what a camera sees, the front camera, and cameras mounted anywhere."""
