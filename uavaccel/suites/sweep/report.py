@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import agent_name
 from uavaccel.suites.report import Report, Row, Summary
-from uavaccel.suites.sweep.conditions import UNITS, value_text
+from uavaccel.suites.sweep.conditions import value_text
 from uavaccel.suites.sweep.figure import plot_sweeps
 
 FIGURE = "figures/sweep.png"
@@ -140,7 +141,8 @@ def table(summary: Summary) -> list[tuple[str, ...]]:
 
 
 def _name(condition: str) -> str:
-    return f"{condition}, {UNITS[condition]}" if condition in UNITS else condition
+    unit = CONDITIONS[condition].unit if condition in CONDITIONS else ""
+    return f"{condition}, {unit}" if unit else condition
 
 
 _READING = (
