@@ -49,5 +49,10 @@ class Dp1(Suite[Dp1Config, Case]):
                 run.write_json(f"traces/{command}.json", trace)
 
     def cost(self, config: Dp1Config, case: Case) -> Cost:
-        calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
-        return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
+        return game_cost(case)
+
+
+def game_cost(case: Case) -> Cost:
+    """What a game takes, about."""
+    calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
+    return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)

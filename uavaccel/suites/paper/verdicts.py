@@ -13,6 +13,7 @@ from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.config import PROFILES, Claim, PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.report import SummaryCell
 
 LEVEL = 0.05
 
@@ -71,7 +72,7 @@ def _paper_p(claim: Claim) -> float | None:
     return fisher_exact_p((first, paper_results.GAMES), (second, paper_results.GAMES))
 
 
-def at_the_papers_n(row: Mapping[str, Any]) -> str:
+def at_the_papers_n(row: SummaryCell) -> str:
     """What the paper's own games can tell, in words; empty where it compares no counts."""
     if row["paper_p"] is None:
         return ""

@@ -94,7 +94,7 @@ class RlReport(Report):
         if summary["as_trained"]:
             lines = [_as_trained(flown) for flown in summary["as_trained"]]
             blocks += [
-                Heading("GameResult at the ClockSpeed of the training"),
+                Heading("Flown at the ClockSpeed of the training"),
                 Table(AS_TRAINED_HEADER, lines),
             ]
         minutes = _machine_minutes(self.run, self.rows)
@@ -129,7 +129,7 @@ def _success_line(cell: SummaryCell) -> tuple[str, ...]:
     )
 
 
-def _as_trained(flown: Mapping[str, Any]) -> tuple[str, ...]:
+def _as_trained(flown: SummaryCell) -> tuple[str, ...]:
     real_time, own = flown["real_time"], flown["as_trained"]
     return (
         panel_name(flown),

@@ -63,7 +63,7 @@ class SweepReport(Report):
         return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> dict[str, Any]:
+def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> Summary:
     """Every condition with its interval, and McNemar's exact test against the flights as trained.
 
     `won` has the successes lane by lane, by case.
@@ -96,7 +96,7 @@ def case_id(condition: str, value: Any) -> str:
     return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
 
 
-def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
+def _cell(name: str, value: Any, row: Row, won: Won) -> Summary:
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
