@@ -392,6 +392,7 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 3600.0)
     rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 900.0)
     for number, row in enumerate(rows):
+        row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
         run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], load(row)))
         run.append_timing({"case": row["case"], "training_s": 60.0 * (number + 1)})
     Rl().report(run)
@@ -405,12 +406,12 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     assert f"{fisher:.2g}" != f"{mcnemar:.2g}"
     assert [name.split(" (")[0] for name in fast][-2:] == ["p against 1x: Fisher", "McNemar"]
     _, fast = table_below(page, "Time of the training")
-    slow_s, fast_s = 0.75 * 3600 + 0.25, 0.75 * 900 + 0.25
+    slow_s, fast_s, beside_s = 0.75 * 3600 + 0.25, 0.75 * 900 + 0.25, 400.003
     assert list(fast.values())[1:] == [
-        "5x", "2", f"{300 * (fast_s + 0.01) / 3600:.3g}", f"{300 * (slow_s + 0.01) / 3600:.3g}",
-        f"{slow_s / fast_s:.3g}x", "4x", f"{(slow_s + 0.01) / (fast_s + 0.01):.3g}x", "3.6x", "7",
+        "5x", "2", f"{300 * (fast_s + beside_s) / 3600:.3g}", f"{300 * (slow_s + beside_s) / 3600:.3g}",
+        f"{slow_s / fast_s:.3g}x", "4x", f"{(slow_s + beside_s) / (fast_s + beside_s):.3g}x", "3.6x", "7",
     ]  # fmt: skip
-    hours = 600 * (slow_s + 0.01) / 3600
+    hours = 600 * (slow_s + beside_s) / 3600
     assert f"These trainings' 40 games would have taken {hours:.3g} hours in real time" in page
     assert f"{3600 * hours / 40:.0f} s per game" in page
     assert f"took 0.17 hours of training, measured, one after another: {hours * 6:.0f} times less" in page
