@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.training.curve import draw_runs
+from uavaccel.suites.training.learning_curves import draw_runs
 
 
 def main() -> None:

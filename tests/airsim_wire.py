@@ -9,11 +9,12 @@ from typing import Any
 import msgpack
 
 from tests.scenes import BLOCKS
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.objects import SceneObjects
-from uavaccel.sim.simulation import DeferredReply, Simulation
-from uavaccel.sim.watched import WatchedWorld
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.settings import Settings
@@ -22,12 +23,12 @@ MS = 1_000_000
 
 
 @cache
-def furnished_world() -> WatchedWorld:
+def furnished_world() -> World:
     """One for all tests: each begins with a reset, and what it spawned it destroys.
 
     Its blocks are where tests.scenes.BLOCKS has them; what is no block is out of the way.
     """
-    world = WatchedWorld("blocks", NATIVE, furnished=True)
+    world = World("blocks", NATIVE, furnished=True)
     objects = SceneObjects(world)
     for name in objects.names():
         middle, _ = BLOCKS.get(name, ((-5000.0, 0.0, -3.0), None))
@@ -55,12 +56,12 @@ class AirSimWire:
 
     def __init__(self, settings: Mapping[str, Any] | None = None, **api: Any) -> None:
         self.world = furnished_world()
-        self.world.state["wind"] = 0.0
+        self.world.lead.state["wind"] = 0.0
         self.world.reset()
         self.said: list[str] = []
         self.simulation = Simulation(self.world)
         self.simulation.reset(0)
-        self.simulation.api_control = True
+        self.simulation.lead.api_control = True
         self.api = Api(self.simulation, Settings.model_validate(settings or {}), say=self.said.append, **api)
         self.wall_ns = 0
 

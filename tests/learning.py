@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.running import run_into
 from uavaccel.config import validate
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.report import Summary
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.suite import Training
 

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import NATIVE, Profile
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
@@ -29,8 +31,16 @@ def simulate(clock_speed: float = 1.0, profile: Profile = NATIVE, **options: Any
     """A settled hover at wall time 0, running, with API control."""
     simulation = Simulation(world_of(profile), clock_speed, **options)
     simulation.reset(0)
-    simulation.api_control = True
+    simulation.lead.api_control = True
     return simulation
+
+
+def fly_velocity(
+    simulation: Simulation, goal: VelocityGoal, duration_s: float, wall_ns: int
+) -> DeferredReply:
+    """A command to the leading vehicle, as moveByVelocity gives it."""
+    ticks = simulation.profile.command_ticks(duration_s)
+    return simulation.lead.fly(of_velocity(goal), ticks, wall_ns)
 
 
 def go_to(simulation: Simulation, tick: int) -> int:
@@ -41,7 +51,7 @@ def go_to(simulation: Simulation, tick: int) -> int:
 
 
 def position(simulation: Simulation) -> NDArray[np.float64]:
-    return np.array(simulation.world.state["position"])
+    return np.array(simulation.world.lead.state["position"])
 
 
 def answer(reply: DeferredReply) -> Any:

@@ -10,13 +10,13 @@ import pytest
 
 from tests.running import run_into
 from uavaccel.config import validate
-from uavaccel.draw.variants import VariantCurve, plot_variants
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.ablation.config import AblationConfig
 from uavaccel.suites.ablation.report import curves, table
 from uavaccel.suites.ablation.suite import Ablation
+from uavaccel.suites.ablation.variants import VariantCurve, plot_variants
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.yaml_io import load_yaml

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import NORTH, answer, go_to, position, simulate, world_of
+from tests.simulating import NORTH, answer, fly_velocity, go_to, position, simulate, world_of
 from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS
 from uavaccel.config import validate
@@ -192,13 +192,13 @@ def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
     """At 10x with a frame every 16 ms, paused at 40: what was flown by 32, not the 80 simulated ms since."""
     world = world_of(AIRSIM)
     simulation = simulate(10.0, AIRSIM, frames=Frames(16 * MS, stale_pose=True))
-    simulation.fly_velocity(NORTH, 2.0, 0)
+    fly_velocity(simulation, NORTH, 2.0, 0)
     assert simulation.frames.scene(world.data) is world.data, "before the first frame there is the start"
     simulation.advance_to(40 * MS)
     simulation.pause(40 * MS)
     paused = position(simulation)
     again = simulate(10.0, AIRSIM)
-    again.fly_velocity(NORTH, 2.0, 0)
+    fly_velocity(again, NORTH, 2.0, 0)
     again.advance_to(32 * MS)
     shown = simulation.frames.scene(world.data).qpos.copy()
     assert np.array_equal(shown, world.data.qpos), "the world, which both flew, stands at the last frame now"

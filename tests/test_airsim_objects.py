@@ -11,7 +11,7 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from uavaccel.resources import asset
-from uavaccel.sim.scene.furnished import SPARES, furnished_spec, put_spares_by
+from uavaccel.sim.scene.model import SPARES, furnished_spec, put_spares_by
 from uavaccel.sim.scene.objects import take_over
 from uavaccel.sim.scene.rays import cast
 from uavaccel.wire import rpc
@@ -110,7 +110,7 @@ def test_what_is_spawned_has_its_form_stops_the_vehicle_and_goes(
     assert not wire.call("simDestroyObject", "crate")
     wire.call("reset")
     assert ahead_m(wire) == pytest.approx(42.0)
-    wire.simulation.api_control = True
+    wire.simulation.lead.api_control = True
     wire.call("moveByVelocityZ", 4.0, 0.0, -10.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(3.0)
     assert not wire.call("simGetCollisionInfo", "")["has_collided"]

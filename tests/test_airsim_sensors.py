@@ -285,7 +285,7 @@ def test_wind_acts_at_the_next_tick_as_in_airsims_physics() -> None:
     world.set_wind((10.0, 0.0, 0.0))
     for speed, gained, way in ((9.76691e-4, 0.651114, 0.0), (2.929692e-3, 0.650859, 5.860272e-6)):
         world.advance(1)
-        now = world.kinematics()
+        now = world.lead.kinematics()
         assert now.linear_velocity_m_s[0] == pytest.approx(speed, rel=1e-4)
         assert now.linear_acceleration_m_s2[0] == pytest.approx(gained, rel=1e-4)
         assert now.position_m[0] == pytest.approx(way, rel=1e-4, abs=1e-12)
@@ -337,7 +337,7 @@ def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
     """Six times: dive, ask once, reset."""
     wire = AirSimWire()
     for _ in range(6):
-        wire.simulation.api_control = True
+        wire.simulation.lead.api_control = True
         wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -2.0), True, "")
         wire.call("moveByVelocity", 0.0, 0.0, 5.0, 10.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
         wire.fly(2.0)

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavaccel.errors import UserError
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -76,7 +77,7 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
             continue
         if isinstance(result, DeferredReply):
             api.simulation.pause(wall_ns)
-            api.simulation.cancel(wall_ns)
+            api.simulation.lead.cancel(wall_ns)
             result = result.encode(result.value)
         msgpack.packb(result)
 

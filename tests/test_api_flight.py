@@ -62,7 +62,9 @@ def test_states_are_those_of_the_physics() -> None:
     before = api.simulation.kinematics()
     told = result_of(api, "getMultirotorState", ["SimpleFlight"], 702 * MS)
     state, world = told["kinematics_estimated"], api.simulation.world
-    assert [state["position"][axis] for axis in ("x_val", "y_val", "z_val")] == list(world.state["position"])
+    assert [state["position"][axis] for axis in ("x_val", "y_val", "z_val")] == list(
+        world.lead.state["position"]
+    )
     now = api.simulation.kinematics()
     assert (
         tuple(state["orientation"][axis] for axis in ("w_val", "x_val", "y_val", "z_val"))
@@ -155,7 +157,7 @@ def test_what_lasts_for_ever_lasts_very_long() -> None:
     """AirSim's clients write 3e38."""
     api = new_api()
     result_of(api, "moveByVelocity", [0.0, 0.0, 0.0, 3e38, MAX_DOF, STILL])
-    [(start, end)] = api.simulation.commands
+    [(start, end)] = api.simulation.lead.log
     assert (end - start) * NATIVE.tick_s == 1e9
 
 
@@ -165,7 +167,7 @@ def test_a_command_of_no_duration_ends_the_one_that_runs(method: str, answered: 
     running = result_of(api, "moveByVelocity", [1.0, 0.0, 0.0, 1.0, MAX_DOF, STILL])
     assert result_of(api, method, [1.0, 0.0, 0.0, 0.0, MAX_DOF, STILL], 10 * MS) is answered
     assert answer(running) is False
-    assert list(api.simulation.commands) == [(0, 5)]
+    assert list(api.simulation.lead.log) == [(0, 5)]
 
 
 @pytest.mark.parametrize(("method", "params", "told", "controlled"), [
@@ -192,9 +194,9 @@ def test_control_is_given_and_taken() -> None:
     assert running.due_wall_ns is None, "to give control ends nothing"
     assert result_of(api, "isApiControlEnabled", ["SimpleFlight"]) is True
     assert result_of(api, "armDisarm", [False]) is True
-    assert not api.simulation.world.state["armed"]
+    assert not api.simulation.world.lead.state["armed"]
     assert result_of(api, "armDisarm", [True]) is True
-    assert api.simulation.world.state["armed"]
+    assert api.simulation.world.lead.state["armed"]
 
 
 # --- the clock ----------------------------------------------------------------------------------------------
@@ -240,8 +242,8 @@ def test_a_game_begins_paused_controlled_recording_at_its_height_and_speed() -> 
     assert answer(running.reply) is False
     assert decode_state(told) == simulation.kinematics()
     assert simulation.kinematics().position_m == (0.0, 0.0, -4.0)
-    assert (simulation.paused, simulation.api_control, simulation.world.recording) == (True, True, True)
-    assert (float(simulation.clock_speed), simulation.world.tick, len(simulation.commands)) == (2.5, 0, 0)
+    assert (simulation.paused, simulation.lead.api_control, simulation.world.recording) == (True, True, True)
+    assert (float(simulation.clock_speed), simulation.world.tick, len(simulation.lead.log)) == (2.5, 0, 0)
     assert decode_state(result_of(api, "uavaccelStartGame", [1.0], 800 * MS)).position_m == (0.0, 0.0, -10.0)
 
 

@@ -9,18 +9,19 @@ import pytest
 
 from tests.opengl import needs_opengl
 from uavaccel.bench import speed
-from uavaccel.bench.images import LookingLane
+from uavaccel.bench.images import frames_seen
 from uavaccel.bench.memory import proportional_mib
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.wire.session import VirtualSession
 
 
 @needs_opengl
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(None, 3), (10.0, 12), (100.0, 100)])
 def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pictures: int) -> None:
-    environment = LookingLane(dvs_rate_hz=rate_hz)
+    environment = ObstacleLane(dvs_rate_hz=rate_hz)
     environment.reset(seed=0)
     environment.step(2)
-    assert environment.pictures == pictures  # at 10 Hz two samples of the three fall between them
+    assert frames_seen(environment) == pictures  # at 10 Hz two samples of the three fall between them
     environment.close()
 
 

@@ -21,6 +21,7 @@ from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 EYE_AHEAD_M = 0.46
@@ -171,7 +172,7 @@ def test_looking_does_not_change_the_flight() -> None:
         world = World("lane", NATIVE)
         world.set_lane(draw_layout(1))
         world.reset()
-        world.fly_velocity(VelocityGoal((1.0, 0.4, 0.0), yaw=0.2))
+        world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.4, 0.0), yaw=0.2)))
         for _ in range(20):
             world.advance(50)
             if looks:

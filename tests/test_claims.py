@@ -11,8 +11,8 @@ from scipy.stats import binomtest, hypergeom
 
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.config import PaperConfig, read_claims
-from uavaccel.suites.paper.evidence import Images, Policies, Trajectories
-from uavaccel.suites.paper.verdicts import _paper_p, at_the_papers_n
+from uavaccel.suites.paper.evidence import Images, NoEvidence, Policies, Trajectories
+from uavaccel.suites.paper.verdicts import _judged, _paper_p, at_the_papers_n
 from uavaccel.suites.parts import Part
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
@@ -184,7 +184,8 @@ def test_a_claim_of_section_iv_d(claim: str, failing: dict[str, float]) -> None:
     decide = getattr(claims, claim)
     assert decide(policies(games=1000)).holds
     assert not decide(policies(games=1000, **failing)).holds
-    assert decide(Policies([])) is None
+    with pytest.raises(NoEvidence):
+        decide(Policies([]))
 
 
 def test_the_papers_n_tells_of_the_collapse_alone() -> None:
@@ -209,3 +210,22 @@ def test_every_claim_has_a_decision_and_a_test_of_it() -> None:
     assert {claim.id for claim in CLAIMS} == tested | by_training
     assert all(callable(getattr(claims, claim.id)) for claim in CLAIMS)
     assert len({claim.id for claim in CLAIMS}) == len(CLAIMS)
+
+
+@pytest.mark.parametrize("claim", DP1_FAILURES)
+def test_what_was_not_flown_decides_nothing(claim: str) -> None:
+    """A run of ADSC alone at 1x has no accelerated games, and no TCSC."""
+    cells = [cell for cell in trajectories().cells if (cell["command"], cell["clock_speed"]) == ("adsc", 1.0)]
+    if claim == "reference_near_2":
+        assert getattr(claims, claim)(Trajectories(cells, cells, seed=0)).holds
+        return
+    with pytest.raises(NoEvidence):
+        getattr(claims, claim)(Trajectories(cells, cells, seed=0))
+
+
+def test_a_summary_that_lacks_a_key_is_a_mistake_and_no_verdict() -> None:
+    cells = [{key: value for key, value in cell.items() if key != "stlc"} for cell in trajectories().cells]
+    claim = next(claim for claim in CLAIMS if claim.id == "reference_near_2")
+    with pytest.raises(KeyError, match="stlc"):
+        _judged(claim, {"dp1": Trajectories(cells, cells, seed=0)})
+    assert _judged(claim, {"dp1": Trajectories([], [], seed=0)})["verdict"] == "not flown"

@@ -18,6 +18,7 @@ from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.vehicle import clearance
 from uavaccel.sim.vehicle.clearance import Clearance
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 
@@ -36,10 +37,14 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
     for _ in range(40):
         heading, speed = rng.uniform(-1, 1), rng.choice([1.0, 3.0, 8.0])
         velocity = (speed * math.cos(heading), speed * math.sin(heading), 0.0)
-        world.fly_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2)))
+        world.lead.set_goal(of_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2))))
         for ticks in (165, 165, 170):
             world.advance(ticks)
-    return world.samples().tobytes(), world.collision_tick, world.collision_object
+    return (
+        world.samples().tobytes(),
+        world.lead.collision_tick,
+        getattr(world.lead.touches.first, "object", ""),
+    )
 
 
 @pytest.mark.slow
@@ -78,10 +83,10 @@ def turned_to(direction: NDArray[np.float64]) -> tuple[float, float, float, floa
 
 def rocket(world: World) -> None:
     """Full thrust whatever happens, and no turning: the worst that a flight may be."""
-    world.parameters["min_throttle"] = 1.0
-    world.parameters["rate_gain"] = 0.0
+    world.lead.parameters["min_throttle"] = 1.0
+    world.lead.parameters["rate_gain"] = 0.0
     for name in ("rotor_input", "rotor_lagged", "rotor_output"):
-        world.state[name] = 1.0
+        world.lead.state[name] = 1.0
 
 
 TARGETS = {  # a place near, and the direction to what is to be hit
@@ -108,12 +113,18 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
         for world.clearance in (usual, touchy):
             world.reset()
             rocket(world)
-            world.state["wind"] = wind_m_s * direction
+            world.lead.state["wind"] = wind_m_s * direction
             start = tuple(place - distance_m * direction)
             world.place(start, turned_to(direction), tuple(speed_m_s * direction))
             for _ in range(400):
                 world.advance(1)
-            ends.append((world.collision_tick, world.collision_object, world.kinematics()))
+            ends.append(
+                (
+                    world.lead.collision_tick,
+                    getattr(world.lead.touches.first, "object", ""),
+                    world.lead.kinematics(),
+                )
+            )
         world.clearance = usual
         assert ends[0] == ends[1]
         assert ends[0][0] is not None
@@ -131,7 +142,7 @@ def test_no_flight_accelerates_more_than_the_strongest(
 ) -> None:
     """Newton's law in numpy: thrust, drag on the widest face and weight in a line, up to the gust's gain of speed."""
     world = lane_world()
-    gains = world.parameters
+    gains = world.lead.parameters
     rng = np.random.default_rng(seed)
     density = 1.2250 * (1 - 0.0065 * (gains["ground_altitude_m"] + height_m) / 288.15) ** 4.2559
     airspeed = speed_m_s + wind_m_s + rng.uniform(0, clearance.GUST_M_S)
@@ -175,16 +186,16 @@ def test_the_free_time_is_that_to_the_nearest_of_ground_walls_and_posts(
     world = lane_world()
     world.set_lane(layout_from(POSTS, "test"))
     world.place((north_m, east_m, -height_m), velocity_m_s=velocity_m_s)
-    world.state["wind"] = wind_m_s
-    free_s = world.clearance.free_s(world.parameters, world.state)
+    world.lead.state["wind"] = wind_m_s
+    free_s = world.clearance.free_s(world.lead.parameters, world.lead.state)
     centres = np.array([[75.0, 5.1, 10.0], [75.0, -5.1, 10.0], [20.0, 0.3, 10.0], [40.0, 0.0, 10.0]])
     halves = np.array([[85.0, 0.1, 10.0], [85.0, 0.1, 10.0], [0.5, 0.5, 10.0], [0.5, 0.5, 10.0]])
     outside = np.maximum(np.abs(np.array([north_m, east_m, height_m]) - centres) - halves, 0.0)
     nearest_m = min(np.linalg.norm(outside, axis=1).min(), height_m)
     room_m = nearest_m - math.hypot(0.3418, 0.045) - 0.01
-    speed = float(np.linalg.norm(world.state["velocity"]))
+    speed = float(np.linalg.norm(world.lead.state["velocity"]))
     airspeed = speed + float(np.linalg.norm(wind_m_s))
-    strongest = clearance.strongest_acceleration(world.parameters, airspeed)
+    strongest = clearance.strongest_acceleration(world.lead.parameters, airspeed)
     assert free_s == pytest.approx(clearance.time_to.py_func(room_m, speed, strongest), abs=1e-9)
     hull = world.model.geom("quadrotor_hull").id
     true_m = min(
@@ -201,16 +212,16 @@ def test_among_things_that_move_by_themselves_nothing_is_ever_free() -> None:
     data = mujoco.MjData(model)
     world = lane_world()
     world.reset()
-    assert Clearance(model, data).free_s(world.parameters, world.state) == 0.0
-    assert world.clearance.free_s(world.parameters, world.state) > 0.1
+    assert Clearance(model, data).free_s(world.lead.parameters, world.lead.state) == 0.0
+    assert world.clearance.free_s(world.lead.parameters, world.lead.state) > 0.1
 
 
 @pytest.mark.parametrize("poison", [math.nan, math.inf])
 def test_a_flight_that_diverged_is_never_free(poison: float) -> None:
     world = lane_world()
     world.reset()
-    world.state["velocity"] = (poison, 0.0, 0.0)
-    assert world.clearance.free_s(world.parameters, world.state) == 0.0
+    world.lead.state["velocity"] = (poison, 0.0, 0.0)
+    assert world.clearance.free_s(world.lead.parameters, world.lead.state) == 0.0
     world.reset()
 
 
@@ -227,7 +238,9 @@ def test_what_is_moved_is_seen_at_once() -> None:
         else:
             world.set_lane(layout_from({"obstacles": [{"x_m": 12.0, "y_m": 0.3, "radius_m": 0.4}]}, "test"))
         world.advance(2)
-        assert world.collision_object == ("wall_east" if move == "vehicle" else "obstacle_00")
+        assert getattr(world.lead.touches.first, "object", "") == (
+            "wall_east" if move == "vehicle" else "obstacle_00"
+        )
 
 
 _worlds: list[World] = []
@@ -242,7 +255,7 @@ def lane_world() -> World:
     if not _as_made:
         _as_made.append(parameters.copy())
     parameters[:] = _as_made[0]
-    _worlds[0].state["wind"] = 0.0
+    _worlds[0].lead.state["wind"] = 0.0
     return _worlds[0]
 
 

@@ -16,7 +16,6 @@ from uavaccel.config import (
     schema,
     to_yaml,
     validate,
-    validate_experiment,
 )
 from uavaccel.errors import UsageError, UserError
 from uavaccel.yaml_io import dump_yaml, parse_yaml
@@ -48,8 +47,6 @@ class Flight(Config):
 class Other(Config):
     suite: Literal["other"] = "other"
 
-
-SUITES: dict[str, type[Config]] = {"flight": Flight, "other": Other}
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -106,24 +103,6 @@ def test_numbers_that_are_not_finite_are_refused(speed: float) -> None:
 
 def test_what_is_no_plain_data_is_refused() -> None:
     assert "not made of text, numbers, lists and mappings" in refusal({"games": b"2"})
-
-
-def test_the_suite_picks_the_class() -> None:
-    assert validate_experiment(SUITES, {"suite": "other"}, source="my.yaml") == Other()
-    assert validate_experiment(SUITES, {"suite": "flight", "games": 2}, source="my.yaml") == Flight(games=2)
-
-
-@pytest.mark.parametrize(
-    ("suite", "line"),
-    [
-        ({}, "my.yaml: key 'suite' is missing; known: flight, other"),
-        ({"suite": "fligth"}, "my.yaml: suite = 'fligth' is unknown; did you mean 'flight'?"),
-        ({"suite": ["flight"]}, r"my.yaml: suite = \['flight'\] is unknown; did you mean 'flight'"),
-    ],
-)
-def test_an_unknown_suite_is_refused(suite: dict[str, Any], line: str) -> None:
-    with pytest.raises(UserError, match=line):
-        validate_experiment(SUITES, suite, source="my.yaml")
 
 
 # --- YAML ---------------------------------------------------------------------------------------------------

@@ -16,11 +16,11 @@ from uavaccel.cli.progress import Progress
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import report as dp1_report
 from uavaccel.suites.dp1.cases import Case
 from uavaccel.suites.dp1.cases import cases as cases_of
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
+from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 
@@ -111,7 +111,7 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of a small run's time, and has tests of its own."""
-    monkeypatch.setattr(dp1_report, "_draw", lambda *_: [])
+    monkeypatch.setattr(Dp1Report, "figures", lambda _: [])
 
 
 def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,11 +251,11 @@ def test_a_flight_that_diverges_is_a_row_with_an_error(
     config = paper_config(clock_speed=[100.0], t_move_s=[0.1], rounds=[1], games=1)
     with VirtualSession(SCENE, "native", config.latency) as session:
         for command in ("adsc", "tcsc"):
-            session._world(1.0).state["wind"] = 1e200
+            session._world(1.0).lead.state["wind"] = 1e200
             case = case_of(config, f"{command}-k100-t0.1-r1-g00")
             row, _ = fly_game(config, case, session)
             assert "mjWARN_BAD" in row["error"]
-            session._world(1.0).state["wind"] = 0.0
+            session._world(1.0).lead.state["wind"] = 0.0
             row, arrays = fly_game(config, case, session)
             assert row["error"] is None
             assert np.isfinite(arrays["position_m"]).all()

@@ -25,11 +25,15 @@ from tests.dp1_games import (
 from tests.drawing import boxes, headline, labelled, points, record_figures, texts
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import figures
-from uavaccel.suites.dp1.report import write_report
+from uavaccel.suites.dp1.accuracy import accuracy_figure
+from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, table
+from uavaccel.suites.dp1.trajectories import trajectory_figure
+from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.dp1.velocity import velocity_figure
 
 FIGURES = (
     "figure2_velocity",
@@ -81,7 +85,7 @@ def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, 
         speed = np.full((81, 3), row["clock_speed"])
         return line_arrays(row) | {"linear_velocity_m_s": speed, "time_s": np.arange(81) * 0.05}
 
-    picture = figures.velocity_figure(rows, load, tmp_path / "two.png")
+    picture = velocity_figure(rows, load, tmp_path / "two.png")
     slow, fast = drawn["two"].axes
     assert (slow.get_title("left"), fast.get_title("left")) == (
         "ADSC at 1x: 0.0 ms between commands",
@@ -98,7 +102,7 @@ def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, 
 
 def test_figure_3_shows_the_best_and_the_worst_replica(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = accelerated_rows()
-    picture = figures.trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+    picture = trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
     lines = labelled(drawn["three"].axes[0])
     best, worst = (1 + np.exp(-0.03 * (game + 1) ** 2) for game in (0, 2))
     assert {name: round(line.get_data_3d()[1][0], 9) for name, line in lines.items()} == {
@@ -123,7 +127,7 @@ def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[s
         ([reference], ["ADSC at 1x: reference"]),
         ([], []),
     ):
-        figures.trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+        trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
         assert list(labelled(drawn["three"].axes[0])) == labels
     assert headline(drawn["three"])[0] == "Trajectories"
 
@@ -131,7 +135,7 @@ def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[s
 def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     run_dir = write_run(tmp_path / "run", [])
     rows = [line_row("game", "tcsc", 50.0, 0, 0.0, timing="wall"), line_row("reference", "adsc", 1.0, 0, 0.0)]
-    picture = figures.trellis_figure(run_dir, rows, tmp_path / "four.png")
+    picture = trellis_figure(run_dir, rows, tmp_path / "four.png")
     assert [axes.get_title("left") for axes in drawn["four"].axes] == ["TCSC", "ADSC"]
     assert "1.000 s   end continue" in texts(drawn["four"].axes[0])
     source = "one recorded command each · measured (wall clock) · native profile · seed 0"
@@ -139,12 +143,12 @@ def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Fig
     assert source in picture.caption
     (run_dir / "traces/tcsc.json").write_text("no JSON")
     with pytest.raises(UserError, match=r"tcsc\.json: not JSON"):
-        figures.trellis_figure(run_dir, rows, tmp_path / "four.png")
+        trellis_figure(run_dir, rows, tmp_path / "four.png")
 
 
 def test_figure_5_shows_stlc_with_t_moves_pooled(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = accelerated_rows()
-    picture = figures.accuracy_figure(scored(rows), tmp_path / "five.png")
+    picture = accuracy_figure(scored(rows), tmp_path / "five.png")
     cells = {axes: boxes(axes) for axes in drawn["five"].axes}
     assert len(cells) == 2 * 3
     for axes, (command, factor, clock_speed) in zip(
@@ -167,7 +171,7 @@ def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str
     rows = accelerated_rows()
     scores = scored(rows)
     summary = summary_of(rows, scores)
-    picture = figures.speedup_figure(scores, summary, tmp_path / "six.png")
+    picture = speedup_figure(scores, summary, tmp_path / "six.png")
     adsc, tcsc = drawn["six"].axes
     assert headline(drawn["six"]) == (
         "Effective speed-up over ADSC at 1x, 24 rounds",
@@ -195,14 +199,14 @@ def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str
 # --- the written report -------------------------------------------------------------------------------------
 
 
-def find(summary: dict[str, Any], **wanted: Any) -> dict[str, Any]:
+def find(summary: Mapping[str, Any], **wanted: Any) -> dict[str, Any]:
     (cell,) = (c for c in summary["cells"] if all(c[key] == value for key, value in wanted.items()))
     return dict(cell)
 
 
 def test_the_report_of_a_run(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", synthetic_games())
-    summary = write_report(RunDirectory(run_dir))
+    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
     assert json.loads((run_dir / "summary.json").read_text()) == summary
     for name in FIGURES:
         image = cv2.imread(str(run_dir / "figures" / f"{name}.png"))
@@ -232,7 +236,7 @@ def test_the_report_warns(tmp_path: Path, drawn: dict[str, Figure]) -> None:
         row["lost_wall_s"] = lost_s
     flown[2][0]["error"] = "the drone crashed"
     run_dir = write_run(tmp_path / "run", flown)
-    write_report(RunDirectory(run_dir))
+    Dp1Report(RunDirectory(run_dir), "dp1").write()
     said = [line for line in (run_dir / "report.md").read_text().splitlines() if "Warning" in line]
     assert said == [
         "Warning: 1 games failed and are left out; rows.jsonl says why.",
@@ -246,7 +250,9 @@ def test_the_same_bytes_every_time_and_for_any_jobs(tmp_path: Path) -> None:
     written = []
     for name, jobs in (("first", 1), ("second", 2)):
         run_dir = write_run(tmp_path / name, flown)
-        write_report(RunDirectory(run_dir), jobs=jobs)
+        report = Dp1Report(RunDirectory(run_dir), "dp1")
+        report.jobs = jobs
+        report.write()
         files = ["summary.json", "report.html", *(f"figures/{figure}.png" for figure in FIGURES)]
         written.append([(run_dir / file).read_bytes() for file in files])
     assert written[0] == written[1]
@@ -264,7 +270,7 @@ SPARSE_RUNS: dict[str, Callable[[], list[tuple[Row, Arrays]]]] = {
 @pytest.mark.parametrize("name", SPARSE_RUNS)
 def test_little_data_still_makes_a_report(tmp_path: Path, name: str, drawn: dict[str, Figure]) -> None:
     run_dir = write_run(tmp_path / "run", SPARSE_RUNS[name](), traces=False)
-    summary = write_report(RunDirectory(run_dir))
+    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
     assert sorted(drawn) == sorted(FIGURES)
     assert texts(drawn["figure4_trellis"].axes[0]) == ["no trace recorded"]
     assert all(len(line) == len(HEADER) for line in table(summary))
@@ -273,7 +279,7 @@ def test_little_data_still_makes_a_report(tmp_path: Path, name: str, drawn: dict
 def test_a_run_without_games_is_the_users_mistake(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", [])
     with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
-        write_report(RunDirectory(run_dir))
+        Dp1Report(RunDirectory(run_dir), "dp1").write()
 
 
 def test_missing_arrays_are_named(tmp_path: Path) -> None:
@@ -281,4 +287,4 @@ def test_missing_arrays_are_named(tmp_path: Path) -> None:
     run_dir = write_run(tmp_path / "run", flown)
     (run_dir / flown[1][0]["arrays"]).unlink()
     with pytest.raises(UserError, match="reference-adsc-k1-t1-r1-g01"):
-        write_report(RunDirectory(run_dir))
+        Dp1Report(RunDirectory(run_dir), "dp1").write()

@@ -211,7 +211,7 @@ def test_view_writes_a_film_that_plays_and_a_contact_sheet(
 
 @needs_opengl
 def test_view_says_what_is_wrong(run_dir: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"--case tcsc-k10: .*did you mean tcsc-k100"):
+    with pytest.raises(UserError, match=r"--case tcsc-k10: .*did you mean 'tcsc-k100"):
         view_game(str(run_dir), "tcsc-k10", tmp_path)
     with pytest.raises(UserError, match="not a run directory"):
         view_game(str(tmp_path), None, None)

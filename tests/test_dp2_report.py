@@ -13,7 +13,7 @@ from tests.drawing import headline, record_figures
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp2.flights import Dp2Config
-from uavaccel.suites.dp2.report import write_report
+from uavaccel.suites.dp2.report import Dp2Report
 from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import HEADER, table
@@ -241,7 +241,7 @@ def run(tmp_path: Path) -> RunDirectory:
 
 def test_the_written_report(run: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = record_figures(monkeypatch)
-    summary = write_report(run)
+    summary = Dp2Report(run, "dp2").write()
     assert run.read_json("summary.json") == summary
     assert [(cell["command"], cell["clock_speed"]) for cell in summary["cells"]] == [
         ("tcsc", 1.0),
@@ -275,4 +275,4 @@ def test_the_written_report(run: RunDirectory, monkeypatch: pytest.MonkeyPatch) 
 def test_a_run_without_games_is_the_users_mistake(run: RunDirectory) -> None:
     (run.path / "rows.jsonl").write_text("")
     with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp2"):
-        write_report(run)
+        Dp2Report(run, "dp2").write()

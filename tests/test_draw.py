@@ -14,12 +14,12 @@ from scipy.stats import binomtest
 
 from tests.drawing import boxes, headline, labelled, legend_texts, points, texts, tick_texts
 from uavaccel.draw import style
-from uavaccel.draw.accuracy import draw_accuracy, plot_accuracy
-from uavaccel.draw.phases import PhaseTimes, plot_phases
-from uavaccel.draw.speedup import SpeedupCurve, plot_speedup
-from uavaccel.draw.survival import plot_survival
-from uavaccel.draw.trajectories import TrajectoryLine, plot_trajectories
-from uavaccel.draw.velocity import VelocityPanel, plot_velocity
+from uavaccel.suites.dp1.accuracy import plot_accuracy
+from uavaccel.suites.dp1.speedup import SpeedupCurve, plot_speedup
+from uavaccel.suites.dp1.trajectories import TrajectoryLine, plot_trajectories
+from uavaccel.suites.dp1.velocity import VelocityPanel, plot_velocity
+from uavaccel.suites.evaluation.survival import plot_survival
+from uavaccel.suites.training.phases import PhaseTimes, plot_phases
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 
@@ -260,7 +260,8 @@ def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:
 def test_equal_figures_are_equal_files_and_leave_no_style_behind(tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     for name in ("a/one.png", "b/two.png"):
-        assert draw_accuracy({("adsc", 5.0, 1): [1.9]}, tmp_path / name, "from") == tmp_path / name
+        figure = plot_accuracy({("adsc", 5.0, 1): [1.9]}, "from")
+        assert style.save(figure, tmp_path / name) == tmp_path / name
     assert dict(mpl.rcParams) == before
     one, two = ((tmp_path / name).read_bytes() for name in ("a/one.png", "b/two.png"))
     assert one == two

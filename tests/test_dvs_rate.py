@@ -19,6 +19,7 @@ from uavaccel.files import read_arrays
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.suites.dp2.cases import cases as cases_of
 from uavaccel.suites.dp2.config import Dp2Config
@@ -43,8 +44,8 @@ def frames_of(commands: int) -> list[NDArray[np.uint8]]:
     camera, frames = world.camera(256, 144), []
     frames.append(camera.gray(world.data))
     for _ in range(commands):
-        world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0), -2.0))
-        world.hold_from(None)
+        world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0), -2.0)))
+        world.lead.hold_from(None)
         for _ in range(SAMPLES[-1]):
             world.advance(1)
             frames.append(camera.gray(world.data))

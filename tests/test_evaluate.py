@@ -21,7 +21,7 @@ from uavaccel.cli.view import view_game
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import file_sha256
-from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.agents import OffsetAgent, make_agent
@@ -33,7 +33,7 @@ from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.evaluation.summary import compare, summarise
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.report import Summary
 
 LANES = 4
 FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"
@@ -94,7 +94,7 @@ def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float
 def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> None:
     summary, rows = straight.read_json("summary.json"), straight.rows()
     assert (summary["games"], summary["successes"], summary["success_ratio"]) == (LANES, 0, 0.0)
-    assert (summary["wilson_low"], summary["wilson_high"]) == wilson_interval(0, LANES)
+    assert (summary["wilson_low"], summary["wilson_high"]) == Proportion(0, LANES).interval
     assert summary["distance_m_median"] == pytest.approx(np.median([row["distance_m"] for row in rows]))
     won = [{**row, "is_success": row["lane"] < 3} for row in rows]
     summary = summarise(configured("evaluate", agent="straight"), won)

@@ -15,6 +15,7 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.vehicle.quadrotor import density_ratio
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, euler_from_quaternion
@@ -59,26 +60,26 @@ def carrot(path: list[Any], travelled: float, ahead: float) -> tuple[float, Any]
 def followed(simulation: Simulation, path: list[Any], speed: float, ahead: float) -> tuple[Any, float]:
     """The same flight by a loop of this test's, on arc lengths: where it ends, and after how long."""
     begun, period = simulation.world.tick, math.ceil(0.02 / simulation.profile.tick_s)
-    path = [simulation.world.state["position"].copy(), *path]
+    path = [simulation.world.lead.state["position"].copy(), *path]
     total = carrot(path, 0.0, 1e9)[0]
     travelled = error = gained = 0.0
     while carrot(path, travelled, ahead + error)[0] < total or gained > 0:
-        goal, here = carrot(path, travelled, ahead + error)[1], simulation.world.state["position"].copy()
+        goal, here = carrot(path, travelled, ahead + error)[1], simulation.world.lead.state["position"].copy()
         way, distance = goal - here, np.linalg.norm(goal - here)
         velocity = np.zeros(3) if distance < 0.5 else way / distance * min(speed, distance / 0.02)
         if abs(way[2]) <= 0.5:
             velocity[2] = 0.0
-        simulation.world.fly_velocity(VelocityGoal(tuple(velocity)))
+        simulation.world.lead.set_goal(of_velocity(VelocityGoal(tuple(velocity))))
         simulation.world.advance(period)
         last = carrot(path, travelled, 0.0)[1]
-        chord, moved = goal - last, simulation.world.state["position"] - last
+        chord, moved = goal - last, simulation.world.lead.state["position"] - last
         if not chord.any():
             break
         gained = float(moved @ chord / np.linalg.norm(chord))
         error = float(np.linalg.norm(moved - gained * chord / np.linalg.norm(chord)))
         travelled = carrot(path, travelled, max(gained, 0.0))[0]
     took = (simulation.world.tick - begun) * simulation.profile.tick_s
-    return simulation.world.state["position"].copy(), took
+    return simulation.world.lead.state["position"].copy(), took
 
 
 PATHS = [
@@ -126,9 +127,9 @@ def test_position_hold_sets_in_after_the_last_goal(profile: Profile, hover_ms: i
     fly(api, "moveToPosition", 5.0, 0.0, -10.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
     loop_ms = profile.loop_ticks * profile.tick_ns / 1e6
     go_on(api, (hover_ms - loop_ms - profile.tick_ns / 1e6) / 1e3)
-    assert api.simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
     go_on(api, profile.tick_s)
-    assert api.simulation.world.state["xy_mode"] == autopilot.POSITION
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.POSITION
 
 
 TO_HERE = (2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -162,7 +163,7 @@ def test_a_command_without_a_goal_leaves_position_hold_alone(method: str, after_
         if asked:
             call(api, method, *AT_ONCE[method](place(api)))
         go_on(api, 3.0)
-        state = api.simulation.world.state
+        state = api.simulation.world.lead.state
         flown.append((place(api).tolist(), state["goal"].tolist(), int(state["xy_mode"])))
     assert flown[0][2] == autopilot.POSITION
     assert flown[0] == flown[1]
@@ -176,9 +177,9 @@ def test_a_second_loop_without_sticks_lets_position_hold_set_in() -> None:
     go_on(api, 1.0)
     call(api, "moveByRC", {"is_valid": False})
     go_on(api, 0.058)
-    assert api.simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
     go_on(api, 0.004)
-    assert api.simulation.world.state["xy_mode"] == autopilot.POSITION
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.POSITION
 
 
 def test_a_path_that_takes_too_long_or_is_interrupted_answers_false() -> None:
@@ -258,11 +259,11 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
     assert call(grounded, "armDisarm", False) is True
     assert call(grounded, "armDisarm", False) is False
     go_on(grounded, 0.2)
-    assert grounded.simulation.world.state["rotor_output"].max() < 1e-9
+    assert grounded.simulation.world.lead.state["rotor_output"].max() < 1e-9
     assert call(grounded, "armDisarm", True) is True
     go_on(grounded, 0.2)
     assert call(grounded, "getMultirotorState")["landed_state"] == 0, "armed, it idles"
-    assert grounded.simulation.world.state["rotor_output"] == pytest.approx(0.1 / 1.5, abs=1e-3)
+    assert grounded.simulation.world.lead.state["rotor_output"] == pytest.approx(0.1 / 1.5, abs=1e-3)
 
 
 STARTS = {"on the ground": 0.0, "in the ground": 0.03, "on a block": -6.0}
@@ -330,8 +331,8 @@ def test_home_is_where_the_vehicle_began_and_reset_brings_it_back(grounded: Api)
     assert place(grounded).tolist() == [0.0, 0.0, 0.0]
     assert attitude(grounded)[2] == pytest.approx(math.pi / 2)
     assert call(grounded, "isApiControlEnabled") is False
-    assert grounded.simulation.world.kinematics().position_m == (0.0, 0.0, 0.0)
-    assert grounded.simulation.world.state["position"] == pytest.approx((3.0, -2.0, -0.045), abs=2e-4)
+    assert grounded.simulation.world.lead.kinematics().position_m == (0.0, 0.0, 0.0)
+    assert grounded.simulation.world.lead.state["position"] == pytest.approx((3.0, -2.0, -0.045), abs=2e-4)
 
 
 def test_land_in_the_air_takes_its_time() -> None:
@@ -467,7 +468,7 @@ def test_attitudes_and_rates_are_reached(profile: Profile) -> None:
     fly(api, "moveByRollPitchYawrateThrottle", 0.1, 0.0, 0.5, 0.62, 1.5)
     assert attitude(api)[:2] == pytest.approx((0.1, 0.0), abs=0.02)
     assert api.simulation.kinematics().angular_velocity_rad_s[2] == pytest.approx(0.5, abs=0.03)
-    assert api.simulation.world.state["rotor_input"].mean() == pytest.approx(0.62, abs=1e-6)
+    assert api.simulation.world.lead.state["rotor_input"].mean() == pytest.approx(0.62, abs=1e-6)
     api = hovering(profile)
     fly(api, "moveByAngleRatesZ", 0.2, -0.1, 0.3, -10.0, 1.5)
     assert api.simulation.kinematics().angular_velocity_rad_s == pytest.approx((0.2, -0.1, 0.3), abs=0.02)
@@ -477,7 +478,7 @@ def test_motors_turn_as_told_and_say_so() -> None:
     api = hovering()
     world = api.simulation.world
     hover = call(api, "getRotorStates")
-    lift = sum(rotor["thrust"] for rotor in hover["rotors"]) * density_ratio(world.parameters, -10.0)
+    lift = sum(rotor["thrust"] for rotor in hover["rotors"]) * density_ratio(world.lead.parameters, -10.0)
     assert lift == pytest.approx(9.80665, rel=1e-4)
     assert hover["timestamp"] == EPOCH_NS + api.simulation.time_ns
     fly(api, "moveByMotorPWMs", 0.2, 0.4, 0.6, 2.0, 0.1)
@@ -492,11 +493,11 @@ def test_motors_turn_as_told_and_say_so() -> None:
 def test_after_throttle_the_vertical_integrator_is_new() -> None:
     api = hovering()
     fly(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
-    assert abs(api.simulation.world.state["z_integral"]) > 0.05
+    assert abs(api.simulation.world.lead.state["z_integral"]) > 0.05
     fly(api, "moveByRollPitchYawThrottle", 0.0, 0.0, 0.0, 0.6, 0.02)
     call(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
     go_on(api, 0.002)
-    assert api.simulation.world.state["z_integral"] == 0.0
+    assert api.simulation.world.lead.state["z_integral"] == 0.0
 
 
 def test_sticks_fly_where_no_program_has_control() -> None:
@@ -535,7 +536,7 @@ def test_gains_act_until_the_next_simulation() -> None:
         tilts.append(attitude(api)[1])
     assert tilts[0] < 1.5 * tilts[1] < 0.0
     again = Simulation(world_of(NATIVE))
-    assert again.world.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
+    assert again.world.lead.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
     with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
         call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
     with pytest.raises(rpc.RpcError, match="ki must be within 1000, not"):
@@ -548,7 +549,7 @@ def test_without_gains_a_reset_still_begins_a_hover(level: str) -> None:
     call(api, f"set{level}ControllerGains", [0.0] * 3, [0.0] * 3, [0.0] * 3)
     call(api, "reset")
     np.testing.assert_allclose(place(api), (0.0, 0.0, -10.0))
-    assert np.isfinite(api.simulation.world.state["goal"]).all()
+    assert np.isfinite(api.simulation.world.lead.state["goal"]).all()
 
 
 def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:
@@ -573,7 +574,7 @@ def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps(
         overshoot[ki, kd] = -min(reached)
     assert drift[0.05, 0.0] < 0.3 * drift[0.0, 0.0]
     assert overshoot[0.0, 0.1] < 0.8 * overshoot[0.0, 0.0]
-    assert Simulation(world_of(NATIVE)).world.parameters["full_pid"] == 0
+    assert Simulation(world_of(NATIVE)).world.lead.parameters["full_pid"] == 0
 
 
 def pose_beside(north_m: float) -> dict[str, Any]:
@@ -615,7 +616,7 @@ def test_a_saved_flight_goes_on_to_the_same_bytes(method: str, params: Any, prof
     ends = []
     for _ in range(2):
         go_on(api, 4.0)
-        ends.append((place(api).tobytes(), api.simulation.world.tick, list(api.simulation.commands)))
+        ends.append((place(api).tobytes(), api.simulation.world.tick, list(api.simulation.lead.log)))
         again = simulate(profile=profile)
         again.set_state(state)
         api = Api(again, render=False)

@@ -68,6 +68,6 @@ def test_a_flight_that_breaks_down_in_open_air_is_mujocos_to_report() -> None:
     world = World("lane", NATIVE)
     world.advance(100)
     assert world.clearance.left_out
-    world.state["wind"] = (1e9, 0.0, 0.0)
+    world.lead.state["wind"] = (1e9, 0.0, 0.0)
     with pytest.raises(FlightError, match="mjWARN_BAD"):
         world.advance(50)

@@ -12,12 +12,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FLY = """
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 world = World("blocks", NATIVE)
-world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
+world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0))))
 world.advance(100)
-print(world.state["position"][0])
+print(world.lead.state["position"][0])
 """
 
 

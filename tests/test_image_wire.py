@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
 from uavaccel.sim.camera.mounted import MOST_LENSES
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -52,7 +53,7 @@ class Wire:
         self.simulation = Simulation(world)
         self.api = Api(self.simulation)
         self.simulation.reset(0)
-        self.simulation.api_control = True
+        self.simulation.lead.api_control = True
 
     def call(self, method: str, *params: Any) -> Any:
         result = self.api.call(method, params, self.wall_ns)

@@ -102,3 +102,22 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
     heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
     assert not heavy & set(done.stdout.split())
+
+
+def test_modules_of_the_world_do_not_import_each_other_in_circles() -> None:
+    """Imports for types alone count too."""
+    files = {name_of(path).removesuffix(".py"): path for path in MODULES if room_of(path) == "sim"}
+    left = {
+        name: {other for _, found in imported(path) for other in candidates(found) if other in files} - {name}
+        for name, path in files.items()
+    }
+    while free := [name for name, needs in left.items() if not needs & left.keys()]:
+        for name in free:
+            del left[name]
+    assert not left, "each of these needs another of them"
+
+
+def candidates(name: str) -> tuple[str, str]:
+    """The modules that an import may be of: itself, or what it is taken from; as `name_of` without the ending."""
+    path = name.removeprefix("uavaccel.").replace(".", "/")
+    return path, path.rpartition("/")[0]

@@ -79,17 +79,19 @@ def test_a_policys_games_are_the_same_whoever_flies_beside_them(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("host_kernels")
-@pytest.mark.parametrize("agent", ["default", "offset:1.5"])
+@pytest.mark.parametrize(
+    ("agent", "keys"), [("default", []), ("offset:1.5", ["task.timing=virtual", "task.command=adsc"])]
+)
 def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
-    agent: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    agent: str, keys: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cores = evaluated(tmp_path / "cores", KERNELS, SHORT, agent=agent)
+    cores = evaluated(tmp_path / "cores", KERNELS, SHORT, *keys, agent=agent)
     from uavaccel.suites.evaluation import cuda
 
     monkeypatch.setattr(cuda, "DEVICE", "cpu")
     monkeypatch.setattr(lanes, "_open", lambda config, which: cuda.LanesOnGpu(config, which))
     th.set_num_threads(1)
-    assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, agent=agent)) == rows_of(cores)
+    assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
 
 
 def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
@@ -101,7 +103,7 @@ def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ([KERNELS], "simulator = kernels: timing virtual is not flown there; add --set task.timing=lockstep"),
+        ([KERNELS, "task.timing=wall"], "simulator = kernels: timing wall needs a server of its own"),
         ([KERNELS, LOCKSTEP, "environments=2"], "environments is of simulator mujoco"),
         ([KERNELS, LOCKSTEP, "task.difficulty.scenery=forest"], "simulator = kernels: difficulty.scenery"),
         (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),

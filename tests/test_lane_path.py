@@ -11,6 +11,7 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import LENGTH_M, LaneLayout, clearance_m, draw_layout, lane_seed
 from uavaccel.sim.lane.path import plan_path
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 
@@ -80,12 +81,14 @@ def test_the_simulator_flies_a_planned_path_to_the_end(lane_world: World) -> Non
     lane_world.reset()
     clearance = []
     for north, east in plan_path(layout, height_m=10.0):
-        lane_world.fly_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False))
+        lane_world.lead.set_goal(
+            of_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False))
+        )
         for _ in range(4):
             lane_world.advance(125)
-            clearance.append(clearance_m(layout, lane_world.kinematics().position_m[:2]))
-    assert lane_world.collision_tick is None
-    assert lane_world.kinematics().position_m[0] >= LENGTH_M
+            clearance.append(clearance_m(layout, lane_world.lead.kinematics().position_m[:2]))
+    assert lane_world.lead.collision_tick is None
+    assert lane_world.lead.kinematics().position_m[0] >= LENGTH_M
     assert min(clearance) > 0.2
 
 

@@ -24,6 +24,7 @@ from uavaccel.sim.lane.layout import (
     free_distance_m,
 )
 from uavaccel.sim.lane.scene import apply_layout, collision_object, obstacle_geoms
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 START = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
@@ -109,11 +110,11 @@ def test_a_flight_ends_at_the_step_of_the_collision(lane_world: World) -> None:
     layout = one_post(3.0, 0.0)
     lane_world.set_lane(layout)
     lane_world.reset()
-    lane_world.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)))
+    lane_world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0))))
     lane_world.advance(5000)
-    assert lane_world.collision_tick is not None
-    assert lane_world.collision_object == "obstacle_00"
-    assert lane_world.kinematics().position_m[0] == pytest.approx(free_distance_m(layout, 0.0), abs=0.02)
+    assert lane_world.lead.collision_tick is not None
+    assert getattr(lane_world.lead.touches.first, "object", "") == "obstacle_00"
+    assert lane_world.lead.kinematics().position_m[0] == pytest.approx(free_distance_m(layout, 0.0), abs=0.02)
 
 
 def test_a_layout_survives_the_reset_of_the_data(lane_scene: Scene) -> None:
@@ -141,15 +142,17 @@ def test_wind_pushes_a_hovering_drone_the_way_it_blows(
     lane_world.set_lane(layout_from({"obstacles": [], "wind_m_s": wind_m_s}, "test"))
     lane_world.reset()
     lane_world.advance(1)
-    parameters = lane_world.parameters
+    parameters = lane_world.lead.parameters
     density = 101325.0 * (1 - 0.0065 * 132.0 / 288.15) ** 5.255877 / 287.053 / (288.15 - 0.0065 * 132.0)
     wind = np.array(wind_m_s)
     push = np.array(parameters["drag_factor_m2"]) * density * wind * np.abs(wind) / parameters["mass_kg"]
-    np.testing.assert_allclose(lane_world.kinematics().linear_acceleration_m_s2, push, rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(
+        lane_world.lead.kinematics().linear_acceleration_m_s2, push, rtol=2e-3, atol=1e-3
+    )
     lane_world.set_lane(layout_from({"obstacles": []}, "test"))
     lane_world.reset()
     lane_world.advance(1)
-    np.testing.assert_allclose(lane_world.kinematics().linear_acceleration_m_s2, 0.0, atol=1e-3)
+    np.testing.assert_allclose(lane_world.lead.kinematics().linear_acceleration_m_s2, 0.0, atol=1e-3)
 
 
 # --- what is seen -------------------------------------------------------------------------------------------------

@@ -21,11 +21,11 @@ from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.report import draw_evaluations
 from uavaccel.suites.evaluation.summary import summarise
-from uavaccel.suites.training.curve import draw_over_games, draw_runs
+from uavaccel.suites.evaluation.survival import draw_evaluations
+from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
+from uavaccel.suites.training.phases import draw_trainings, phase_times
 from uavaccel.suites.training.real_time import model_real_time
-from uavaccel.suites.training.report import draw_trainings, phase_times
 from uavaccel.wire.latency import shipped_latency
 
 Row = dict[str, Any]

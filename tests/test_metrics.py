@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavaccel.metrics.intervals import bootstrap_interval, mcnemar_exact, median_interval, wilson_interval
+from uavaccel.metrics.intervals import Proportion, bootstrap_interval, mcnemar_exact, median_interval
 from uavaccel.metrics.speedup import (
     combined_provenance,
     effective_speedup,
@@ -35,32 +35,32 @@ def straight(
 
 
 def test_rmse_of_a_constant_offset_is_the_offset() -> None:
-    assert position_rmse(*straight(5), *straight(5, offset_m=0.25)) == pytest.approx(0.25, abs=1e-15)
+    assert position_rmse(straight(5), straight(5, offset_m=0.25)) == pytest.approx(0.25, abs=1e-15)
 
 
 def test_rmse_of_itself_is_exactly_zero() -> None:
-    assert position_rmse(*straight(5), *straight(5)) == 0.0
+    assert position_rmse(straight(5), straight(5)) == 0.0
 
 
 def test_rmse_stops_at_the_shorter_end() -> None:
-    assert position_rmse(*straight(5), *straight(9)) == 0.0
-    assert position_rmse(*straight(9), *straight(5)) == 0.0
+    assert position_rmse(straight(5), straight(9)) == 0.0
+    assert position_rmse(straight(9), straight(5)) == 0.0
 
 
 @pytest.mark.parametrize("step_s", [0.051, 0.02, 0.3])
 def test_rmse_interpolates_another_grid(step_s: float) -> None:
-    assert position_rmse(*straight(6), *straight(6, step_s=step_s)) == pytest.approx(0.0, abs=1e-12)
+    assert position_rmse(straight(6), straight(6, step_s=step_s)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_rmse_of_a_delay_is_speed_times_delay() -> None:
     late = straight(10)
     flight = Trajectory(late.time_s + 0.12, late.position_m)
-    assert position_rmse(*straight(10), *flight) == pytest.approx(0.12, abs=1e-12)
+    assert position_rmse(straight(10), flight) == pytest.approx(0.12, abs=1e-12)
 
 
 def test_rmse_without_overlap_is_nan() -> None:
     early, late = straight(1), straight(1)
-    assert np.isnan(position_rmse(*early, late.time_s + 5, late.position_m))
+    assert np.isnan(position_rmse(early, Trajectory(late.time_s + 5, late.position_m)))
 
 
 def test_mean_rmse_over_references() -> None:
@@ -133,19 +133,29 @@ def test_identical_games_have_an_interval_of_zero_width() -> None:
     [(23, 15.8, 32.2), (21, 14.2, 30.0), (30, 21.9, 39.6), (1, 0.2, 5.4), (0, 0.0, 3.7)],
 )
 def test_wilson_of_the_papers_table(successes: int, low: float, high: float) -> None:
-    assert np.multiply(wilson_interval(successes, 100), 100) == pytest.approx([low, high], abs=0.06)
+    assert np.multiply(Proportion(successes, 100).interval, 100) == pytest.approx([low, high], abs=0.06)
 
 
 @given(st.integers(1, 500), st.data())
 def test_wilson_holds_the_ratio(games: int, data: st.DataObject) -> None:
     successes = data.draw(st.integers(0, games))
-    low, high = wilson_interval(successes, games)
-    assert 0.0 <= low <= successes / games <= high <= 1.0
+    won = Proportion(successes, games)
+    low, high = won.interval
+    assert won.ratio == successes / games
+    assert 0.0 <= low <= won.ratio <= high <= 1.0
+
+
+def test_a_proportion_in_a_summary_and_in_words() -> None:
+    won = Proportion.of({"games": 100, "successes": 23, "other": 1})
+    low, high = won.interval
+    counted = {"games": 100, "successes": 23, "success_ratio": 0.23}
+    assert won.as_summary() == {**counted, "wilson_low": low, "wilson_high": high}
+    assert (won.text(), won.text(0, 1)) == ("23.0% [16, 32]", "23% [15.8, 32.2]")
 
 
 def test_wilson_refuses_impossible_counts() -> None:
     with pytest.raises(ValueError, match="successes"):
-        wilson_interval(3, 2)
+        Proportion(3, 2)
 
 
 def test_mcnemar_counts_discordant_games_only() -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,6 +102,20 @@ def test_a_suite_that_is_none_is_one_line(
     assert str(caught.value) == f"toy.yaml: suite = {name!r}: {hint}"
 
 
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        (None, "my.yaml: key 'suite' is missing; known: dp1, dp2, "),
+        ("sweap", "my.yaml: suite = 'sweap' is unknown; did you mean 'sweep'?"),
+        (["dp1"], "my.yaml: suite = ['dp1'] is unknown; did you mean 'dp1'?"),
+    ],
+)
+def test_an_unknown_suite_is_refused(name: Any, line: str) -> None:
+    with pytest.raises(UserError) as caught:
+        find_suite(name, "my.yaml")
+    assert str(caught.value).startswith(line)
+
+
 def test_a_suite_in_a_package_is_imported_from_above_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +133,7 @@ WRONG = """
 from dataclasses import dataclass
 from contextlib import nullcontext
 from uavaccel.suites.experiment import Experiment, Timing
+from uavaccel.suites.report import Report
 from uavaccel.suites.suite import Flown, Suite
 
 class Config(Experiment):
@@ -132,18 +148,19 @@ class Case:
         return 1.0
 
 class Own(Suite):
-    name, config, names = "own", Config, ("a", "b")
+    name, config, report_class, names = "own", Config, Report, ("a", "b")
     def cases(self, config):
         return map(Case, self.names)
     def open(self, config, timing, run):
         return nullcontext()
     def fly(self, config, case, opened):
         return self.flown(case)
-    def report(self, run):
-        return {}
 
 class NoConfig(Own):
     config = None
+
+class NoReport(Own):
+    report_class = None
 
 class NotOurs(Own):
     config = dict
@@ -178,6 +195,7 @@ class NoRow(Own):
 @pytest.mark.parametrize(("name", "reason"), [
     ("NoConfig", "NoConfig.config has to be a subclass"),
     ("NotOurs", "NotOurs.config has to be a subclass"),
+    ("NoReport", "NoReport.report_class has to be a subclass"),
     ("NoName", "NoName.name has to be a text"),
     ("Twice", "two cases are called 'a'"),
     ("Folder", "a case cannot be called '../a'"),

@@ -16,8 +16,9 @@ from uavaccel.resources import experiment
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.paper.config import PaperConfig
-from uavaccel.suites.paper.evidence import Images, Trajectories
+from uavaccel.suites.paper.evidence import Images, NoEvidence, Trajectories
 from uavaccel.suites.paper.suite import Paper
+from uavaccel.suites.report import Report
 from uavaccel.yaml_io import load_yaml
 
 
@@ -59,7 +60,7 @@ def dp2_cells(error_m: float, percent: float) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def judged(tmp_path: Path) -> tuple[RunDirectory, dict[str, Any]]:
+def judged(tmp_path: Path) -> Report:
     """DP1 in which native's commands are not delayed more and more; DP2 under airsim alone."""
     names = ("dp1-airsim", "dp1-native", "dp2-airsim")
     run = RunDirectory.create(tmp_path / "run", config(*names), {})
@@ -68,12 +69,14 @@ def judged(tmp_path: Path) -> tuple[RunDirectory, dict[str, Any]]:
     flown_dp1(run, "dp1-airsim")
     flown_dp1(run, "dp1-native", only("adsc", 50.0, command_gap_median_s=0.0))
     part(run, "dp2-airsim", {"cells": dp2_cells(0.03, 2.5)})
-    return run, Paper().report(run)
+    report = Paper().report(run)
+    report.write()
+    return report
 
 
-def test_each_profile_is_judged_by_its_own_runs(judged: Any) -> None:
-    run, summary = judged
-    assert summary == run.read_json("summary.json")
+def test_each_profile_is_judged_by_its_own_runs(judged: Report) -> None:
+    summary = judged.summary
+    assert summary == judged.run.read_json("summary.json")
     claims = {row["claim"]: row for row in summary["claims"]}
     delay = claims["command_delay_grows"]
     assert delay["airsim"] == {"value": "2 < 10 < 20 < 100 < 200 ms", "verdict": "holds"}
@@ -86,9 +89,9 @@ def test_each_profile_is_judged_by_its_own_runs(judged: Any) -> None:
     assert claims["speedup_62x"]["airsim"]["verdict"] == "holds"
 
 
-def test_the_page_has_a_line_for_each_claim_and_counts_the_verdicts(judged: Any) -> None:
-    run, summary = judged
-    page = (run.path / "report.md").read_text(encoding="utf-8").replace("\\_", "_")
+def test_the_page_has_a_line_for_each_claim_and_counts_the_verdicts(judged: Report) -> None:
+    summary = judged.summary
+    page = (judged.run.path / "report.md").read_text(encoding="utf-8").replace("\\_", "_")
     lines = [
         [cell.strip() for cell in line.strip("| \n").split("|")] for line in page.splitlines() if "|" in line
     ]
@@ -102,14 +105,14 @@ def test_the_page_has_a_line_for_each_claim_and_counts_the_verdicts(judged: Any)
         for profile in ("airsim", "native")
     }
     assert counts["airsim"] > counts["native"] > 5
-    headline = Paper().headline(summary)
+    headline = judged.headline()
     assert f"under airsim {counts['airsim']} holds" in headline
     assert f"{counts['native']} holds" in headline.split("under native")[1]
     assert "significant at n = 100" in page
 
 
-def test_trajectories_are_read_as_they_were_written(judged: Any) -> None:
-    dp1 = Trajectories.of(RunDirectory(judged[0].path / "parts/dp1-airsim"))
+def test_trajectories_are_read_as_they_were_written(judged: Report) -> None:
+    dp1 = Trajectories.of(RunDirectory(judged.run.path / "parts/dp1-airsim"))
     assert dp1.clocks == [5.0, 10.0, 50.0, 100.0]
     assert dp1.most_rounds == 24
     assert len(dp1.stlc("adsc", 5.0)) == 16
@@ -119,19 +122,18 @@ def test_trajectories_are_read_as_they_were_written(judged: Any) -> None:
     assert dp1.column("effective_speedup", "tcsc", 100.0, 24).tolist() == pytest.approx(
         [0.5 / 0.012, 1.0 / 0.017]
     )
-    assert dp1.cell("tcsc", 100.0, 0.5, 1)["effective_speedup"] == pytest.approx(0.5 / 0.012)
-    with pytest.raises(KeyError, match="tcsc at 7x"):
+    assert dp1.longest("tcsc", 100.0, 0.5)["effective_speedup"] == pytest.approx(0.5 / 0.012)
+    with pytest.raises(NoEvidence, match="tcsc at 7x"):
         dp1.stlc("tcsc", 7.0)
 
 
-def test_images_are_those_of_tcsc(judged: Any) -> None:
-    cells = Images.of(RunDirectory(judged[0].path / "parts/dp2-airsim")).cells
+def test_images_are_those_of_tcsc(judged: Report) -> None:
+    cells = Images.of(RunDirectory(judged.run.path / "parts/dp2-airsim")).cells
     assert {k: cell["position_error_m_max"] for k, cell in cells.items()} == dict.fromkeys(
         (5, 10, 50, 100), 0.03
     )
 
 
-def test_policies_come_from_a_run_of_rl_alone(judged: Any, tmp_path: Path) -> None:
-    run = judged[0]
+def test_policies_come_from_a_run_of_rl_alone(judged: Report) -> None:
     with pytest.raises(UserError, match="is a run of paper, not of rl"):
-        Paper().check(config("dp1-airsim", with_run=str(run.path)))
+        Paper().check(config("dp1-airsim", with_run=str(judged.run.path)))

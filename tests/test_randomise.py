@@ -20,6 +20,7 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 RANGES: dict[str, Any] = {
@@ -112,15 +113,15 @@ def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
     for mass, thrust in ((1.0, 1.0), (1.3, 1.0), (1.3, 1.2), (1.0, 1.0)):
         world.set_lane(draw_layout(0, Difficulty(obstacles_per_row=0, mass_ratio=mass, thrust_ratio=thrust)))
         world.reset((0.0, 0.0, -2.0))
-        hover = float(world.state["rotor_output"][0])
+        hover = float(world.lead.state["rotor_output"][0])
         world.advance(100)
-        assert abs(world.kinematics().position_m[2] + 2.0) < 1e-3
-        world.fly_velocity(VelocityGoal((0.0, 0.0, -5.0)))
+        assert abs(world.lead.kinematics().position_m[2] + 2.0) < 1e-3
+        world.lead.set_goal(of_velocity(VelocityGoal((0.0, 0.0, -5.0))))
         world.advance(60)
-        before_m_s = world.kinematics().linear_velocity_m_s[2]
-        output = world.state["rotor_output"].mean()
+        before_m_s = world.lead.kinematics().linear_velocity_m_s[2]
+        output = world.lead.state["rotor_output"].mean()
         world.advance(1)
-        gained = (world.kinematics().linear_velocity_m_s[2] - before_m_s) / PROFILES["native"].tick_s
+        gained = (world.lead.kinematics().linear_velocity_m_s[2] - before_m_s) / PROFILES["native"].tick_s
         assert gained == pytest.approx(9.80665 * (1 - output / hover), abs=0.2)
         assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
 

@@ -123,25 +123,25 @@ def replay(world: World, case: str) -> Flight:
     world.place(SETTLED_M, velocity_m_s=SETTLED_M_S)
     if case == "A1_airstart_vel0":
         start_at_rest(world)
-    simulation.api_control = True
+    simulation.lead.api_control = True
     api = Api(simulation)
     options = (DRIVETRAIN | YAW_RATE).get(case, STRAIGHT)
-    states = [world.state.copy()]
+    states = [world.lead.state.copy()]
     for event in events(case):
         while world.tick < event.tick:
             simulation.advance_to(simulation.pacer.wall_due(world.tick + 1))
-            states.append(world.state.copy())
+            states.append(world.lead.state.copy())
         if event.kind == "cmd_issue":
             wall_ns = simulation.pacer.wall_due(world.tick)
             api.call("moveByVelocity", (*event.velocity, T_MOVE_S[case], *options), wall_ns)
-    return Flight(np.array(states), simulation.commands.ticks().astype(float))
+    return Flight(np.array(states), simulation.lead.log.ticks().astype(float))
 
 
 def start_at_rest(world: World) -> None:
     """Motors and integrators at zero, 10 m up."""
     world.reset((0.0, 0.0, -10.0))
     for name in ("rotor_input", "rotor_lagged", "rotor_output", "z_integral"):
-        world.state[name] = 0
+        world.lead.state[name] = 0
     world.place((0.0, 0.0, -10.0))
 
 
@@ -197,7 +197,7 @@ def test_only_a_gap_of_63_ms_brings_position_hold(world: World, gap_ticks: int) 
     """51 ms and 60 ms bring none; the vertical integrator is then not reset either."""
     simulation = Simulation(world)
     simulation.reset(0)
-    simulation.api_control = True
+    simulation.lead.api_control = True
     due = simulation.pacer.wall_due
     api = Api(simulation)
     api.call("moveByVelocity", (1, 0, 0, 0.5, *STRAIGHT), 0)
@@ -205,13 +205,13 @@ def test_only_a_gap_of_63_ms_brings_position_hold(world: World, gap_ticks: int) 
     held = []
     while world.tick < end_tick + gap_ticks:
         simulation.advance_to(due(world.tick + 1))
-        held.append(world.state["xy_mode"] == autopilot.POSITION)
-    integral = float(world.state["z_integral"])
+        held.append(world.lead.state["xy_mode"] == autopilot.POSITION)
+    integral = float(world.lead.state["z_integral"])
     api.call("moveByVelocity", (1, 0, 0, 0.5, *STRAIGHT), due(world.tick))
     simulation.advance_to(due(world.tick + 1))
     assert any(held[end_tick:]) == (gap_ticks >= 21)
-    assert (world.state["z_integral"] == 0.0) == (gap_ticks >= 21)
-    assert gap_ticks >= 21 or world.state["z_integral"] == pytest.approx(integral, abs=2e-3)
+    assert (world.lead.state["z_integral"] == 0.0) == (gap_ticks >= 21)
+    assert gap_ticks >= 21 or world.lead.state["z_integral"] == pytest.approx(integral, abs=2e-3)
 
 
 def test_squares_climb_and_turn_as_in_airsim(fly: Callable[[str], Flight]) -> None:
@@ -241,7 +241,7 @@ def test_a_velocity_step_has_airsims_shape(fly: Callable[[str], Flight]) -> None
 def test_the_quadrotor_is_airsims(world: World) -> None:
     """Mass and inertia come from the MJCF model, the rest from AirSim's objects as constants.txt has them."""
     text = (DATA / "constants.txt").read_text()
-    ours = world.parameters
+    ours = world.lead.parameters
 
     def constants(pattern: str) -> list[float]:
         match = re.search(pattern, text)

@@ -10,12 +10,12 @@ from scipy.stats import binomtest
 
 from tests.drawing import texts, tick_texts
 from tests.running import configured, run_into
-from uavaccel.draw.success_map import plot_success_maps
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.robustness.report import collapse, maps, summarise
+from uavaccel.suites.robustness.success_map import plot_success_maps
 from uavaccel.suites.robustness.suite import Robustness
 
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.

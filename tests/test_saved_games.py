@@ -164,15 +164,15 @@ def test_a_world_saved_while_it_touches_something_goes_on(profile: Any) -> None:
     ends = []
     worlds = [World("blocks", profile) for _ in range(2)]
     worlds[0].place((0.0, 0.0, -1.0), (0.9, 0.3, 0.3, 0.1), (2.0, 0.0, 0.0))
-    worlds[0].state["armed"] = 0
+    worlds[0].lead.state["armed"] = 0
     worlds[0].advance(round(0.46 / profile.tick_s))
-    while not worlds[0].state["contacts"]:
+    while not worlds[0].lead.state["contacts"]:
         worlds[0].advance(1)
     worlds[1].set_state(through_a_file(worlds[0].get_state(), "json"))
     for world in worlds:
         world.start_recording()
         world.advance(1000)
-        ends.append((world.samples().tobytes(), world.touches.count, world.touches.latest))
+        ends.append((world.samples().tobytes(), world.lead.touches.count, world.lead.touches.latest))
     assert ends[0] == ends[1]
     assert ends[0][1] > 1
 
@@ -188,4 +188,4 @@ def test_a_state_of_something_else_is_refused() -> None:
     ]
     for other, text in others:
         with pytest.raises(UserError, match=text):
-            other.set_state(state)  # type: ignore[attr-defined]
+            other.set_state(state)

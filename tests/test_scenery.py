@@ -17,6 +17,7 @@ from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.sim.lane.looks import named
 from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
 
@@ -101,10 +102,16 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
             world.set_lane(draw_layout(0, Difficulty(scenery=scenery, wind_m_s=2.0)))
             if scenery == sceneries[0]:
                 world.reset((0.0, 0.0, -2.0))
-                world.fly_velocity(VelocityGoal((2.0, 0.6, 0.0), -2.0))
+                world.lead.set_goal(of_velocity(VelocityGoal((2.0, 0.6, 0.0), -2.0)))
                 world.advance(1500)
         world.advance(20_000)
-        flown.append((world.physics().tobytes(), world.collision_tick, world.collision_object))
+        flown.append(
+            (
+                world.physics().tobytes(),
+                world.lead.collision_tick,
+                getattr(world.lead.touches.first, "object", ""),
+            )
+        )
     assert flown[0][2]
     assert all(each == flown[0] for each in flown)
 

@@ -102,7 +102,7 @@ def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
     assert [row["case"] for row in again] == [cases[cases.index(killed[0]) + 1]]
     assert again[0]["restarts"] == 1
     assert again[0]["disturbed"] is True
-    summary = suite.report(run)
+    summary = suite.report(run).write()
     assert sum(cell.get("disturbed_games", 0) for cell in summary["cells"]) >= 1
     assert "games were disturbed" in (run.path / "report.md").read_text()
     assert all(server.returncode is not None for server in servers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
+from tests.simulating import EAST, NORTH, answer, fly_velocity, go_to, position, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
@@ -21,7 +21,7 @@ TICK_NS = NATIVE.tick_ns
 @pytest.mark.parametrize("clock_speed", [0.5, 1.0, 1.5, 100.0])
 def test_a_command_ends_at_its_tick_and_not_a_nanosecond_before(clock_speed: float) -> None:
     simulation = simulate(clock_speed)
-    reply = simulation.fly_velocity(NORTH, 0.1, 0)
+    reply = fly_velocity(simulation, NORTH, 0.1, 0)
     end_ns = simulation.pacer.wall_due(50)
     simulation.advance_to(end_ns - 1)
     assert (simulation.world.tick, reply.due_wall_ns) == (49, None)
@@ -35,7 +35,7 @@ def test_a_command_ends_at_its_tick_and_not_a_nanosecond_before(clock_speed: flo
 def test_an_end_is_seen_before_the_next_tick_however_late_one_looks(looked_at: int) -> None:
     simulation = simulate()
     seen = []
-    reply = simulation.fly_velocity(NORTH, 0.1, 0)
+    reply = fly_velocity(simulation, NORTH, 0.1, 0)
     reply.on_due = lambda reply: seen.append((simulation.world.tick, reply.due_wall_ns))
     go_to(simulation, looked_at)
     assert seen == [(50, 50 * TICK_NS)]
@@ -44,55 +44,55 @@ def test_an_end_is_seen_before_the_next_tick_however_late_one_looks(looked_at: i
 
 def test_the_latest_command_wins() -> None:
     simulation = simulate()
-    first = simulation.fly_velocity(NORTH, 1.0, 0)
-    second = simulation.fly_velocity(EAST, 1.0, 0)
+    first = fly_velocity(simulation, NORTH, 1.0, 0)
+    second = fly_velocity(simulation, EAST, 1.0, 0)
     assert (answer(first), first.due_wall_ns) == (False, 0)
-    third = simulation.fly_velocity(NORTH, 0.5, go_to(simulation, 500 - 1))
+    third = fly_velocity(simulation, NORTH, 0.5, go_to(simulation, 500 - 1))
     assert (answer(second), second.due_wall_ns) == (False, 499 * TICK_NS)
     go_to(simulation, 499 + 249)
     assert third.due_wall_ns is None
     go_to(simulation, 499 + 250)
     assert answer(third) is True
-    assert [tuple(command) for command in simulation.commands] == [(0, 0), (0, 499), (499, 749)]
+    assert [tuple(command) for command in simulation.lead.log] == [(0, 0), (0, 499), (499, 749)]
 
 
 def test_commands_of_one_instant_take_effect_in_their_order() -> None:
     last_east = simulate()
-    last_east.fly_velocity(NORTH, 0.1, 0)
-    last_east.fly_velocity(EAST, 0.1, 0)
+    fly_velocity(last_east, NORTH, 0.1, 0)
+    fly_velocity(last_east, EAST, 0.1, 0)
     go_to(last_east, 100)
     there = position(last_east)
     only_east = simulate()
-    only_east.fly_velocity(EAST, 0.1, 0)
+    fly_velocity(only_east, EAST, 0.1, 0)
     go_to(only_east, 100)
     assert np.array_equal(there, position(only_east))
 
 
 def test_cancel_and_reset_answer_false() -> None:
     simulation = simulate()
-    cancelled = simulation.fly_velocity(NORTH, 1.0, 0)
-    simulation.cancel(go_to(simulation, 10))
+    cancelled = fly_velocity(simulation, NORTH, 1.0, 0)
+    simulation.lead.cancel(go_to(simulation, 10))
     assert (answer(cancelled), cancelled.due_wall_ns) == (False, 10 * TICK_NS)
-    assert list(simulation.commands) == [(0, 10)]
-    forgotten = simulation.fly_velocity(NORTH, 1.0, go_to(simulation, 20))
+    assert list(simulation.lead.log) == [(0, 10)]
+    forgotten = fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 20))
     waiting = simulation.continue_for(10**9, 20 * TICK_NS)
     before_ns = simulation.time_ns
     simulation.reset(go_to(simulation, 30))
     assert answer(forgotten) is False
     assert isinstance(answer(waiting), Kinematics)
-    assert (simulation.world.tick, simulation.api_control, len(simulation.commands)) == (0, False, 0)
+    assert (simulation.world.tick, simulation.lead.api_control, len(simulation.lead.log)) == (0, False, 0)
     assert simulation.time_ns == before_ns + 10 * TICK_NS  # simulated time never goes back
-    simulation.cancel(31 * TICK_NS)  # of nothing
+    simulation.lead.cancel(31 * TICK_NS)  # of nothing
 
 
 def test_a_goal_acts_from_the_next_tick() -> None:
     simulation = simulate()
     wall_ns = go_to(simulation, 7)
-    hovering = np.array(simulation.world.state["rotor_input"])
-    simulation.fly_velocity(NORTH, 0.1, wall_ns)
-    assert np.array_equal(simulation.world.state["rotor_input"], hovering)
+    hovering = np.array(simulation.world.lead.state["rotor_input"])
+    fly_velocity(simulation, NORTH, 0.1, wall_ns)
+    assert np.array_equal(simulation.world.lead.state["rotor_input"], hovering)
     go_to(simulation, 8)
-    front, rear = simulation.world.state["rotor_input"][[0, 1]]
+    front, rear = simulation.world.lead.state["rotor_input"][[0, 1]]
     assert front < hovering[0] < rear  # nose down
 
 
@@ -100,17 +100,17 @@ def test_a_goal_acts_from_the_next_tick() -> None:
 def test_position_hold_sets_in_60_ms_after_the_last_goal(gap_ticks: int) -> None:
     """At tick 30 after the end, unless a new goal came before that tick; the goal that holds until then is the last."""
     simulation = simulate()
-    simulation.fly_velocity(NORTH, 0.2, 0)
+    fly_velocity(simulation, NORTH, 0.2, 0)
     go_to(simulation, 100 + 29)
-    assert simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
     simulation = simulate()
-    simulation.fly_velocity(NORTH, 0.2, 0)
+    fly_velocity(simulation, NORTH, 0.2, 0)
     wall_ns = go_to(simulation, 100 + gap_ticks)
-    held = bool(simulation.world.state["xy_mode"] == autopilot.POSITION)
+    held = bool(simulation.world.lead.state["xy_mode"] == autopilot.POSITION)
     assert held == (gap_ticks >= 30)
-    simulation.fly_velocity(NORTH, 0.2, wall_ns)
+    fly_velocity(simulation, NORTH, 0.2, wall_ns)
     go_to(simulation, 100 + gap_ticks + 99)
-    assert simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
 
 
 @pytest.mark.parametrize(
@@ -124,22 +124,22 @@ def test_after_a_cancel_position_hold_counts_from_the_last_goal(
     """Every tick sets it anew in `native`, every seventh after the acceptance in `airsim`: 20 ms on a grid of 3 ms."""
     simulation = simulate(1.0, profile)
     wall_ns = go_to(simulation, 5)
-    simulation.fly_velocity(NORTH, 5.0, wall_ns)
+    fly_velocity(simulation, NORTH, 5.0, wall_ns)
     Api(simulation).call(call, [], go_to(simulation, 5 + cancelled))
     go_to(simulation, 5 + held - 1)
-    assert simulation.world.state["xy_mode"] == autopilot.VELOCITY
+    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
     go_to(simulation, 5 + held)
-    assert simulation.world.state["xy_mode"] == autopilot.POSITION
+    assert simulation.world.lead.state["xy_mode"] == autopilot.POSITION
 
 
 def test_position_hold_brings_the_drone_to_rest() -> None:
     simulation = simulate()
-    simulation.fly_velocity(NORTH, 1.0, 0)
+    fly_velocity(simulation, NORTH, 1.0, 0)
     go_to(simulation, 530)
     held_at = position(simulation)
     go_to(simulation, 10_000)
     np.testing.assert_allclose(position(simulation), held_at, atol=2e-2)
-    np.testing.assert_allclose(simulation.world.state["velocity"], 0.0, atol=1e-2)
+    np.testing.assert_allclose(simulation.world.lead.state["velocity"], 0.0, atol=1e-2)
 
 
 def test_without_api_control_a_command_takes_its_time_and_does_nothing() -> None:
@@ -147,39 +147,39 @@ def test_without_api_control_a_command_takes_its_time_and_does_nothing() -> None
     go_to(hovering, 300)
     expected = position(hovering)
     ignored = simulate()
-    ignored.api_control = False
-    reply = ignored.fly_velocity(NORTH, 0.1, 0)
+    ignored.lead.api_control = False
+    reply = fly_velocity(ignored, NORTH, 0.1, 0)
     go_to(ignored, 300)
     assert (answer(reply), reply.due_wall_ns) == (True, 50 * TICK_NS)
     assert np.array_equal(position(ignored), expected)
-    assert ignored.arm(False) is False
-    assert ignored.world.state["armed"] == 1
+    assert ignored.lead.arm(False) is False
+    assert ignored.world.lead.state["armed"] == 1
 
 
 def test_giving_up_api_control_ends_the_command_and_the_vehicle_stops() -> None:
     simulation = simulate()
     api = Api(simulation)
-    reply = simulation.fly_velocity(NORTH, 5.0, 0)
+    reply = fly_velocity(simulation, NORTH, 5.0, 0)
     wall_ns = go_to(simulation, 500)
     api.call("enableApiControl", [False], wall_ns)
     assert answer(reply) is False
     go_to(simulation, 5000)
-    assert abs(simulation.world.state["velocity"][0]) < 0.05
+    assert abs(simulation.world.lead.state["velocity"][0]) < 0.05
 
 
 def test_disarmed_rotors_stop() -> None:
     simulation = simulate()
-    assert simulation.arm(False) is True
+    assert simulation.lead.arm(False) is True
     go_to(simulation, 100)
-    assert simulation.world.state["velocity"][2] > 1.5
-    assert not simulation.world.state["rotor_input"].any()
+    assert simulation.world.lead.state["velocity"][2] > 1.5
+    assert not simulation.world.lead.state["rotor_input"].any()
 
 
 def test_a_time_the_step_does_not_divide_is_refused_and_the_command_before_it_flies_on() -> None:
     simulation = simulate()
-    reply = simulation.fly_velocity(NORTH, 0.1, 0)
+    reply = fly_velocity(simulation, NORTH, 0.1, 0)
     with pytest.raises(UserError, match="not a positive multiple of the physics step of 2 ms"):
-        simulation.fly_velocity(EAST, 0.333, go_to(simulation, 10))
+        fly_velocity(simulation, EAST, 0.333, go_to(simulation, 10))
     go_to(simulation, 50)
     assert answer(reply) is True
 
@@ -189,7 +189,7 @@ def test_a_time_the_step_does_not_divide_is_refused_and_the_command_before_it_fl
 
 def test_a_paused_world_stands_still_and_its_command_goes_on_afterwards() -> None:
     simulation = simulate()
-    reply = simulation.fly_velocity(NORTH, 0.1, 0)
+    reply = fly_velocity(simulation, NORTH, 0.1, 0)
     simulation.pause(go_to(simulation, 20))
     simulation.advance_to(10**12)
     assert (simulation.world.tick, simulation.next_event_wall_ns()) == (20, None)
@@ -251,7 +251,7 @@ def test_a_second_continue_for_replaces_the_first() -> None:
 def test_a_command_and_a_continue_for_end_together() -> None:
     simulation = simulate(100)
     simulation.pause(0)
-    command = simulation.fly_velocity(NORTH, 0.5, 0)
+    command = fly_velocity(simulation, NORTH, 0.5, 0)
     period = simulation.continue_for(500_000_000, 0)
     simulation.advance_to(10**9)
     assert answer(command) is True

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.simulating import EAST, NORTH, answer, go_to, position, simulate
+from tests.simulating import EAST, NORTH, answer, fly_velocity, go_to, position, simulate
 from uavaccel.errors import UserError
 from uavaccel.sim import recording as recordings
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
@@ -33,7 +33,7 @@ def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) 
     simulation.record()
     wall_ns = go_to(simulation, 37)
     assert len(simulation.recording().samples) > 1
-    simulation.fly_velocity(NORTH, 1.0, wall_ns)
+    fly_velocity(simulation, NORTH, 1.0, wall_ns)
     simulation.advance_to(wall_ns + 10_000_003)  # 1 s and 0.3 us
     recording = simulation.recording()
     period = profile.recorder_ticks
@@ -41,14 +41,14 @@ def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) 
     assert np.array_equal(ticks, np.arange(0, simulation.world.tick - 37 + 1, period))
     assert recording.commands.tolist()[0][0] == 0
     np.testing.assert_allclose(recording.samples[0, 1:4], [0.0, 0.0, -10.0], atol=1e-6)
-    simulation.fly_velocity(EAST, 1.0, wall_ns + 10_000_003)
+    fly_velocity(simulation, EAST, 1.0, wall_ns + 10_000_003)
     assert len(simulation.recording().samples) == len(ticks), "a second command starts nothing"
 
 
 def test_samples_are_the_states_at_their_ticks() -> None:
     simulation = simulate()
     simulation.record()
-    simulation.fly_velocity(NORTH, 1.0, 0)
+    fly_velocity(simulation, NORTH, 1.0, 0)
     states = []
     for tick in range(0, 501, 25):
         go_to(simulation, tick)
@@ -62,7 +62,7 @@ def test_arrays_of_a_recording_have_decimal_times() -> None:
     simulation = simulate()
     simulation.record()
     for tick in (5, 505):
-        simulation.fly_velocity(NORTH, 1.0, go_to(simulation, tick))
+        fly_velocity(simulation, NORTH, 1.0, go_to(simulation, tick))
     go_to(simulation, 1005)
     arrays = simulation.recording().arrays()
     assert arrays["time_s"].tolist() == [round(0.05 * i, 2) for i in range(41)]
@@ -94,7 +94,7 @@ def test_a_full_recorder_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     simulation = simulate()
     simulation.record()
-    simulation.fly_velocity(NORTH, 0.1, 0)
+    fly_velocity(simulation, NORTH, 0.1, 0)
     simulation.reset(go_to(simulation, 100))
     assert not simulation.world.recording
     go_to(simulation, 100)
@@ -109,16 +109,16 @@ def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
     simulation = simulate()
     simulation.record()
     for tick in (10, 30, 50, 70, 90):
-        simulation.fly_velocity(NORTH, 0.02, go_to(simulation, tick))
+        fly_velocity(simulation, NORTH, 0.02, go_to(simulation, tick))
     go_to(simulation, 110)
     kept = simulation.recording()
     assert kept.commands.tolist() == [[0, 10], [20, 30], [40, 50]]
     assert kept.samples[:, 0].tolist() == [0, 25, 50, 75, 100]
     assert kept.commands_dropped == 2
-    log = simulation.commands
+    log = simulation.lead.log
     assert log.last_goal(105, 10) == 100, "of the latest, for which there was no room"
-    simulation.fly_velocity(NORTH, 1.0, go_to(simulation, 120))
-    simulation.cancel(go_to(simulation, 130))
+    fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 120))
+    simulation.lead.cancel(go_to(simulation, 130))
     assert log.ticks().tolist() == [[10, 20], [30, 40], [50, 60]]
     copy = type(log)()
     copy.set_state(log.get_state())
@@ -199,7 +199,7 @@ def test_lost_time_never_changes_the_step() -> None:
     def positions(wait_ns: int) -> tuple[NDArray[np.float64], Simulation]:
         simulation = simulate(10, catch_up_wall_ns=CATCH_UP_NS)
         simulation.record()
-        simulation.fly_velocity(NORTH, 20.0, 0)
+        fly_velocity(simulation, NORTH, 20.0, 0)
         wall_ns = 0
         while simulation.world.tick < 10_000:
             wall_ns += wait_ns
@@ -232,7 +232,7 @@ def test_a_flight_that_cannot_be_integrated_is_a_failure_and_no_wait_for_ever(
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     simulation = simulate(100)
     simulation.record()
-    command = simulation.fly_velocity(NORTH, 1.0, 0)
+    command = fly_velocity(simulation, NORTH, 1.0, 0)
     wall_ns = go_to(simulation, 100)
     simulation.world.data.qvel[0] = poison
     go_to(simulation, 200)
@@ -243,9 +243,9 @@ def test_a_flight_that_cannot_be_integrated_is_a_failure_and_no_wait_for_ever(
     simulation.advance_to(wall_ns + 10**10)
     assert answer(command) is False
     assert answer(period).time_ns == simulation.time_of(800)
-    assert list(simulation.commands) == [(0, 500)]
+    assert list(simulation.lead.log) == [(0, 500)]
     simulation.run(2 * 10**10)
-    later = simulation.fly_velocity(EAST, 1.0, 2 * 10**10)
+    later = fly_velocity(simulation, EAST, 1.0, 2 * 10**10)
     simulation.advance_to(3 * 10**10)
     assert answer(later) is False
     assert len(simulation.recording().samples) > 1000, "time and the recorder go on"
@@ -288,11 +288,11 @@ def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: f
         simulation = simulate(clock_speed)
         simulation.record()
         ends = [simulation.pacer.wall_due(tick) for tick in (100, 180)]
-        simulation.fly_velocity(NORTH, 0.2, 0)
+        fly_velocity(simulation, NORTH, 0.2, 0)
         for wall_ns in [look for look in looks_ns if look < ends[1]]:
             simulation.advance_to(wall_ns)
         simulation.advance_to(ends[1])
-        simulation.fly_velocity(EAST, 0.2, ends[1])
+        fly_velocity(simulation, EAST, 0.2, ends[1])
         simulation.continue_for(400_000_000, ends[1])
         for look_ns in looks_ns:
             simulation.advance_to(ends[1] + look_ns)
@@ -309,14 +309,14 @@ def test_a_game_starts_from_a_settled_hover() -> None:
         simulation = simulate(1, profile)
         go_to(simulation, 2000)
         np.testing.assert_allclose(position(simulation), [0.0, 0.0, -10.0], atol=1e-6)
-        np.testing.assert_allclose(simulation.world.state["velocity"], 0.0, atol=1e-6)
+        np.testing.assert_allclose(simulation.world.lead.state["velocity"], 0.0, atol=1e-6)
 
 
 def test_the_trace_tells_what_happened_when() -> None:
     simulation = simulate(100)
     simulation.pause(0)
     simulation.trace.enabled = True
-    simulation.fly_velocity(NORTH, 0.1, 1_000)
+    fly_velocity(simulation, NORTH, 0.1, 1_000)
     simulation.continue_for(200_000_000, 2_000)
     simulation.advance_to(10**9)
     zero_ns = simulation.time_of(0)

@@ -76,7 +76,7 @@ def test_a_missed_lap_is_invisible_to_stlc_and_plain_to_rmse() -> None:
         hover = np.repeat(reference.position_m[:1], missed_samples, axis=0)
         position_m = np.concatenate([hover, reference.position_m[:-missed_samples]])
         assert stlc(*reference, reference.time_s, position_m) == pytest.approx(2.0, abs=1e-9)
-        assert position_rmse(*reference, reference.time_s, position_m) > 0.25
+        assert position_rmse(reference, Trajectory(reference.time_s, position_m)) > 0.25
 
 
 def test_mean_over_references_and_without_itself() -> None:

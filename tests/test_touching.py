@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import go_to, simulate
+from tests.simulating import fly_velocity, go_to, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
@@ -34,9 +34,9 @@ def collision(simulation: Simulation, api: Api) -> dict[str, Any]:
 def dropped(profile: Profile, height_m: float) -> tuple[Simulation, Api]:
     """A vehicle without thrust, `height_m` up."""
     simulation = simulate(1.0, profile)
-    simulation.arm(False)
-    simulation.world.state["rotor_input"] = simulation.world.state["rotor_lagged"] = 0.0
-    simulation.world.state["rotor_output"] = 0.0
+    simulation.lead.arm(False)
+    simulation.world.lead.state["rotor_input"] = simulation.world.lead.state["rotor_lagged"] = 0.0
+    simulation.world.lead.state["rotor_output"] = 0.0
     simulation.world.place((0.0, 0.0, -height_m))
     return simulation, Api(simulation)
 
@@ -72,7 +72,7 @@ def test_every_touch_is_told_once_and_a_reset_forgets_it(profile: Profile) -> No
         if touch == 1:
             go_to(simulation, simulation.world.tick + round(0.5 / profile.tick_s))
             collision(simulation, api)
-            simulation.world.touches.count = 1  # however often it bounced
+            simulation.world.lead.touches.count = 1  # however often it bounced
     api.call("reset", [], simulation.wall_ns)
     assert collision(simulation, api)["has_collided"] is False
     assert collision(simulation, api)["object_name"] == ""
@@ -84,16 +84,16 @@ def test_another_object_is_another_touch_even_while_the_first_is_still_touched()
     simulation.world.place((BLOCK_FACE_M - HULL_RADIUS_M - 0.05, 0.0, -HULL_HALF_HEIGHT_M))
     go_to(simulation, 200)
     assert collision(simulation, api)["object_name"] == "ground"
-    count = simulation.world.touches.count
+    count = simulation.world.lead.touches.count
     simulation.world.data.qvel[0] = 1.5
     while (info := collision(simulation, api))["object_name"] == "ground" and simulation.world.tick < 400:
         go_to(simulation, simulation.world.tick + 1)
     assert (info["has_collided"], info["object_name"]) == (True, "block_north")
-    assert simulation.world.touches.count > count
+    assert simulation.world.lead.touches.count > count
     np.testing.assert_allclose(vector(info["normal"]), [-1.0, 0.0, 0.0], atol=1e-6)
     assert vector(info["impact_point"])[0] == pytest.approx(BLOCK_FACE_M, abs=0.01)
-    assert simulation.world.touches.first is not None
-    assert simulation.world.touches.first.object == "ground"
+    assert simulation.world.lead.touches.first is not None
+    assert simulation.world.lead.touches.first.object == "ground"
 
 
 def test_a_teleport_keeps_the_velocity_and_what_was_touched_and_is_ready_for_more() -> None:
@@ -133,7 +133,7 @@ def test_a_vehicle_on_the_ground_is_at_rest_and_landed(profile: Profile) -> None
 def test_in_free_fall_it_is_not_landed_and_the_acceleration_is_gravitys() -> None:
     simulation, _ = dropped(NATIVE, 5.0)
     go_to(simulation, 20)
-    assert not simulation.world.landed
+    assert not simulation.world.lead.landed
     np.testing.assert_allclose(simulation.kinematics().linear_acceleration_m_s2, [0, 0, 9.80665], atol=0.05)
 
 
@@ -146,7 +146,7 @@ def test_the_reported_velocity_is_that_of_the_flown_path_while_contacts_push() -
         go_to(simulation, tick)
         positions.append(np.array(simulation.kinematics().position_m))
         velocities.append(np.array(simulation.kinematics().linear_velocity_m_s))
-        touching.append(bool(simulation.world.state["contacts"]))
+        touching.append(bool(simulation.world.lead.state["contacts"]))
     central = (np.array(positions)[2:] - np.array(positions)[:-2]) / (2 * dt)
     pushed = np.array(touching)[:-2] & np.array(touching)[1:-1] & np.array(touching)[2:]
     assert pushed.sum() > 20
@@ -170,7 +170,7 @@ def test_the_reported_velocity_is_that_of_the_flown_path_while_contacts_push() -
 def test_where_nothing_can_fly_nothing_is_put(place: Any, text: str) -> None:
     simulation = simulate()
     go_to(simulation, 100)
-    simulation.fly_velocity(VelocityGoal((1.0, 0.0, 0.0)), 5.0, simulation.wall_ns)
+    fly_velocity(simulation, VelocityGoal((1.0, 0.0, 0.0)), 5.0, simulation.wall_ns)
     go_to(simulation, 300)
     before = simulation.get_state()
     with pytest.raises(UserError, match=text):

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.drawing import headline, legend_texts, points, texts
-from uavaccel.draw.trellis import MOST_EVENTS, Message, messages, plot_trellis, running_spans
+from uavaccel.suites.dp1.trellis import MOST_EVENTS, Message, messages, plot_trellis, running_spans
 
 Trace = list[dict[str, Any]]
 

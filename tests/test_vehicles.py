@@ -93,7 +93,7 @@ def test_the_first_flies_as_if_it_were_alone(profile: Profile) -> None:
         if api is two:
             call(api, "takeoff", 20.0, "B")
         go_on(api, 3.0)
-    states = [api.simulation.world.state for api in (alone, two)]
+    states = [api.simulation.world.lead.state for api in (alone, two)]
     for name in ("position", "quaternion", "velocity", "rotor_output", "z_integral", "tick"):
         assert np.array_equal(states[0][name], states[1][name]), name
     assert place(two, "B")[2] < -0.5
@@ -368,6 +368,27 @@ def test_a_lidar_scans_around_its_own_vehicle_in_the_frame_that_is_asked_for(fra
     np.testing.assert_allclose(
         rays[:, 2], 1.045 + 4.0, atol=1e-4
     )  # its frame begins 1.045 m above the ground
+
+
+def test_a_lidar_sees_other_vehicles_and_not_the_one_that_carries_it() -> None:
+    """From 0.3 m above its middle, straight down: A on the ground, B on A, 4 m above it."""
+    lidar = {
+        "SensorType": 6,
+        "NumberOfChannels": 1,
+        "Z": -0.3,
+        "VerticalFOVUpper": -89.9,
+        "VerticalFOVLower": -89.9,
+    }
+    sensors = {"Sensors": {"eye": lidar | {"DataFrame": "SensorLocalFrame"}}}
+    api = fleet(A={"X": 0, "Y": 0} | sensors, B=ASIDE | sensors)
+    call(api, "simSetVehiclePose", pose(-5.0, -5.0, -4.0), True, "B")
+    down = {}
+    for name in ("A", "B"):
+        points = np.reshape(call(api, "getLidarData", "eye", name)["point_cloud"], (-1, 3))
+        down[name] = float(np.median(points[:, 2]))
+    assert down["A"] == pytest.approx(0.345, abs=1e-3)
+    assert down["B"] == pytest.approx(4.3, abs=0.1), "A's upper side"
+    assert down["B"] < 4.3
 
 
 def test_noise_is_each_vehicles_own_and_each_axis_own() -> None:

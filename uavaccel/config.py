@@ -5,7 +5,6 @@ checked as JSON is: "3" is no number, yes is no integer, a list may fill a tuple
 """
 
 import copy
-import difflib
 import json
 import reprlib
 from collections.abc import Iterable, Mapping
@@ -14,10 +13,10 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.yaml_io import dump_yaml, load_yaml, parse_yaml
 
-__all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "validate", "validate_experiment"]
+__all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "validate"]
 
 
 class Config(BaseModel):
@@ -94,20 +93,6 @@ def validate(cls: type[ConfigType], mapping: Mapping[str, Any], source: str) -> 
         raise UserError(f"{source}: not made of text, numbers, lists and mappings: {error}") from error
 
 
-def validate_experiment(
-    suites: Mapping[str, type[Config]], mapping: Mapping[str, Any], source: str
-) -> Config:
-    """The configuration of the suite that the key `suite` names; the suite's class has that field too.
-
-    Raises UserError as `validate`, and if the suite is missing or unknown.
-    """
-    suite = mapping.get("suite")
-    if not isinstance(suite, str) or suite not in suites:
-        found = "key 'suite' is missing" if suite is None else f"suite = {suite!r} is unknown"
-        raise UserError(f"{source}: {found}{_suggestion(str(suite), list(suites))}")
-    return validate(suites[suite], mapping, source)
-
-
 def to_yaml(config: Config) -> str:
     """YAML of a configuration, keys in the order of its fields: equal configurations give equal text."""
     return dump_yaml(config.model_dump(mode="json"))
@@ -125,7 +110,7 @@ def _explain(cls: type[Config], mapping: Mapping[str, Any], error: ValidationErr
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]
-        return f"unknown key {key!r}{_suggestion(str(unknown), _keys_below(cls, above))}"
+        return f"unknown key {key!r}; {suggestion(str(unknown), _keys_below(cls, above))}"
     if first["type"] == "missing":
         return f"key {key!r} is missing"
     wanted = _YAML_WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ").removeprefix(
@@ -173,8 +158,3 @@ def _models_in(model: type[BaseModel], field: str) -> list[type[BaseModel]]:
             found.append(annotation)
         pending.extend(get_args(annotation))
     return found
-
-
-def _suggestion(word: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"

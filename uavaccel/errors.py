@@ -1,7 +1,8 @@
 """Errors that are the user's to mend: one clear line each, and an exit status. What is one is decided here."""
 
+import difflib
 import errno
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -76,3 +77,9 @@ def naming(path: Path) -> Iterator[None]:
         more = "; make room" if error.errno == errno.ENOSPC else ""
         name = path if error.filename is None else error.filename
         raise type(refused)(f"{name}: {error.strerror}{more}") from error
+
+
+def suggestion(word: str, known: Collection[str]) -> str:
+    """What may have been meant by an unknown word: the known one that is close to it, or all."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"

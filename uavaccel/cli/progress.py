@@ -11,7 +11,8 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.suites.suite import Case, Row
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import Case
 from uavaccel.units import NS_PER_S
 
 LINES = 10  # of progress where there is no terminal to redraw

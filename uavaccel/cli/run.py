@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import Any, get_origin
 
 from pydantic import BaseModel
+from rich import table as rich_table
 from rich.console import Console
-from rich.table import Table
 
 from uavaccel.bench.machine import check_machine
 from uavaccel.cli.paths import check_out
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
+from uavaccel.draw.document import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
@@ -28,8 +29,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.registry import find_suite, suite_of
+from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
-from uavaccel.suites.suite import AnySuite, Case, Summary, SummaryTable, configuration
+from uavaccel.suites.suite import AnySuite, Case, configuration
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
 
@@ -210,13 +212,13 @@ def resumable(out: Path) -> Iterator[None]:
 
 def report_run(run: RunDirectory) -> Summary:
     """Write a run's report; show its result and where its figures are."""
-    suite = suite_of(run)
-    summary = suite.report(run)
-    if headline := suite.headline(summary):
+    report = suite_of(run).report(run)
+    summary = report.write()
+    if headline := report.headline():
         console.print(headline)
-    if pace := suite.pace(run):
+    if pace := report.pace():
         console.print(pace)
-    if table := suite.overview(summary):
+    if table := report.overview():
         show_table(table)
     cells = summary.get("cells", ())
     lost = [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]
@@ -231,9 +233,9 @@ def report_run(run: RunDirectory) -> Summary:
     return summary
 
 
-def show_table(table: SummaryTable) -> None:
+def show_table(table: Table) -> None:
     """A table that is never wrapped: a terminal scrolls, a file has room."""
-    lines = Table(*table.header, box=None, pad_edge=False)
+    lines = rich_table.Table(*table.header, box=None, pad_edge=False)
     for row in table.rows:
         lines.add_row(*row)
     Console(highlight=False, width=None if console.is_terminal else TABLE_WIDTH).print(lines)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import TypeVar
 
 from uavaccel.draw.page_look import SCRIPT, STYLE
 
@@ -53,6 +54,12 @@ class Listing:
 LONG, LONG_CLASS = 32, ' class="long"'  # characters of a table's cell: longer ones are broken into lines
 
 Block = Heading | Paragraph | Table | Picture | Listing
+Known = TypeVar("Known")
+
+
+def or_dash(value: Known | None, form: Callable[[Known], str]) -> str:
+    """A table's cell: the value in that form, or "-" where there is none."""
+    return "-" if value is None else form(value)
 
 
 def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from uavaccel.files import replacing
+from uavaccel.metrics.intervals import Proportion
 
 # Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -83,3 +86,14 @@ def rounds_label(rounds: int) -> str:
 def clock_label(clock_speed: float) -> str:
     """A ClockSpeed as it is written in the figures and tables: 1x, 1.5x, 100x."""
     return f"{clock_speed:g}x"
+
+
+def command_at_clock(game: Mapping[str, Any]) -> str:
+    """Command and ClockSpeed of a row or a task: TCSC at 5x."""
+    return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
+
+
+def error_bars(success: Sequence[Proportion]) -> NDArray[np.float64]:
+    """How far their intervals reach below and above the ratios, (2, n), as matplotlib's errorbar takes it."""
+    ratio, ends = np.array([each.ratio for each in success]), np.array([each.interval for each in success])
+    return np.maximum([ratio - ends[:, 0], ends[:, 1] - ratio], 0.0)

@@ -17,6 +17,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.envs.checks import known_options, make_task, within
 from uavaccel.envs.flight_client import FlightClient, FlightSample
+from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Course, Moment, Task
@@ -27,7 +28,7 @@ from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import ImageNoise, noise_seed
 from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, VirtualSession, open_session
+from uavaccel.wire.session import Session, open_session
 
 Observation = NDArray[Any]
 Info = dict[str, Any]
@@ -53,13 +54,14 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self.render_mode = render_mode
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
-        self._sensor = self.task.sensor()
+        self.sensor = self.task.sensor()
         self._told = self.task.told()
         self._command = COMMANDS[self.task.command]
         self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
         self._client: FlightClient | None = None
         self._noise = ImageNoise()
+        self._observers: list[Observer] = []
         self._now: Moment
 
     # --- Gymnasium --------------------------------------------------------------------------------
@@ -110,9 +112,13 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
 
         Raises UserError unless the task has `list_events`.
         """
-        if not self.task.list_events or not isinstance(self._sensor, EventCamera):
+        if not self.task.list_events or not isinstance(self.sensor, EventCamera):
             raise UserError("list_events must be true for a list of events")
-        return self._sensor.counter.take_events()
+        return self.sensor.counter.take_events()
+
+    def add_observer(self, observer: Observer) -> None:
+        """Let it look on from the next game on."""
+        self._observers.append(observer)
 
     def close(self) -> None:
         if self._session is not None:
@@ -136,7 +142,10 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
         if self.flown is not self.task:
             state["games"] = self._games
-        if self._client is None or not isinstance(self._session, VirtualSession):
+        session = (
+            self._session.get_state() if self._session is not None and self._client is not None else None
+        )
+        if session is None:
             return state
         game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
         state["game"] = json.dumps(game)
@@ -146,7 +155,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             state |= under("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
         if self._told is not None:
             state |= under("told", self._told.get_state())
-        state |= under("session", self._session.get_state()) | under("sensor", self._sensor.get_state())
+        state |= under("session", session) | under("sensor", self.sensor.get_state())
+        assert self._client is not None
         return state | under("guard", self._client.get_state())
 
     def set_state(self, state: Mapping[str, Any]) -> Observation:
@@ -156,7 +166,6 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         if "game" not in state:
             return self.reset()[0]
         session, game = self._opened(), json.loads(str(state["game"]))
-        assert isinstance(session, VirtualSession)
         self._take_on(game["course"])
         self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
@@ -165,7 +174,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             tuple(value) if isinstance(value, list) else value for value in game.pop("state")
         ]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
-        self._sensor.set_state(part("sensor", state))
+        self.sensor.set_state(part("sensor", state))
         if self._told is not None:
             self._told.set_state(part("told", state))
         assert self._client is not None
@@ -180,35 +189,35 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         """Fly, see and pay for messages as under the conditions of this game."""
         before, self.flown = self.flown, self.task.under(course.get(CONDITIONS, {}))
         if self.flown.dvs_parameters != before.dvs_parameters:
-            self._sensor = self.flown.sensor()
-        if self.flown.latency.scale != before.latency.scale and isinstance(self._session, VirtualSession):
+            self.sensor = self.flown.sensor()
+        if self.flown.latency.scale != before.latency.scale and self._session is not None:
             self._session.set_latency(self.flown.latency)
 
     def _make_noise(self, seed: int, start_ns: int) -> None:
         """Of this game's pictures and events."""
         assert self._client is not None
         self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
-        if isinstance(self._sensor, EventCamera):
-            self._sensor.noise_seed = self.flown.events_seed(seed)
+        if isinstance(self.sensor, EventCamera):
+            self.sensor.noise_seed = self.flown.events_seed(seed)
 
     def _opened(self) -> Session:
         task = self.task
-        if self._sensor.picture is not None:
+        if self.sensor.picture is not None:
             gl.check_process()
         if self._session is None:
             self._session = open_session(task.timing, task.profile, task.scene, task.latency)
-            if isinstance(self._session, VirtualSession) and task.dvs_ticks and not task.blank_images:
+            if task.dvs_ticks and not task.blank_images:
                 self._session.watch(task.dvs_ticks, self._look)
         return self._session
 
     def _look(self, time_ns: int) -> None:
         """What the event camera sees between two samples: it is on board, so no message and no wall time are due."""
-        assert isinstance(self._sensor, EventCamera)
-        assert isinstance(self._session, VirtualSession)
+        assert isinstance(self.sensor, EventCamera)
+        assert self._session is not None
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self._sensor.counter.look(self._noise.add(self._session.picture(), time_ns), time_ns)
+            self.sensor.counter.look(self._noise.add(self._session.picture(), time_ns), time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""
@@ -216,7 +225,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         self._stopwatches = [Stopwatch(client.transport.clock)]
         if self.task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
-        self._client = FlightClient(client, self._sensor.picture, self._stopwatches)
+        self._client = FlightClient(client, self.sensor.picture, self._stopwatches)
 
     def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
         session = self._opened()
@@ -229,12 +238,15 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         first: FlightSample = self._client.gather(start)
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)
-        frame = self._sensor.reset(first.state, first.image, course)
-        seen = frame if task.sees_start and not task.blank_images else self._sensor.blank
+        frame = self.sensor.reset(first.state, first.image, course)
+        seen = frame if task.sees_start and not task.blank_images else self.sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         if self._told is not None:
             self._told.start(first.state.time_ns)
         self._command.begin(self._client)
+        game = Game(task, session, self._noise, first.state)
+        for observer in self._observers:
+            observer.game_begun(game)
 
     def _fly(self, client: FlightClient, action: Any) -> Moment:
         """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
@@ -244,6 +256,8 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
             now = now._replace(state=sample.state, position_m=sample.state.position_m)
             gathered_ns = client.now_ns()
+            for observer in self._observers:
+                observer.sample_taken(sample, now.commands)
             if sample.collision:
                 hit, position_m = str(sample.collision["object"]), tuple(sample.collision["position_m"])
                 now = now._replace(position_m=position_m, collision=hit)
@@ -251,7 +265,7 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
             self._frames.append(self._see(sample))
             taken_ns.append(sample.state.time_ns)
             missing -= 1
-        self._frames.extend([self._sensor.blank] * missing)
+        self._frames.extend([self.sensor.blank] * missing)
         if self._told is not None:
             since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock stands
             present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
@@ -260,9 +274,9 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
 
     def _see(self, sample: FlightSample) -> NDArray[Any]:
         self._switch("image_processing")
-        frame = self._sensor.blank
+        frame = self.sensor.blank
         if not self.task.blank_images:
-            frame = self._sensor.frame(sample.state, sample.image, self._now.course)
+            frame = self.sensor.frame(sample.state, sample.image, self._now.course)
         if self.task.timing == "virtual" and self._client is not None:
             self._client.client.transport.clock.charge(round(self.task.image_processing_s * NS_PER_S))
         self._switch("simulation")

@@ -41,7 +41,7 @@ class GameMaker:
         self._world = World(task.scene, profile_of(task))
         self.surroundings: Surroundings = read_surroundings(self._world.model)
         self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
-        self.usual = self._world.parameters.copy()
+        self.usual = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
     def draw(
@@ -79,7 +79,7 @@ class GameMaker:
         world.reset((0.0, 0.0, -altitude_m))
         data = world.data
         body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
-        return world.parameters.copy(), world.state.copy(), body
+        return world.lead.parameters.copy(), world.lead.state.copy(), body
 
     def name_of(self, solid: int, layout: LaneLayout | None) -> str:
         """What a game's solid is called."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from uavaccel.draw.movie import movie
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.watched import WatchedWorld
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 
 FILE_NAME = "film.mp4"
@@ -21,7 +21,7 @@ WHITE = (255, 255, 255)
 
 
 @contextmanager
-def filming(simulation: Simulation, world: WatchedWorld, folder: Path) -> Iterator[None]:
+def filming(simulation: Simulation, world: World, folder: Path) -> Iterator[None]:
     """Film what is flown in the `with` block, at its own pace. Raises UserError without OpenGL."""
     every = NS_PER_S // FRAMES_PER_S // simulation.profile.tick_ns
     with movie(folder / FILE_NAME, (WIDTH, HEIGHT + BAND), FRAMES_PER_S) as add:

@@ -11,7 +11,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.trajectory import INTERVAL_NS, Trajectory
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.watched import WatchedWorld
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.api import Api
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig, shipped_latency
@@ -30,7 +30,7 @@ class FlownWorld:
         latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
         draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
         profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
-        self.world = WatchedWorld(options.scene, profile, furnished=True)
+        self.world = World(options.scene, profile, furnished=True)
         settings.prepare(self.world)
         self.simulation = _simulation(self.world, clock_speed, latency, draws)
         self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=tell)
@@ -51,7 +51,7 @@ class FlownWorld:
     def whereabouts(self) -> str:
         """Where the vehicle is, in words."""
         position = " ".join(f"{metres:.1f}" for metres in self.simulation.kinematics().position_m)
-        touch = self.world.touches.latest
+        touch = self.world.lead.touches.latest
         return f"{position} m" + (f", last touched {touch.object}" if touch else "")
 
     def summary(self) -> dict[str, Any]:
@@ -64,9 +64,7 @@ class FlownWorld:
         }
 
 
-def _simulation(
-    world: WatchedWorld, clock_speed: float, latency: LatencyConfig, draws: Latency
-) -> Simulation:
+def _simulation(world: World, clock_speed: float, latency: LatencyConfig, draws: Latency) -> Simulation:
     """A settled hover, the clock running and API control off, as a server has it."""
     return Simulation(
         world,

@@ -53,7 +53,7 @@ def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
     while place < last - 1 and share >= at[place + 1]:
         place += 1
     slope = (us[table, place + 1] - us[table, place]) / (at[place + 1] - at[place])
-    return int(np.rint(1e3 * (slope * (share - at[place]) + us[table, place])))
+    return round(1e3 * (slope * (share - at[place]) + us[table, place]))
 
 
 @part

@@ -101,7 +101,7 @@ def draw(row: Any, timing: Timing, table: int) -> int:
 def message(row: Any, scale: float, timing: Timing, direction: int, channel: int) -> int:
     """The next latency of a request or a reply."""
     spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
-    spent = int(np.rint(spent * scale))
+    spent = round(spent * scale)
     if timing.rules[FAULTS]:
         row[DRAWN] += 1
         spent += fault_ns(timing.latencies, uniform(row[SEED], row[DRAWN]))

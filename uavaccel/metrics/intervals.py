@@ -5,13 +5,16 @@ scipy.stats takes as long to load as the rest of a command: whoever only flies d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 RESAMPLES = 2000
+LEVEL = 0.95
 
 Statistic = Callable[..., np.ndarray]
 
@@ -20,7 +23,7 @@ def bootstrap_interval(
     samples: Sequence[ArrayLike],
     statistic: Statistic,
     seed: int,
-    level: float = 0.95,
+    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> tuple[float, float]:
     """Percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its own games.
@@ -40,19 +43,54 @@ def bootstrap_interval(
     return float(low), float(high)
 
 
-def median_interval(values: ArrayLike, seed: int, level: float = 0.95) -> tuple[float, float]:
+def median_interval(values: ArrayLike, seed: int, level: float = LEVEL) -> tuple[float, float]:
     """Bootstrap interval over games of the median of `values` (games,)."""
     return bootstrap_interval((values,), _median, seed, level)
 
 
-def wilson_interval(successes: int, games: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a success ratio, in [0, 1]; ValueError unless 0 <= successes <= games > 0."""
-    if games <= 0 or not 0 <= successes <= games:
-        raise ValueError(f"need 0 <= successes <= games > 0, got {successes} of {games}")
-    from scipy.stats import binomtest
+@dataclass(frozen=True)
+class Proportion:
+    """Games won of games flown. Raises ValueError unless 0 <= successes <= games > 0."""
 
-    interval = binomtest(successes, games).proportion_ci(level, method="wilson")
-    return float(interval.low), float(interval.high)
+    successes: int
+    games: int
+
+    def __post_init__(self) -> None:
+        if self.games <= 0 or not 0 <= self.successes <= self.games:
+            raise ValueError(f"need 0 <= successes <= games > 0, got {self.successes} of {self.games}")
+
+    @classmethod
+    def of(cls, keys: Mapping[str, Any]) -> Proportion:
+        """That of a mapping with the keys `successes` and `games`."""
+        return cls(keys["successes"], keys["games"])
+
+    @property
+    def ratio(self) -> float:
+        return self.successes / self.games
+
+    @cached_property
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % Wilson score interval of the ratio, in [0, 1]."""
+        from scipy.stats import binomtest
+
+        interval = binomtest(self.successes, self.games).proportion_ci(LEVEL, method="wilson")
+        return float(interval.low), float(interval.high)
+
+    def as_summary(self) -> dict[str, Any]:
+        """What a summary says of it."""
+        low, high = self.interval
+        return {
+            "games": self.games,
+            "successes": self.successes,
+            "success_ratio": self.ratio,
+            "wilson_low": low,
+            "wilson_high": high,
+        }
+
+    def text(self, digits: int = 1, interval_digits: int = 0) -> str:
+        """23.0% [16, 32]"""
+        low, high = (f"{100 * end:.{interval_digits}f}" for end in self.interval)
+        return f"{self.ratio:.{digits}%} [{low}, {high}]"
 
 
 class McNemar(NamedTuple):

@@ -35,16 +35,12 @@ def trajectory(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
     return Trajectory(times, points)
 
 
-def position_rmse(ref_t: ArrayLike, ref_p: ArrayLike, t: ArrayLike, p: ArrayLike) -> float:
+def position_rmse(reference: Trajectory, flight: Trajectory) -> float:
     """Root mean square distance in metres between two flights at equal simulated times.
 
     Compared at the reference's sample times, the other flight interpolated linearly, up to the end of the
     shorter one; NaN if the two do not overlap in time. Unlike STLC it sees a lap too few or too late.
     """
-    return _rmse(trajectory(ref_t, ref_p), trajectory(t, p))
-
-
-def _rmse(reference: Trajectory, flight: Trajectory) -> float:
     shared = min(reference.time_s.size, flight.time_s.size)
     if np.array_equal(reference.time_s[:shared], flight.time_s[:shared]):  # one grid: nothing to interpolate
         difference = flight.position_m[:shared] - reference.position_m[:shared]
@@ -68,7 +64,9 @@ def mean_position_rmse(
     """Each game's `position_rmse` averaged over the references, (games,); see `mean_over_references`."""
     unique_games, game_index = distinct(games)
     unique_references, reference_index = distinct(references)
-    matrix = np.array([[_rmse(reference, game) for reference in unique_references] for game in unique_games])
+    matrix = np.array(
+        [[position_rmse(reference, game) for reference in unique_references] for game in unique_games]
+    )
     return mean_over_references(matrix, game_index, reference_index, exclude_self)
 
 

@@ -52,6 +52,8 @@ class BatchVecEnv(VecEnv):
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        if isinstance(self.batch, KernelBatch):  # all lanes are the batch
+            return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
         return self.env_method(attr_name, indices=indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:

@@ -1,9 +1,8 @@
-"""What of a simulation will end by itself and somebody waits for: replies that are not due yet, and a continue-for."""
+"""A reply that is not due yet: nobody waits inside the simulation, whoever asked is answered when the time has come."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 
@@ -21,12 +20,3 @@ class DeferredReply:
         self.value, self.due_wall_ns = value, wall_ns
         if self.on_due is not None:
             self.on_due(self)
-
-
-@dataclass
-class Continue:
-    """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
-
-    reply: DeferredReply
-    end_tick: int | None = None
-    end_wall_ns: int | None = None

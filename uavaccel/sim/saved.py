@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
-
-from uavaccel.sim.lane.layout import LaneLayout
+from numpy.typing import ArrayLike, NDArray
 
 State = dict[str, Any]
-_NONE = np.zeros(0)
-_NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
+PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 def under(name: str, state: Mapping[str, Any]) -> State:
@@ -52,12 +50,14 @@ def number_or_none(array: Any) -> int | None:
     return int(found[0]) if len(found) else None
 
 
-def layout_of(state: Mapping[str, Any]) -> LaneLayout:
-    """The lane's layout from its fields."""
-    fields: dict[str, Any] = {}
-    for name, like in vars(_NO_LANE).items():
-        value = np.asarray(state.get(name, like))
-        fields[name] = (
-            value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
-        )
-    return LaneLayout(**fields)
+def of_physics(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+    """MuJoCo's state for its integrator."""
+    values = np.empty(mujoco.mj_stateSize(model, PHYSICS))
+    mujoco.mj_getState(model, data, values, PHYSICS)
+    return values
+
+
+def into_physics(model: mujoco.MjModel, data: mujoco.MjData, values: ArrayLike) -> None:
+    """The inverse of `of_physics`, with the places of all bodies."""
+    mujoco.mj_setState(model, data, np.asarray(values, float), PHYSICS)
+    mujoco.mj_kinematics(model, data)

@@ -7,32 +7,63 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim import simulation_state
-from uavaccel.sim.deferred_reply import Continue, DeferredReply
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.executor import UNBOUND, Executor
-from uavaccel.sim.flight.commanded import Commanded
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.saved import State
-from uavaccel.sim.tally import Speed, Trace
+from uavaccel.sim.saved import State, number_or_none, optional, part, under
 from uavaccel.sim.vehicle.vehicle import Newcomer
 from uavaccel.sim.world import LEVEL, FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
-__all__ = ["DeferredReply", "Simulation"]
-
 MOST_CATCH_UP_TICKS = 5_000  # flown at once to make good what is behind, of one vehicle: some 30 ms
 
 
-class Simulation(Commanded):
+TRACE_LENGTH = 1 << 16
+
+
+@dataclass
+class ContinueFor:
+    """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
+
+    reply: DeferredReply
+    end_tick: int | None = None
+    end_wall_ns: int | None = None
+
+
+@dataclass
+class Speed:
+    """Simulated and wall time passed while the clock ran, and the wall time given up as lost."""
+
+    simulated_ns: int = 0
+    wall_ns: int = 0
+    lost_wall_ns: int = 0
+
+    @property
+    def real_time_factor(self) -> float:
+        """Achieved simulated seconds per wall second; 0 before the clock ran."""
+        return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
+
+
+@dataclass
+class Trace:
+    """What the simulation did and when: (event, wall ns, simulated ns), the latest; kept only while switched on."""
+
+    events: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
+    enabled: bool = False
+
+
+class Simulation:
     """Clock, commands and recorder over one `World`.
 
     `catch_up_wall_ns`: backlog of wall time that is made good, of MOST_CATCH_UP_TICKS at most; the rest is lost and
@@ -58,8 +89,8 @@ class Simulation(Commanded):
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
-        self.pilots = [Pilot(self, vehicle) for vehicle in world.vehicles]
-        self.period: Continue | None = None
+        self.pilots = [Pilot(self, vehicle, vehicle is world.lead) for vehicle in world.vehicles]
+        self.period: ContinueFor | None = None
         self.records_game = True  # a recording begins anew with the first command
         self.trace = Trace()
         self.failure: str | None = None
@@ -211,7 +242,7 @@ class Simulation(Commanded):
         Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
         """
         self.run(wall_ns)
-        period = self.period = Continue(DeferredReply())
+        period = self.period = ContinueFor(DeferredReply())
         if self.profile.exact_pauses:
             ticks = round(Fraction(duration_ns, self.profile.tick_ns))
             period.end_tick = self.world.tick + ticks
@@ -226,13 +257,20 @@ class Simulation(Commanded):
         """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
-    # --- vehicles ---
+    # --- vehicles ---------------------------------------------------------------------------------
+
+    @property
+    def lead(self) -> Pilot:
+        """Who flies the first vehicle, which is meant wherever none is named."""
+        return self.pilots[0]
 
     def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
         """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
         self.world.add_vehicles(newcomers)
         self.frames.forget()  # the pose that was shown is of the model before
-        self.pilots += [Pilot(self, vehicle) for vehicle in self.world.vehicles[len(self.pilots) :]]
+        self.pilots += [
+            Pilot(self, vehicle, leads=False) for vehicle in self.world.vehicles[len(self.pilots) :]
+        ]
         self._bound_backlog()
 
     # --- start and record -------------------------------------------------------------------------
@@ -275,7 +313,7 @@ class Simulation(Commanded):
 
     def kinematics(self) -> Kinematics:
         """The state at the present tick, stamped with `time_ns`."""
-        return self.world.kinematics(self.time0_ns)
+        return self.world.lead.kinematics(self.time0_ns)
 
     def record(self) -> None:
         """Start the recorder anew: nobody else does."""
@@ -288,9 +326,9 @@ class Simulation(Commanded):
 
     def recording(self) -> Recording:
         """What the recorder and the command log hold since the first command after the last reset."""
-        rows, log, origin = self.world.samples(), self.commands.ticks(), self.commands.origin_tick or 0
+        rows, log, origin = self.world.samples(), self.lead.log.ticks(), self.lead.log.origin_tick or 0
         rows[:, 0] -= origin
-        dropped = (self.world.samples_dropped, self.commands.dropped)
+        dropped = (self.world.samples_dropped, self.lead.log.dropped)
         return Recording(rows, log - origin, self.profile.tick_ns, *dropped)
 
     # --- saving -----------------------------------------------------------------------------------
@@ -300,8 +338,39 @@ class Simulation(Commanded):
 
         Replies that somebody waits for, and the trace, are not in it: save between two commands of a client.
         """
-        return simulation_state.of(self)
+        state: State = {"clock_speed": str(self.clock_speed), "anchor": list(self.pacer.anchored)}
+        state |= {"time0_ns": self.time0_ns, "wall_ns": self.wall_ns}
+        state |= {"paused": self.paused, "api_control": self.lead.api_control}
+        state |= {"failure": self.failure or "", "speed": list(vars(self.speed).values())}
+        period = self.period
+        state |= {"running.period_end_tick": optional(period.end_tick if period else None)}
+        state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
+        state |= under("running", self.lead.get_state()) | under("commands", self.lead.log.get_state())
+        for pilot in self.pilots[1:]:
+            kept = (
+                pilot.get_state() | under("log", pilot.log.get_state()) | {"api_control": pilot.api_control}
+            )
+            state |= under(f"pilots.{pilot.vehicle.name}", kept)
+        return state | under("frames", self.frames.get_state()) | under("world", self.world.get_state())
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
-        simulation_state.restore(self, state)
+        self.world.set_state(part("world", state))
+        self.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), self.profile.tick_ns
+        self.pacer = Pacer(self.executor.speed(self.clock_speed, tick_ns), tick_ns)
+        self.pacer.anchor(*(int(number) for number in state["anchor"]))
+        self.time0_ns, self.wall_ns = int(state["time0_ns"]), int(state["wall_ns"])
+        self.paused, self.failure = bool(state["paused"]), str(state["failure"]) or None
+        self.speed = Speed(*(int(number) for number in state["speed"]))
+        self.frames.set_state(part("frames", state), self.world.data)
+        running = part("running", state)
+        ends = [number_or_none(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
+        self.period = None if ends == [None, None] else ContinueFor(DeferredReply(), *ends)
+        self.lead.set_state(running)
+        self.lead.log.set_state(part("commands", state))
+        self.lead.api_control = bool(state["api_control"])
+        for pilot in self.pilots[1:]:
+            kept = part(f"pilots.{pilot.vehicle.name}", state)
+            pilot.set_state(kept)
+            pilot.log.set_state(part("log", kept))
+            pilot.api_control = bool(kept["api_control"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -12,12 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim import world_state
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
 from uavaccel.sim.lane.scene import apply_layout, object_name
-from uavaccel.sim.led import Led
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import State
+from uavaccel.sim.saved import State, into_physics, of_physics, part, under
 from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.scene.model import load_scene, scene_path
 from uavaccel.sim.scene.objects import take_over
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from uavaccel.sim.camera.camera import FrontCamera
     from uavaccel.sim.camera.mounted import MountedCamera
 
-PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
 MOST_VEHICLES = 100
@@ -41,10 +38,10 @@ class FlightError(RuntimeError):
     """MuJoCo warned of a state it could not integrate; the game is void."""
 
 
-class World(Led):
+class World:
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
-    `furnished` for AirSim's clients (uavaccel.sim.scene.furnished).
+    `furnished` for AirSim's clients (uavaccel.sim.scene.model).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act. Where no vehicle is named, the leading one is meant.
     """
@@ -59,6 +56,7 @@ class World(Led):
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._observers: list[tuple[int, int, Callable[[int], None]]] = []
         self.recorder = Samples(profile.recorder_ticks)
         acts = not self.freeze_on_collision
         self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
@@ -164,7 +162,11 @@ class World(Led):
             self.check_place(start.position_m, start.orientation_wxyz)
             check_apart(name, start.position_m, places)
             places[name] = start.position_m
-        carried, ticks, wind = [old.carry() for old in self.vehicles], self.tick, self.state["wind"].copy()
+        carried, ticks, wind = (
+            [old.carry() for old in self.vehicles],
+            self.tick,
+            self.lead.state["wind"].copy(),
+        )
         new = [
             Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
             for name, start, origin_m in newcomers
@@ -178,7 +180,7 @@ class World(Led):
             old.take_over(kept)
         for vehicle in new:
             vehicle.state["wind"] = wind
-            vehicle.parameters["ground_altitude_m"] = self.parameters["ground_altitude_m"]
+            vehicle.parameters["ground_altitude_m"] = self.lead.parameters["ground_altitude_m"]
         self._begin({vehicle: vehicle.start for vehicle in new}, ticks)
 
     def close(self) -> None:
@@ -211,7 +213,7 @@ class World(Led):
         self._moved()
         for vehicle, start in starts.items():
             if start.idle and not (self.freeze_on_collision or self.still):
-                stand(self, vehicle)
+                stand(vehicle)
 
     def _moved(self) -> None:
         mujoco.mj_kinematics(self.model, self.data)
@@ -247,7 +249,8 @@ class World(Led):
         `place` does otherwise.
         """
         if not self.still:
-            position_m = on_the_ground(self, vehicle, position_m, orientation_wxyz)
+            self.clearance.look_anew()
+            position_m = on_the_ground(vehicle, position_m, orientation_wxyz)
         self.check_place(position_m, orientation_wxyz, vehicle)
         if self.failed:  # nothing of its velocity is worth keeping
             self.warnings[:] = 0
@@ -268,18 +271,52 @@ class World(Led):
         check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]), self.still)
         if self.freeze_on_collision or self.still:  # nothing is thrown: the game is over before it began
             return
-        depth_m, geom = depth(self, vehicle, position_m, orientation_wxyz)
+        self.clearance.look_anew()
+        depth_m, geom = depth(vehicle, position_m, orientation_wxyz)
         if depth_m > DEEPEST_M:
             raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
 
+    @property
+    def tick(self) -> int:
+        """Physics steps since the last reset."""
+        return self.lead.tick
+
     # --- time -------------------------------------------------------------------------------------
 
-    def advance(self, ticks: int) -> int:
-        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle.
+    def watch(self, every_ticks: int, look: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
+        """Call `look` with the tick at every so many ticks after `first_tick`; what is returned ends that.
 
-        Raises FlightError when MuJoCo warns; the vehicles then stand still until one is placed anew.
+        It is called in the middle of whatever flight was asked for, and changes none.
         """
-        if self.still or self.failed or (self.freeze_on_collision and self.collision_tick is not None):
+        observer = every_ticks, first_tick, look
+        self._observers.append(observer)
+        return lambda: self._observers.remove(observer)
+
+    def advance(self, ticks: int) -> int:
+        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle, or an observer ends.
+
+        A frozen vehicle is not looked at any more. Raises FlightError when MuJoCo warns; the vehicles then stand still
+        until one is placed anew.
+        """
+        flown = 0
+        while self._observers and flown < ticks and not self._frozen:
+            to_next = min(every - (self.tick - first) % every for every, first, _ in self._observers)
+            due = min(ticks - flown, to_next)
+            chunk = self._advance(due)
+            flown += chunk
+            if chunk < due:  # a touch
+                break
+            for every, first, look in tuple(self._observers):  # one may end itself
+                if (self.tick - first) % every == 0:
+                    look(self.tick)
+        return flown or self._advance(ticks)
+
+    @property
+    def _frozen(self) -> bool:
+        return self.freeze_on_collision and self.lead.collision_tick is not None
+
+    def _advance(self, ticks: int) -> int:
+        if self.still or self.failed or self._frozen:
             return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
         flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
         if self.warnings.any():
@@ -326,22 +363,42 @@ class World(Led):
         `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
         lane's layout and the samples recorded so far are in it.
         """
-        return world_state.of(self)
+        state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self.failed}
+        state |= {"physics": self.physics(), "warnings": self.warnings.copy()}
+        state |= self.lead.get_state() | under("samples", self.recorder.get_state())
+        state |= under("contacts", self.clearance.get_state())
+        for vehicle in self.vehicles[1:]:
+            state |= under(f"vehicles.{vehicle.name}", vehicle.get_state())
+        return state | (under("lane", vars(self.lane)) if self.lane else {})
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
-        world_state.restore(self, state)
+        saved = sorted({key.split(".")[1] for key in state if key.startswith("vehicles.")})
+        for name, found, own in (
+            ("scene", str(state["scene"]), self.scene),
+            ("profile", str(state["profile"]), self.profile.name),
+            ("vehicles", saved, sorted(vehicle.name for vehicle in self.vehicles[1:])),
+        ):
+            if found != own:
+                raise UserError(f"the saved state's {name} is {found}, not {own}")
+        self.failed = bool(state["failed"])
+        if lane := part("lane", state):
+            self.set_lane(layout_of(lane))
+        self.set_physics(state["physics"])
+        self.warnings[:] = state["warnings"]
+        self.lead.set_state(state)
+        for vehicle in self.vehicles[1:]:
+            vehicle.set_state(part(f"vehicles.{vehicle.name}", state))
+        self.recorder.set_state(part("samples", state))
+        self.clearance.set_state(part("contacts", state))
 
     def physics(self) -> NDArray[np.float64]:
         """MuJoCo's state for its integrator."""
-        values = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
-        mujoco.mj_getState(self.model, self.data, values, PHYSICS)
-        return values
+        return of_physics(self.model, self.data)
 
     def set_physics(self, values: ArrayLike) -> None:
         """Back to what `physics` gave."""
-        mujoco.mj_setState(self.model, self.data, np.asarray(values, float), PHYSICS)
-        mujoco.mj_kinematics(self.model, self.data)
+        into_physics(self.model, self.data, values)
 
     @property
     def recording(self) -> bool:

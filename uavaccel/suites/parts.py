@@ -11,8 +11,9 @@ from uavaccel.config import Config
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite
+from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.suite import AnySuite, Cost, Summary, configuration
+from uavaccel.suites.suite import AnySuite, Cost, configuration
 
 
 class Part(Config):
@@ -37,7 +38,7 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int) -> Summary:
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
     flown = begin_run(suite, config, part_folder(run, name), manifest, resume=True)
     run_suite(suite, config, flown)
-    return suite.report(flown)
+    return suite.report(flown).write()
 
 
 def part_folder(run: RunDirectory, name: str) -> Path:

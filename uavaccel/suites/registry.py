@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.report import Report
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line per suite; its module is imported when it is asked for.
@@ -36,9 +36,7 @@ def find_suite(name: Any, source: str, folder: Path | None = None) -> AnySuite:
         return _own_suite(name, source, folder)
     if not isinstance(name, str) or name not in SUITES:
         found = "key 'suite' is missing" if name is None else f"suite = {name!r} is unknown"
-        close = difflib.get_close_matches(str(name), SUITES, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SUITES)}, and module:name"
-        raise UserError(f"{source}: {found}; {hint}")
+        raise UserError(f"{source}: {found}; {suggestion(str(name), [*SUITES, 'module:name'])}")
     return _load(SUITES[name])
 
 
@@ -82,6 +80,9 @@ def _load(place: str) -> AnySuite:
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
+    report = getattr(suite, "report_class", None)
+    if not (isinstance(report, type) and issubclass(report, Report)):
+        raise TypeError(f"{name}.report_class has to be a subclass of uavaccel.suites.report.Report")
     if not isinstance(getattr(suite, "name", None), str):
         raise TypeError(f"{name}.name has to be a text")
     return suite

@@ -6,7 +6,6 @@ its YAML names it: `suite: my_module:MySuite`.
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -16,15 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 
 import numpy as np
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
+from uavaccel.suites.report import Report, Row
 
 if TYPE_CHECKING:
     from uavaccel.draw.film import Film
-
-Row = Mapping[str, Any]
-Summary = Mapping[str, Any]
 
 
 class Case(Protocol):
@@ -61,13 +58,6 @@ class Cost(NamedTuple):
     disk_bytes: float
 
 
-class SummaryTable(NamedTuple):
-    """A header, and the rows of text below it."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-
 ConfigType = TypeVar("ConfigType", bound=Experiment)
 CaseType = TypeVar("CaseType", bound=Case)
 
@@ -78,6 +68,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     name: ClassVar[str]
     """The key `suite` of its YAML."""
     config: type[ConfigType]
+    report_class: type[Report]
+    """What a finished run of it says."""
     serial: ClassVar[str] = ""
     """Why its games must be flown one after another in one process; empty where they need not."""
     batch: ClassVar[int] = 4
@@ -97,12 +89,9 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def fly(self, config: ConfigType, case: CaseType, opened: Any) -> Flown:
         """Fly one game. Its row has the keys `suite` and `case`; the runner adds the arrays' path."""
 
-    @abstractmethod
-    def report(self, run: RunDirectory) -> Summary:
-        """Write summary.json, report.md, report.html and figures/ from rows and arrays alone: no game is flown.
-
-        Raises UserError if the run has no finished game or damaged files.
-        """
+    def report(self, run: RunDirectory) -> Report:
+        """The report of a run, which is yet to be written. Raises UserError if the run has no finished game."""
+        return self.report_class(run, self.name)
 
     def why_serial(self, config: ConfigType) -> str:
         """`serial`, where that depends on the configuration."""
@@ -145,18 +134,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """How it goes, in a few words for the progress display."""
         return ""
 
-    def headline(self, summary: Summary) -> str:
-        """The result in a sentence."""
-        return ""
-
-    def pace(self, run: RunDirectory) -> str:
-        """What its games took on this machine, in a sentence; it is in no summary, since it is never the same twice."""
-        return ""
-
-    def overview(self, summary: Summary) -> SummaryTable | None:
-        """The result in a small table."""
-        return None
-
     def compare(self, runs: Sequence[RunDirectory]) -> Sequence[Path]:
         """Draw several runs side by side, into the first one's folder, beside its own figures; the pictures' paths."""
         return ()
@@ -193,7 +170,5 @@ def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[Row]) 
         return by_interest[0]
     by_name = {row["case"]: row for row in by_interest}
     if case not in by_name:
-        close = difflib.get_close_matches(case, by_name, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(by_name))}"
-        raise UserError(f"--case {case}: not in {run.path}; {hint}")
+        raise UserError(f"--case {case}: not in {run.path}; {suggestion(case, sorted(by_name))}")
     return by_name[case]

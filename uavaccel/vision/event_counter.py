@@ -32,6 +32,8 @@ class EventCounter:
         self._counts: tuple[Counts, Counts] | None = None
         self._seen_ns: int | None = None
         self._events: list[Events] | None = [] if listed else None
+        self.frames = 0
+        """Seen since this was made, first ones apart."""
 
     def start(self, frame: Frame, time_ns: int, noise_seed: int = 0) -> None:
         """Begin with this frame, which makes no events; stamps count from its time."""
@@ -42,6 +44,7 @@ class EventCounter:
     def look(self, frame: Frame, time_ns: int) -> None:
         """See the next frame (H, W)."""
         assert self._state is not None
+        self.frames += 1
         time_s = (time_ns - self._start_ns) * NS
         if self._events is None:
             self._state, on, off = step(self.sensor, self._state, frame, time_s)

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from uavaccel.errors import UserError
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc, types
 from uavaccel.wire.attitude_api import AttitudeApi, stick_map
 from uavaccel.wire.camera_api import CameraApi

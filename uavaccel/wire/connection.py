@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from typing import Any, NamedTuple
 
-from uavaccel.sim.simulation import DeferredReply
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire import rpc
 from uavaccel.wire.framing import Framer
 from uavaccel.wire.held import MAX_ANSWER_BYTES, READ_FIRST_BYTES

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import START_M
 from uavaccel.wire import types
 from uavaccel.wire.recorder import Recorder
@@ -47,7 +48,7 @@ class GameApi:
         simulation.records_game = True
         simulation.pause(wall_ns)
         simulation.reset(wall_ns, start_m, recording=True)
-        simulation.api_control = True
+        simulation.lead.api_control = True
         return encode_state(simulation.kinematics())
 
     def set_clock_speed(self, clock_speed: Any, wall_ns: int) -> None:

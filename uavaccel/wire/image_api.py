@@ -139,7 +139,7 @@ class ImageApi:
     def collision(self) -> dict[str, Any]:
         """Our own: when, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        touch = world.touches.first
+        touch = world.lead.touches.first
         if touch is None:
             return {}
         return {

@@ -7,7 +7,6 @@ answer depends on how long they slept before, so a channel may have quantiles fo
 
 from __future__ import annotations
 
-import difflib
 import math
 import zlib
 from bisect import bisect_left
@@ -21,7 +20,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from uavaccel.config import Config, validate
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
 from uavaccel.sim.saved import State, number_or_none, optional, part, under
@@ -103,9 +102,7 @@ class LatencyConfig(Config):
     def _of_known_channels(cls, tables: Tables) -> Tables:
         for name in tables:
             if name not in KNOWN_CHANNELS:
-                close = difflib.get_close_matches(name, KNOWN_CHANNELS, n=1)
-                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(KNOWN_CHANNELS)}"
-                raise ValueError(f"has an unknown channel {name!r}; {hint}")
+                raise ValueError(f"has an unknown channel {name!r}; {suggestion(name, KNOWN_CHANNELS)}")
         if DEFAULT not in tables:
             raise ValueError(f'needs quantiles under "{DEFAULT}"')
         return tables

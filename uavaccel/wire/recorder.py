@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
-from uavaccel.sim.watched import WatchedWorld
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
 from uavaccel.wire.image_files import image_file
@@ -129,8 +128,6 @@ class Recorder:
         self._stop_watching()
         if self._file is None or not self._settings.cameras or not self._scenery.render:
             return
-        if not isinstance(world, WatchedWorld):
-            raise ValueError("images can be recorded by `uavaccel serve` alone")
         self._images.clear()
         self._take_images(world.tick)
         self._stop_watching = world.watch(

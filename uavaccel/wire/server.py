@@ -11,7 +11,8 @@ from collections.abc import Callable
 from typing import IO
 
 from uavaccel.clock import MonotonicClock, ask_for_fine_timers
-from uavaccel.sim.simulation import DeferredReply, Simulation
+from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.clients import Clients

@@ -17,7 +17,6 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.parent import end_with_parent
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.watched import WatchedWorld
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
@@ -45,7 +44,7 @@ def ready_simulation(
 
     `furnished` for AirSim's clients.
     """
-    world = WatchedWorld(scene, profile, furnished) if furnished else World(scene, profile)
+    world = World(scene, profile, furnished)
     world.advance(1)  # compiles the hot loop, or loads it
     world.reset()
     gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up

@@ -15,7 +15,7 @@ from uavaccel.resources import asset
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.saved import State
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.watched import WatchedWorld
+from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
@@ -41,6 +41,32 @@ class Session(Protocol):
 
         `lane`, in the lane's scene, is laid out before: a seed or whatever else Client.set_lane takes.
         """
+        ...
+
+    def set_latency(self, latency: LatencyConfig) -> None:
+        """Draw latencies from this model from the next game on; its platform is to be the one of before.
+
+        A real wall clock has its own.
+        """
+        ...
+
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        """Call `look` at every so many ticks, with the simulated time in ns; what is returned ends that.
+
+        It happens inside the simulation: no message is sent, and no wall time passes. Raises UserError in `wall`.
+        """
+        ...
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The front camera's gray picture of this tick, taken inside the simulation too; in `wall` by a message."""
+        ...
+
+    def get_state(self) -> State | None:
+        """The present game, all of it; None in `wall`, where none can stand still."""
+        ...
+
+    def set_state(self, state: Mapping[str, Any]) -> Client:
+        """The client that goes on with a saved game. Raises UserError if it is of another kind of session."""
         ...
 
     def close(self) -> None: ...
@@ -80,6 +106,23 @@ class WallSession:
         self._client.transport.stalled_ns = 0
         return _start(self._client, clock_speed, lane, height_m)
 
+    def set_latency(self, latency: LatencyConfig) -> None:
+        """Nothing: this clock is real."""
+
+    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+        raise UserError(
+            "timing = 'wall': nobody looks at a flight between its messages; take virtual or lockstep"
+        )
+
+    def picture(self) -> NDArray[np.uint8]:
+        return self._client.image("gray")
+
+    def get_state(self) -> State | None:
+        return None
+
+    def set_state(self, state: Mapping[str, Any]) -> Client:
+        raise UserError("timing = 'wall': a game cannot go on from a saved state; take virtual or lockstep")
+
     def close(self) -> None:
         if len(self._cores) > 1:
             os.sched_setaffinity(0, self._cores)
@@ -111,7 +154,7 @@ class VirtualSession:
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
         self._scene, self._profile, self._latency = scene, profile, latency
         self._simulation: Simulation | None = None
-        self._worlds: dict[Profile, WatchedWorld] = {}
+        self._worlds: dict[Profile, World] = {}
         self._world(1.0)
 
     def start_game(
@@ -125,14 +168,13 @@ class VirtualSession:
         return _start(client, clock_speed, lane, height_m)
 
     def set_latency(self, latency: LatencyConfig) -> None:
-        """Draw latencies from this model from the next game on; its platform is to be the one of before."""
         self._latency = latency
 
-    def _world(self, clock_speed: float) -> WatchedWorld:
+    def _world(self, clock_speed: float) -> World:
         """The world for a ClockSpeed: one for all, unless the latency model's platform says otherwise."""
         profile = self._latency.platform.profile(self._profile, clock_speed)
         if profile not in self._worlds:
-            self._worlds[profile] = WatchedWorld(self._scene, profile)
+            self._worlds[profile] = World(self._scene, profile)
         return self._worlds[profile]
 
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
@@ -151,10 +193,6 @@ class VirtualSession:
         return self._client
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
-        """Call `look` at every so many ticks, with the simulated time in ns; what is returned ends that.
-
-        It happens inside the simulation: no message is sent, and no wall time passes.
-        """
         begun = self._simulation
         world = self._world(1.0 if begun is None else float(begun.clock_speed))
         return world.watch(every_ticks, lambda tick: look(self._present().time_of(tick)))
@@ -164,7 +202,6 @@ class VirtualSession:
         return self._simulation
 
     def picture(self) -> NDArray[np.uint8]:
-        """The front camera's gray picture of this tick, taken inside the simulation too."""
         world = self._present().world
         return world.camera(WIDTH, HEIGHT).gray(world.data)
 
@@ -181,7 +218,6 @@ class VirtualSession:
         return state | self._transport.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> Client:
-        """The client that goes on with a saved game. Raises UserError if it is of another kind of session."""
         client = self._connect(float(state["client.clock_speed"]), np.random.SeedSequence(0))
         self._transport.set_state(state)
         known = [float(number) for number in state["client.known_state"]]

@@ -147,8 +147,8 @@ class Settings(AirSimKeys):
         wind = (self.wind.x, self.wind.y, self.wind.z)
         if not hypot(*wind) <= STRONGEST_WIND_M_S:
             raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
-        world.state["wind"] = wind
-        world.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
+        world.lead.state["wind"] = wind
+        world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
     def passed_over(self) -> list[str]:
         """Dotted names of what was given and has no meaning here."""

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.saved import State, part, under
-from uavaccel.sim.simulation import DeferredReply
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

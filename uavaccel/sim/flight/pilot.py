@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.manual import MoveByManual
 from uavaccel.sim.flight.saved_task import state_of, task_of
 from uavaccel.sim.flight.task import Task
+from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
 from uavaccel.sim.saved import State, number_or_none, optional
 from uavaccel.sim.vehicle.goal import Goal
 from uavaccel.sim.vehicle.sticks import IDLE, STICKS, VALID, Sticks, stick_goal
+from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.units import NS_PER_S
-
-if TYPE_CHECKING:
-    from uavaccel.sim.simulation import Simulation
-    from uavaccel.sim.vehicle.vehicle import Vehicle
 
 OTHERS_LOG_LENGTH = 64  # nobody asks for it
 LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
@@ -42,13 +40,26 @@ class Command:
     goal_tick: int | None = None  # at which the task has last set a goal, if it has
 
 
-class Pilot:
-    """The commands of one vehicle of a simulation."""
+class Flight(Protocol):
+    """What a pilot asks of the simulation in which its vehicle flies."""
 
-    def __init__(self, simulation: Simulation, vehicle: Vehicle) -> None:
-        self._simulation, self.vehicle = simulation, vehicle
+    profile: Profile
+    time0_ns: int
+    failure: str | None
+
+    def begin_recording(self, pilot: Pilot) -> None:
+        """A pilot has accepted a command."""
+
+    def note(self, event: str, wall_ns: int) -> None:
+        """Add to the trace, if it is switched on."""
+
+
+class Pilot:
+    """The commands of one vehicle of a simulation; the one that `leads` keeps all of its log."""
+
+    def __init__(self, simulation: Flight, vehicle: Vehicle, leads: bool) -> None:
+        self._simulation, self.vehicle, self._leads = simulation, vehicle, leads
         self._profile = simulation.profile
-        self._leads = vehicle is simulation.world.lead
         self.api_control = False
         vehicle.restore_gains()  # the world may have been another simulation's
         self.start_over()

@@ -6,9 +6,10 @@ Rows of obstacles stand at fixed distances; their lateral positions are random. 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -204,3 +205,18 @@ def free_distance_m(layout: LaneLayout, y_m: float) -> float:
     hit = beside < reach
     touch = layout.x_m - flat - np.sqrt(np.maximum(reach**2 - beside**2, 0.0))
     return float(min(touch[hit].min(initial=LENGTH_M), LENGTH_M))
+
+
+_NONE = np.zeros(0)
+_NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
+
+
+def layout_of(state: Mapping[str, Any]) -> LaneLayout:
+    """The lane's layout from its fields."""
+    fields: dict[str, Any] = {}
+    for name, like in vars(_NO_LANE).items():
+        value = np.asarray(state.get(name, like))
+        fields[name] = (
+            value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
+        )
+    return LaneLayout(**fields)

@@ -1,4 +1,9 @@
-"""The MJCF model of a scene, with one quadrotor or several."""
+"""The MJCF model of a scene, with one quadrotor or several.
+
+Furnished for AirSim's clients its ground goes on to the horizon, and it has room for objects that they spawn;
+NAME_airsim.xml stands for NAME.xml there if there is one. The experiments fly the plain scene, whose pictures stay as
+they are.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +15,15 @@ import mujoco
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane.layout import PLAIN
-from uavaccel.sim.scene.furnished import furnished_model, furnished_spec, put_spares_by
 
 QUADROTOR = "quadrotor"
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which a camera that it carries leaves out
 OTHERS_GROUP = 2  # those of the others, which it sees
+SPARE = "spare_"  # begins the names of geoms that stand by until an object is spawned
+SPARES = 64
+PARKED_M = (0.0, 0.0, -500.0)  # below the ground, out of reach
+GROUND_HALF_M = 10_000.0
+NEAR_M, FAR_M = 0.05, 20_000.0  # drawn from and to
 
 
 def scene_path(scene: str, scenery: str = PLAIN) -> Path:
@@ -31,7 +40,7 @@ def load_scene(
 ) -> mujoco.MjModel:
     """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
 
-    `furnished` for AirSim's clients (uavaccel.sim.scene.furnished). Raises UserError for an unknown scene.
+    `furnished` for AirSim's clients. Raises UserError for an unknown scene.
     """
     path = scene_path(scene, scenery)
     if not others:
@@ -51,3 +60,54 @@ def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
         for geom in quadrotor.geoms:
             geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
+
+
+def furnished_model(scene: Path) -> mujoco.MjModel:
+    """The scene in a file, with a wide ground and SPARES spare geoms, neither seen nor touched."""
+    model = furnished_spec(scene).compile()
+    put_spares_by(model)
+    return model
+
+
+def furnished_spec(scene: Path) -> mujoco.MjSpec:
+    """The same before it is compiled, its spare geoms solid: else MuJoCo would leave them out of its trees."""
+    own = scene.with_name(f"{scene.stem}_airsim.xml")
+    path = own if own.exists() else scene
+    plain = mujoco.MjModel.from_xml_path(str(path))
+    spec = mujoco.MjSpec.from_file(str(path))
+    _widen_ground(spec)
+    _add_spares(spec)
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 24, 12  # spawned spheres are round
+    spec.stat.extent, spec.stat.center = plain.stat.extent, plain.stat.center
+    spec.visual.map.znear, spec.visual.map.zfar = NEAR_M / plain.stat.extent, FAR_M / plain.stat.extent
+    return spec
+
+
+def put_spares_by(model: mujoco.MjModel) -> None:
+    """Let nothing touch the spare geoms of a compiled model."""
+    spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
+    model.geom_contype[spares] = model.geom_conaffinity[spares] = 0
+
+
+def _widen_ground(spec: mujoco.MjSpec) -> None:
+    """Planes reach to the horizon; what is drawn on them keeps its size."""
+    wide: set[str] = set()
+    for geom in spec.worldbody.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            times = GROUND_HALF_M / geom.size[0]
+            geom.size = [GROUND_HALF_M, GROUND_HALF_M * geom.size[1] / geom.size[0], GROUND_HALF_M]
+            material = spec.material(geom.material)
+            if material is not None and not material.texuniform and material.name not in wide:
+                wide.add(material.name)
+                material.texrepeat = [repeat * times for repeat in material.texrepeat]
+
+
+def _add_spares(spec: mujoco.MjSpec) -> None:
+    for number in range(SPARES):
+        spec.worldbody.add_geom(
+            name=f"{SPARE}{number:02}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.5, 0.5, 0.5],
+            pos=PARKED_M,
+            rgba=[0.6, 0.6, 0.6, 0.0],
+        )

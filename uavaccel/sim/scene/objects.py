@@ -1,13 +1,13 @@
 """The objects of a scene as AirSim's clients move them: found by name, placed, scaled, spawned and destroyed.
 
 An object is a geom of the world body, moved in place: neither the model nor a GL context is made anew. Places are NED,
-of the object's middle. Spawned objects take spare geoms (uavaccel.sim.scene.furnished); they stand still.
+of the object's middle. Spawned objects take spare geoms (uavaccel.sim.scene.model); they stand still.
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 from uavaccel.sim.lane.looks import LOOKS_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.bounding_boxes import refit_bounding_boxes
-from uavaccel.sim.scene.furnished import PARKED_M, SPARE
+from uavaccel.sim.scene.model import PARKED_M, SPARE
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
-
-if TYPE_CHECKING:
-    from uavaccel.sim.world import World
 
 Scale = tuple[float, float, float]
 
@@ -55,11 +52,20 @@ _FIELDS = (
 )
 
 
-class SceneObjects:
-    """The objects of one world. What is refused raises ValueError."""
+class Scene(Protocol):
+    """Has the model that the objects are in, which may be made anew, and is told what has become of them."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    model: mujoco.MjModel
+
+    def surroundings_changed(self) -> None:
+        """Objects were moved, have come or gone, or look different."""
+
+
+class SceneObjects:
+    """The objects of one scene. What is refused raises ValueError."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
         self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
@@ -69,7 +75,7 @@ class SceneObjects:
 
     @property
     def _model(self) -> mujoco.MjModel:
-        return self._world.model
+        return self._scene.model
 
     def _still_geoms(self) -> list[int]:
         still = (self._model.geom_bodyid == 0) & (self._model.geom_group != LOOKS_GROUP)
@@ -203,7 +209,7 @@ class SceneObjects:
 
     def _moved(self, geom: int) -> None:
         refit_bounding_boxes(self._model, {geom})
-        self._world.surroundings_changed()
+        self._scene.surroundings_changed()
 
 
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:

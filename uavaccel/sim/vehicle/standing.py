@@ -6,24 +6,20 @@ until its rotors lift it. MuJoCo's contacts give way a little before they bear a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco
 
 from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim.saved import into_physics, of_physics
 from uavaccel.sim.scene.bounds import DEEPEST_M
 from uavaccel.sim.vehicle.clearance import PLANE
 from uavaccel.sim.vehicle.collisions import deepest_contact
 from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
 
-if TYPE_CHECKING:
-    from uavaccel.sim.world import World
-
 GIVE_M = 1e-3  # more than contacts give way under a vehicle, and less than anybody would call a fall
 HALVINGS = 60
 
 
-def stand(world: World, vehicle: Vehicle) -> None:
+def stand(vehicle: Vehicle) -> None:
     """Set a level, idle vehicle on what it touches, if it touches anything; all others stay as they are.
 
     A frame of its own begins where it stands.
@@ -32,17 +28,17 @@ def stand(world: World, vehicle: Vehicle) -> None:
 
     def borne(height: float) -> bool:
         vehicle.set_pose((x, y, height), attitude)
-        mujoco.mj_forward(world.model, world.data)
+        mujoco.mj_forward(vehicle.model, vehicle.data)
         return vehicle.rises
 
-    before, low, high = world.physics(), z + GIVE_M, z - DEEPEST_M
+    before, low, high = of_physics(vehicle.model, vehicle.data), z + GIVE_M, z - DEEPEST_M
     stands = borne(low) and not borne(high)
     for _ in range(HALVINGS if stands else 0):
         middle = (low + high) / 2
         low, high = (middle, high) if borne(middle) else (low, middle)
     if stands:
         borne(low)  # whose push is the one to be felt
-    world.set_physics(before)
+    into_physics(vehicle.model, vehicle.data, before)
     if stands:
         vehicle.set_pose((x, y, low), attitude)
         if vehicle.origin_m is not HERE:
@@ -50,23 +46,22 @@ def stand(world: World, vehicle: Vehicle) -> None:
         vehicle.stand()
 
 
-def on_the_ground(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:
+def on_the_ground(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:
     """The place, or where that is in the ground the one on it, to which AirSim's collisions push a vehicle out."""
     x, y, z = position_m
     highest_m = min(z, 0.0)
-    depth_m, geom = depth(world, vehicle, (x, y, highest_m), attitude)
-    if depth_m > GIVE_M and world.model.geom_type[geom] == PLANE:
+    depth_m, geom = depth(vehicle, (x, y, highest_m), attitude)
+    if depth_m > GIVE_M and vehicle.model.geom_type[geom] == PLANE:
         highest_m -= depth_m
     return x, y, highest_m
 
 
-def depth(world: World, vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
+def depth(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
     """How far in m a vehicle would be inside what it would touch there, and the geom; (0, -1) for nothing."""
-    before = world.physics()
-    world.clearance.look_anew()
+    before = of_physics(vehicle.model, vehicle.data)
     vehicle.set_pose(position_m, attitude)
-    mujoco.mj_kinematics(world.model, world.data)
-    mujoco.mj_collision(world.model, world.data)
-    found = deepest_contact(world.model, world.data, vehicle.body_id)
-    world.set_physics(before)
+    mujoco.mj_kinematics(vehicle.model, vehicle.data)
+    mujoco.mj_collision(vehicle.model, vehicle.data)
+    found = deepest_contact(vehicle.model, vehicle.data, vehicle.body_id)
+    into_physics(vehicle.model, vehicle.data, before)
     return found

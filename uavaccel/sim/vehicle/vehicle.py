@@ -103,7 +103,7 @@ class Vehicle:
         self._gained = data.qacc[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
-        self._model, self._data = model, data
+        self.model, self.data = model, data
         self.touches = Touches(data, self.body_id, model, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
@@ -226,7 +226,7 @@ class Vehicle:
     def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
         """Make it heavier or stronger than its own."""
         assert self._parameters is not None
-        set_airframe(self._model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
+        set_airframe(self.model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
 
     # --- places -----------------------------------------------------------------------------------
 
@@ -323,9 +323,9 @@ class Vehicle:
 
     def fly_free(self, ticks: int) -> int:
         """The same where it touches nothing, and can touch nothing, for so long."""
-        self._time_s[0] = self._data.time
+        self._time_s[0] = self.data.time
         flown = int(hotloop.ENTRY_POINTS.fly_free.ctypes(self._handles_pointer, ticks))
-        self._data.time = self._time_s[0]
+        self.data.time = self._time_s[0]
         return flown if flown == ticks else flown + self.fly(ticks - flown)
 
     def stand_still(self, ticks: int) -> int:

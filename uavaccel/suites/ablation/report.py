@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from uavaccel.draw.document import Paragraph, Picture, Table
+from uavaccel.draw import style
+from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.draw.variants import VariantCurve, draw_variants
-from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.figures import source_line
+from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summary_of
-from uavaccel.suites.pages import finished_rows, write_pages
+from uavaccel.suites.report import Report, Summary, SummaryCell
+from uavaccel.suites.source_line import source_line
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
 HEADER = (
@@ -29,30 +29,39 @@ HEADER = (
     "gaps beyond the goal timeout",
 )
 
-Entry = Mapping[str, Any]
+
+class AblationReport(Report):
+    """Of `uavaccel run ablation`."""
+
+    def summarise(self) -> Summary:
+        entries: list[dict[str, Any]] = []
+        for variant in self.config["variants"]:
+            own = [row for row in self.rows if row["variant"] == variant["name"]]
+            if own:
+                scores = score_cells(cells_of(own), self.run.load_arrays)
+                entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
+        title, seed = self.title(), self.config["seed"]
+        return {"suite": "ablation", "title": title, "seed": seed, "entries": entries}
+
+    def title(self) -> str:
+        return str(self.config["title"])
+
+    def figures(self) -> list[Picture]:
+        drawn = curves(self.summary["entries"], self.config["times_clock_speed"])
+        source, path = source_line(self.rows), self.run.file("figures/ablation.png")
+        style.save(plot_variants(drawn, self.config["axis"], self.title(), source), path)
+        return [Picture(path, f"{self.title()}. {_READING} Source: {source}.")]
+
+    def overview(self) -> Table:
+        return Table(HEADER, table(self.summary))
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [self.overview(), Paragraph(_READING), *figures]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write summary.json, figures/ablation.png, report.md and report.html; returns the summary."""
-    config = run.config()
-    rows = finished_rows(run, "ablation")
-    entries: list[dict[str, Any]] = []
-    for variant in config["variants"]:
-        own = [row for row in rows if row["variant"] == variant["name"]]
-        if own:
-            scores = score_cells(cells_of(own), run.load_arrays)
-            entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
-    summary = {"suite": "ablation", "title": config["title"], "seed": config["seed"], "entries": entries}
-    run.write_json("summary.json", summary)
-    path = run.file("figures/ablation.png")
-    source = source_line(rows)
-    draw_variants(curves(entries, config["times_clock_speed"]), config["axis"], config["title"], path, source)
-    picture = Picture(path, f"{config['title']}. {_READING} Source: {source}.")
-    write_pages(run, config["title"], [Table(HEADER, table(summary)), Paragraph(_READING), picture])
-    return summary
-
-
-def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]) -> list[dict[str, Any]]:
+def summarise(
+    variant: str, scores: Sequence[CellScores], cells: Sequence[SummaryCell]
+) -> list[dict[str, Any]]:
     """An entry a command and ClockSpeed: games of all T_moves and rounds pooled, games without latency left out.
 
     The speed-up is the mean over the T_moves of the most rounds, as the paper averages it.
@@ -94,53 +103,23 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Entry]
     return entries
 
 
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """One row of text an entry, below `HEADER`; what cannot be known is "-"."""
     return [_line(entry) for entry in summary["entries"]]
 
 
-def _line(entry: Entry) -> tuple[str, ...]:
-    quartiles = entry["stlc_quartiles"]
+def _line(entry: SummaryCell) -> tuple[str, ...]:
     failed = f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
     return (
         entry["variant"],
         command_name(entry["command"]),
         clock_label(entry["clock_speed"]),
         f"{entry['games']}{failed}",
-        "-" if quartiles is None else f"{quartiles[1]:.3f} [{quartiles[0]:.3f}, {quartiles[2]:.3f}]",
-        _number(entry["position_rmse_m_median"], ".3f"),
-        _number(entry["effective_speedup"], ".2f"),
-        _number(entry["share_beyond_goal_timeout"], ".0%"),
+        or_dash(entry["stlc_quartiles"], lambda q: f"{q[1]:.3f} [{q[0]:.3f}, {q[2]:.3f}]"),
+        or_dash(entry["position_rmse_m_median"], "{:.3f}".format),
+        or_dash(entry["effective_speedup"], "{:.2f}".format),
+        or_dash(entry["share_beyond_goal_timeout"], "{:.0%}".format),
     )
-
-
-def _number(value: float | None, spec: str) -> str:
-    return "-" if value is None else format(value, spec)
-
-
-def curves(entries: Sequence[Entry], times_clock_speed: bool) -> list[VariantCurve]:
-    """A curve a command and ClockSpeed; a value without anything to compare with is NaN."""
-    grouped: dict[tuple[str, float], list[Entry]] = defaultdict(list)
-    for entry in entries:
-        grouped[entry["command"], entry["clock_speed"]].append(entry)
-    return [
-        VariantCurve(
-            command,
-            clock_speed,
-            [_place(entry["variant"], clock_speed if times_clock_speed else 1.0) for entry in own],
-            np.array([(entry["stlc_quartiles"] or [np.nan] * 3)[1] for entry in own], float),
-            np.array([entry["position_rmse_m_median"] for entry in own], float),
-            np.array([entry["effective_speedup"] for entry in own], float),
-        )
-        for (command, clock_speed), own in sorted(grouped.items())
-    ]
-
-
-def _place(name: str, factor: float) -> float | str:
-    try:
-        return float(name) * factor
-    except ValueError:
-        return name
 
 
 _READING = (

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.ablation.config import AblationConfig
+from uavaccel.suites.ablation.report import AblationReport
 from uavaccel.suites.dp1 import cases as dp1_cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.suites.dp1.suite import CALL_S, CALLS, RECORDER_BYTES_PER_S
-from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable, flying_s
+from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 
@@ -56,6 +57,7 @@ class Ablation(Suite[AblationConfig, Case]):
 
     name = "ablation"
     config = AblationConfig
+    report_class = AblationReport
 
     def cases(self, config: AblationConfig) -> Iterator[Case]:
         for index, variant in enumerate(config.variants):
@@ -79,16 +81,6 @@ class Ablation(Suite[AblationConfig, Case]):
         return Cost(
             flying_s(case, case.game.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S
         )
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.ablation import report
-
-        return report.write_report(run)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.ablation import report
-
-        return SummaryTable(report.HEADER, report.table(summary))
 
 
 @contextmanager

@@ -1,87 +1,80 @@
-"""DP1's report: summary.json, figures, report.md and report.html of a finished run."""
+"""DP1's report: the metrics of all cells, Figures 2 to 6, and a table."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
-from pathlib import Path
+from functools import cached_property, partial
 from typing import Any
 
 import joblib
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
-from uavaccel.records import RunDirectory, arrays_of
-from uavaccel.suites.dp1 import figures
-from uavaccel.suites.dp1.scores import CellScores, LoadArrays, Row, cells_of, score_cells
+from uavaccel.records import arrays_of
+from uavaccel.suites.dp1.accuracy import accuracy_figure
+from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
-from uavaccel.suites.pages import finished_rows, write_pages
-
-__all__ = ["HEADER", "table", "write_report"]
+from uavaccel.suites.dp1.trajectories import trajectory_figure
+from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.dp1.velocity import velocity_figure
+from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.source_line import source_line
 
 PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
 MOST_JOBS = 8
 
-Summary = dict[str, Any]
+
+class Dp1Report(Report):
+    """Beside the summary it writes scores.json: accuracies game by game, for those who pool cells."""
+
+    @cached_property
+    def jobs(self) -> int:
+        """Processes that compute the metrics; the results do not depend on it."""
+        return 1 if len(self.rows) < PARALLEL_FROM_GAMES else min(joblib.cpu_count(), MOST_JOBS)
+
+    @cached_property
+    def scores(self) -> list[CellScores]:
+        return score_cells(cells_of(self.rows), partial(arrays_of, self.run.path), self.jobs)
+
+    def summarise(self) -> Summary:
+        self.run.write_json("scores.json", [_games(score) for score in self.scores])
+        return summary_of(self.rows, self.scores)
+
+    def title(self) -> str:
+        return f"DP1, {self.summary['profile']} profile, seed {self.summary['seed']}"
+
+    def figures(self) -> list[Picture]:
+        rows, scores, load = self.rows, self.scores, self.run.load_arrays
+        folder = self.run.path / "figures"
+        return [
+            velocity_figure(rows, load, folder / "figure2_velocity.png"),
+            trajectory_figure(scores, load, folder / "figure3_trajectories.png"),
+            trellis_figure(self.run.path, rows, folder / "figure4_trellis.png"),
+            accuracy_figure(scores, folder / "figure5_accuracy.png"),
+            speedup_figure(scores, self.summary, folder / "figure6_speedup.png"),
+        ]
+
+    def overview(self) -> Table:
+        return Table(OVERVIEW_HEADER, overview(self.summary))
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(f"Games: {source_line(self.rows)}."),
+            *map(Paragraph, _warnings(self.summary)),
+            Heading("Overview: worst cell, range of speeds"),
+            self.overview(),
+            Paragraph(_READING),
+            Heading("Figures"),
+            *figures,
+            Heading("All cells"),
+            Table(HEADER, table(self.summary), folded=f"{len(self.summary['cells'])} cells"),
+        ]
 
 
-def write_report(run: RunDirectory, jobs: int | None = None) -> Summary:
-    """Write summary.json, figures/*.png, report.md and report.html into a DP1 run; returns the summary.
-
-    `jobs` processes compute the metrics, by default one for a small run and otherwise one per core; the
-    results do not depend on it. Raises UserError if the folder holds no DP1 run, no finished game, or damaged
-    files.
-    """
-    rows: list[Row] = list(finished_rows(run, "dp1"))
-    load_arrays = partial(arrays_of, run.path)
-    scores = score_cells(cells_of(rows), load_arrays, jobs or _default_jobs(rows))
-    summary = summary_of(rows, scores)
-    run.write_json("summary.json", summary)
-    run.write_json("scores.json", _games(scores))
-    pictures = _draw(run.path, rows, scores, summary, load_arrays)
-    title = f"DP1, {summary['profile']} profile, seed {summary['seed']}"
-    blocks = _blocks(run, rows, summary, pictures)
-    write_pages(run, title, blocks)
-    return summary
-
-
-def _games(scores: list[CellScores]) -> list[dict[str, Any]]:
-    """Accuracies game by game, for those who pool cells."""
-    return [
-        {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
-        for score in scores
-    ]
-
-
-def _default_jobs(rows: list[Row]) -> int:
-    return 1 if len(rows) < PARALLEL_FROM_GAMES else min(joblib.cpu_count(), MOST_JOBS)
-
-
-def _draw(
-    run_dir: Path, rows: list[Row], scores: list[CellScores], summary: Summary, load_arrays: LoadArrays
-) -> list[Picture]:
-    folder = run_dir / "figures"
-    return [
-        figures.velocity_figure(rows, load_arrays, folder / "figure2_velocity.png"),
-        figures.trajectory_figure(scores, load_arrays, folder / "figure3_trajectories.png"),
-        figures.trellis_figure(run_dir, rows, folder / "figure4_trellis.png"),
-        figures.accuracy_figure(scores, folder / "figure5_accuracy.png"),
-        figures.speedup_figure(scores, summary, folder / "figure6_speedup.png"),
-    ]
-
-
-def _blocks(run: RunDirectory, rows: list[Row], summary: Summary, pictures: list[Picture]) -> list[Block]:
-    return [
-        Paragraph(f"Games: {figures.source_line(rows)}."),
-        *map(Paragraph, _warnings(summary)),
-        Heading("Overview: worst cell, range of speeds"),
-        Table(OVERVIEW_HEADER, overview(summary)),
-        Paragraph(_READING),
-        Heading("Figures"),
-        *pictures,
-        Heading("All cells"),
-        Table(HEADER, table(summary), folded=f"{len(summary['cells'])} cells"),
-    ]
+def _games(score: CellScores) -> dict[str, Any]:
+    return {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
 
 
 def _warnings(summary: Summary) -> list[str]:

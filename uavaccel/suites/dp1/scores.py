@@ -23,8 +23,8 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     trajectory,
 )
+from uavaccel.suites.report import Row
 
-Row = Mapping[str, Any]
 Arrays = Mapping[str, np.ndarray]
 LoadArrays = Callable[[Row], Arrays]
 
@@ -154,3 +154,8 @@ def _flight(arrays: Arrays) -> Trajectory:
 
 def _flown_s(cell: Cell) -> float:
     return sum(float(row["duration_s"]) for row in cell.rows)
+
+
+def rows_of(scores: Sequence[CellScores]) -> list[Row]:
+    """The games of all those cells."""
+    return [row for score in scores for row in score.cell.rows]

@@ -11,8 +11,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.cases import Case, cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
-from uavaccel.suites.dp1.table import OVERVIEW_HEADER, overview
-from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable, flying_s
+from uavaccel.suites.dp1.report import Dp1Report
+from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 CALL_S = 150e-6  # wall time of a call on a loopback socket, about
@@ -25,6 +25,7 @@ class Dp1(Suite[Dp1Config, Case]):
 
     name = "dp1"
     config = Dp1Config
+    report_class = Dp1Report
     quick: ClassVar[Mapping[str, Any]] = {"games": 3, "reference_games": 3}
 
     def cases(self, config: Dp1Config) -> Iterator[Case]:
@@ -50,11 +51,3 @@ class Dp1(Suite[Dp1Config, Case]):
     def cost(self, config: Dp1Config, case: Case) -> Cost:
         calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
         return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
-
-    def report(self, run: RunDirectory) -> dict[str, Any]:
-        from uavaccel.suites.dp1 import report
-
-        return report.write_report(run)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        return SummaryTable(OVERVIEW_HEADER, overview(summary))

@@ -17,7 +17,8 @@ from uavaccel.metrics.speedup import (
 )
 from uavaccel.metrics.trajectory import duration_error_s, quartiles
 from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.dp1.scores import Cell, CellScores, LoadArrays, Row, cells_of, score_cells
+from uavaccel.suites.dp1.scores import Cell, CellScores, LoadArrays, cells_of, score_cells
+from uavaccel.suites.report import Row
 
 Values = dict[str, Any]
 

@@ -14,7 +14,7 @@ from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.vision.dvs import PRESETS, make_sensor
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.wire.image_api import HEIGHT, WIDTH
-from uavaccel.wire.session import Session, VirtualSession
+from uavaccel.wire.session import Session
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -24,7 +24,6 @@ class EventClient(CameraClient):
 
     def __init__(self, *asked: Any, config: Dp2Config, session: Session) -> None:
         super().__init__(*asked)
-        assert isinstance(session, VirtualSession)
         assert config.dvs_rate_hz is not None
         sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
         self._session, self._noise_seed = session, config.sensor_seed

@@ -13,7 +13,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.scores import counts_of
-from uavaccel.suites.suite import Row, choose_row
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import choose_row
 
 
 def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.draw.document import or_dash
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study
 from uavaccel.vision.perturb import PerturbationKind
@@ -55,14 +56,14 @@ def table(guard: Mapping[str, Any]) -> list[tuple[str, ...]]:
         (
             kind.replace("_", " "),
             str(counts["on"]["sent"]),
-            _percent(counts["off"]["share_passed"]),
-            _percent(counts["on"]["share_passed"]),
+            or_dash(counts["off"]["share_passed"], "{:.1%}".format),
+            or_dash(counts["on"]["share_passed"], "{:.1%}".format),
         )
         for kind, counts in guard["by_kind"].items()
     ]
     sent = sum(counts["on"]["sent"] for counts in guard["by_kind"].values())
     passed = [_ratio([counts[mode] for counts in guard["by_kind"].values()]) for mode in ("off", "on")]
-    return [*rows, ("all", str(sent), *map(_percent, passed))]
+    return [*rows, ("all", str(sent), *(or_dash(share, "{:.1%}".format) for share in passed))]
 
 
 def sentence(guard: Mapping[str, Any]) -> str:
@@ -78,7 +79,3 @@ def sentence(guard: Mapping[str, Any]) -> str:
 def _ratio(counts: list[Mapping[str, Any]]) -> float | None:
     sent = sum(count["sent"] for count in counts)
     return sum(count["passed"] for count in counts) / sent if sent else None
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{share:.1%}"

@@ -1,80 +1,75 @@
-"""DP2's report: summary.json, Figure 7, report.md and report.html of a finished run."""
+"""DP2's report: the images of each ClockSpeed against those of the run at 1x, Figure 7, and the image guard."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
-from uavaccel.draw.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, draw_images
-from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.figures import source_line
 from uavaccel.suites.dp2 import guard as dp2_guard
-from uavaccel.suites.dp2.scores import GameScore, Row, score_games
+from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
+from uavaccel.suites.dp2.scores import GameScore, score_games
 from uavaccel.suites.dp2.summary import summary_of
 from uavaccel.suites.dp2.table import HEADER, table
-from uavaccel.suites.pages import finished_rows, write_pages
+from uavaccel.suites.report import Report, Row, Summary
+from uavaccel.suites.source_line import source_line
 from uavaccel.vision.guard import GuardSettings
 
-Summary = dict[str, Any]
 
+class Dp2Report(Report):
+    """Of `uavaccel run dp2`."""
 
-def write_report(run: RunDirectory) -> Summary:
-    """Write summary.json, figures/figure7_images.png, report.md and report.html into a DP2 run; the summary.
+    @cached_property
+    def scores(self) -> list[GameScore]:
+        preset, seed = self.config["dvs_preset"], self.config["sensor_seed"]
+        return list(score_games(self.rows, self.run.load_arrays, preset, seed))
 
-    Raises UserError if the folder holds no DP2 run, no finished game, or damaged files.
-    """
-    config = run.config()
-    rows = finished_rows(run, "dp2")
-    scores = list(score_games(rows, run.load_arrays, config["dvs_preset"], config["sensor_seed"]))
-    summary = summary_of(config, scores, _guard_study(run, rows, config))
-    run.write_json("summary.json", summary)
-    figure = _figure(scores, run.file("figures/figure7_images.png"))
-    title = f"DP2, {summary['profile']} profile, seed {summary['seed']}"
-    blocks = _blocks(run, rows, summary, figure)
-    write_pages(run, title, blocks)
-    return summary
+    def summarise(self) -> Summary:
+        return summary_of(self.config, self.scores, self._guard_study())
 
+    def _guard_study(self) -> Summary | None:
+        """On the one game whose images are kept in colour."""
+        row = next((row for row in self.rows if row["role"] == "lockstep" and row["error"] is None), None)
+        if row is None:
+            return None
+        images = self.run.load_arrays(row)["colour"]
+        return dp2_guard.study(images, GuardSettings(**self.config["guard"]), self.config["seed"])
 
-def _guard_study(run: RunDirectory, rows: Sequence[Row], config: Mapping[str, Any]) -> Summary | None:
-    """On the one game whose images are kept in colour."""
-    row = next((row for row in rows if row["role"] == "lockstep" and row["error"] is None), None)
-    if row is None:
-        return None
-    images = run.load_arrays(row)["colour"]
-    return dp2_guard.study(images, GuardSettings(**config["guard"]), config["seed"])
+    def title(self) -> str:
+        return f"DP2, {self.summary['profile']} profile, seed {self.summary['seed']}"
 
-
-def _figure(scores: Sequence[GameScore], path: Path) -> Picture:
-    compared = [score for score in scores if score.reference is not None and score.row is not score.reference]
-    clouds = [
-        ImageCloud(
-            score.row["command"], score.row["clock_speed"], score.dvs_ed_percent, score.position_error_m
+    def figures(self) -> list[Picture]:
+        clouds = [
+            ImageCloud(
+                score.row["command"], score.row["clock_speed"], score.dvs_ed_percent, score.position_error_m
+            )
+            for score in self.scores
+            if score.reference is not None and score.row is not score.reference
+        ]
+        source = source_line([score.row for score in self.scores])
+        caption = (
+            "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path "
+            "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both "
+            f"axes are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. Source: {source}."
         )
-        for score in compared
-    ]
-    source = source_line([score.row for score in scores])
-    draw_images(clouds, path, source)
-    return Picture(
-        path,
-        "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path "
-        "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes "
-        f"are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. "
-        f"Source: {source}.",
-    )
+        path = self.run.file("figures/figure7_images.png")
+        return [Picture(style.save(plot_images(clouds, source), path), caption)]
 
+    def overview(self) -> Table:
+        return Table(HEADER, table(self.summary))
 
-def _blocks(run: RunDirectory, rows: Sequence[Row], summary: Summary, figure: Picture) -> list[Block]:
-    return [
-        Paragraph(f"Games: {source_line(rows)}."),
-        *map(Paragraph, _warnings(rows, summary, run.config())),
-        Heading("Each ClockSpeed against the run at 1x"),
-        Table(HEADER, table(summary)),
-        Paragraph(_READING),
-        figure,
-        *_guard_blocks(summary["guard_study"]),
-    ]
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(f"Games: {source_line(self.rows)}."),
+            *map(Paragraph, _warnings(self.rows, self.summary, self.config)),
+            Heading("Each ClockSpeed against the run at 1x"),
+            self.overview(),
+            Paragraph(_READING),
+            *figures,
+            *_guard_blocks(self.summary["guard_study"]),
+        ]
 
 
 def _guard_blocks(guard: Mapping[str, Any] | None) -> list[Block]:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
+from uavaccel.suites.report import Row
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 
-Row = Mapping[str, Any]
 Arrays = Mapping[str, np.ndarray]
 LoadArrays = Callable[[Row], Arrays]
 Counts = NDArray[np.unsignedinteger]

@@ -11,8 +11,8 @@ from uavaccel.suites.dp2 import film
 from uavaccel.suites.dp2.cases import Case, cases
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.flights import SCENE, fly_game
-from uavaccel.suites.dp2.table import HEADER, table
-from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable, flying_s
+from uavaccel.suites.dp2.report import Dp2Report
+from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 IMAGE_S = 5e-3  # wall time of an image: drawn in software, sent, deflated and looked at, about
@@ -24,6 +24,7 @@ class Dp2(Suite[Dp2Config, Case]):
 
     name = "dp2"
     config = Dp2Config
+    report_class = Dp2Report
     quick: ClassVar[Mapping[str, Any]] = {}
 
     def cases(self, config: Dp2Config) -> Iterator[Case]:
@@ -42,14 +43,6 @@ class Dp2(Suite[Dp2Config, Case]):
     def cost(self, config: Dp2Config, case: Case) -> Cost:
         images = case.simulated_s() / config.t_sample_s
         return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
-
-    def report(self, run: RunDirectory) -> dict[str, Any]:
-        from uavaccel.suites.dp2 import report
-
-        return report.write_report(run)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        return SummaryTable(HEADER, table(summary))
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         return film.film_game(run, case)

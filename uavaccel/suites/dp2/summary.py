@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.suites.dp2.scores import GameScore, Row
+from uavaccel.suites.dp2.scores import GameScore
+from uavaccel.suites.report import Row
 
 Values = dict[str, Any]
 

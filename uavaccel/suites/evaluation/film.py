@@ -1,4 +1,4 @@
-"""A game of an evaluation flown once more, by an environment that keeps what it sees."""
+"""A game of an evaluation flown once more, and looked on at."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import is_baseline, make_agent
 from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.scores import count_events
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.filmed import FilmedAgent, FilmedLane
+from uavaccel.suites.evaluation.filmed import FilmedAgent, SamplesSeen
 from uavaccel.suites.evaluation.flights import fly_lane
 from uavaccel.wire.image_api import lane_layout
 
@@ -38,12 +38,13 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     """
     task = config.task
     agent = FilmedAgent(make_agent(config.agent, task))
-    environment = FilmedLane(**_seen_by_camera(config).model_dump(mode="json"))
+    environment, seen = ObstacleLane(**_seen_by_camera(config).model_dump(mode="json")), SamplesSeen()
+    environment.add_observer(seen)
     try:
         info = list(fly_lane(config, environment, agent, lane))[-1]
     finally:
         environment.close()
-    samples, hit = environment.samples, str(info["collision"] or "")
+    samples, hit = seen.samples, str(info["collision"] or "")
     images = np.stack([sample.image for sample in samples])
     time_s = np.array([sample.time_ns - samples[0].time_ns for sample in samples]) / 1e9
     position_m = np.array([sample.position_m for sample in samples])

@@ -1,4 +1,4 @@
-"""Who flies a film's game, and in what: an agent and an environment that keep what happened."""
+"""What a film shows of a game: its samples, and what the agent was given and decided."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.decisions import Decisions
-from uavaccel.envs.flight_client import FlightClient, FlightSample
-from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.task import Moment
+from uavaccel.envs.flight_client import FlightSample
+from uavaccel.envs.observer import Game, Observer
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.rl.agents import Agent, PolicyAgent
-from uavaccel.wire.session import VirtualSession
 
 
 class Seen(NamedTuple):
@@ -26,37 +24,26 @@ class Seen(NamedTuple):
     command: int
 
 
-class FilmedLane(ObstacleLane):
-    """An `ObstacleLane` that remembers the samples of the running game, and the moment of impact.
+class SamplesSeen(Observer):
+    """The samples of the running game, the last of them at the moment of impact.
 
     What the agent is not shown is looked at without a message, which only `virtual` and `lockstep` can do.
     """
 
-    def __init__(self, **task: Any) -> None:
-        super().__init__(**task)
+    def __init__(self) -> None:
         self.samples: list[Seen] = []
 
-    def _see(self, sample: FlightSample) -> NDArray[Any]:
-        state = sample.state
-        image = sample.image if self.task.observation == "dvs" else self._picture()
-        self.samples.append(
-            Seen(state.time_ns, image, state.position_m, state.orientation_wxyz, self._now.commands)
-        )
-        return super()._see(sample)
+    def game_begun(self, game: Game) -> None:
+        self._game = game
+        self.samples = []
 
-    def _fly(self, client: FlightClient, action: Any) -> Moment:
-        flown = super()._fly(client, action)
-        if flown.collision is not None:
-            time_ns, attitude = client.client.collision()["time_ns"], flown.state.orientation_wxyz
-            image = (
-                self._picture() if isinstance(self._session, VirtualSession) else client.client.image("gray")
-            )
-            self.samples.append(Seen(time_ns, image, flown.position_m, attitude, self._now.commands))
-        return flown
-
-    def _picture(self) -> NDArray[np.uint8]:
-        assert isinstance(self._session, VirtualSession)
-        return self._session.picture()
+    def sample_taken(self, sample: FlightSample, command: int) -> None:
+        state, hit = sample.state, sample.collision
+        time_ns = hit["time_ns"] if hit else state.time_ns
+        position_m = tuple(hit["position_m"]) if hit else state.position_m
+        shown = self._game.task.observation == "dvs" and not hit
+        image = sample.image if shown else self._game.session.picture()
+        self.samples.append(Seen(time_ns, image, position_m, state.orientation_wxyz, command))
 
 
 class FilmedAgent:

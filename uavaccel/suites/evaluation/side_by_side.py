@@ -14,7 +14,7 @@ from uavaccel.envs.simulators import EXACT
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.summary import how_flown
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Row
 
 PAGE = "simulators"
 TITLE = "One agent in two simulators"

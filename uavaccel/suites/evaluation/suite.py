@@ -19,9 +19,11 @@ from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
-from uavaccel.suites.evaluation.summary import headline
-from uavaccel.suites.host_time import pace
-from uavaccel.suites.suite import Flown, Row, Suite, Summary, choose_row
+from uavaccel.suites.evaluation.report import EvaluationReport
+from uavaccel.suites.evaluation.side_by_side import write_simulators
+from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import Flown, Suite, choose_row
 
 Opened = Callable[[int], Flown]
 
@@ -31,6 +33,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     name = "evaluate"
     config = EvaluateConfig
+    report_class = EvaluationReport
 
     def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
         return completed(mapping)
@@ -80,22 +83,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def status(self, rows: Sequence[Row]) -> str:
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
-    def pace(self, run: RunDirectory) -> str:
-        return pace(run)
-
-    def headline(self, summary: Summary) -> str:
-        return headline(summary)
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.evaluation import report
-
-        return report.write_report(run)
-
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        from uavaccel.suites.evaluation import report, side_by_side
-
-        both = side_by_side.write_simulators(runs)
-        return [report.draw_evaluations(runs, runs[0].file(report.COMPARISON)), *both]
+        both = write_simulators(runs)
+        return [draw_evaluations(runs, runs[0].file(COMPARISON)), *both]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""

@@ -9,18 +9,16 @@ import numpy as np
 
 from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
-from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.suite import Row, Summary
+from uavaccel.suites.report import Row
 
 
 def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
     """Success ratio with its 95 % Wilson interval, and how far the agent got."""
-    successes = sum(row["is_success"] for row in rows)
-    low, high = wilson_interval(successes, len(rows))
     task = config.task
     sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
     disturbed = disturbed_games(rows)
@@ -35,11 +33,7 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
         "simulator": config.simulator,
         **({} if config.simulator == EXACT else {"device": config.device}),
         "seed": config.seed,
-        "games": len(rows),
-        "successes": successes,
-        "success_ratio": successes / len(rows),
-        "wilson_low": low,
-        "wilson_high": high,
+        **Proportion(sum(row["is_success"] for row in rows), len(rows)).as_summary(),
         "sim_time_s": sim_time_s,
         "wall_s": wall_s,
         "simulated_s_per_wall_s": sim_time_s / wall_s,
@@ -51,16 +45,6 @@ def how_flown(keys: Mapping[str, Any]) -> str:
     """Measured or modelled, and by which simulator, of a summary or of a configuration's keys with its timing."""
     by = flown_by(keys.get("simulator", EXACT), keys.get("device", ""))
     return ", ".join([timing_provenance(keys["timing"]), *filter(None, [by])])
-
-
-def headline(summary: Summary) -> str:
-    """The result in a sentence, with its interval, its clock and its seed."""
-    return (
-        f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
-        f"{summary['wilson_low']:.1%} to {summary['wilson_high']:.1%}), {how_flown(summary)}, "
-        f"{summary['command']} at {summary['clock_speed']:g}x, {summary['simulated_s_per_wall_s']:.4g} simulated "
-        f"seconds per wall second, seed {summary['seed']}"
-    )
 
 
 def compare(rows: Sequence[Row], other: RunDirectory) -> str:

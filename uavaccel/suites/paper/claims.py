@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from uavaccel.metrics.intervals import fisher_exact_p, wilson_interval
-from uavaccel.suites.paper.evidence import Finding, Images, Policies, Trajectories
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p
+from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories
 
 SIMILAR = 1.8  # STLC above which trajectories look alike (section III-C2a)
 MAXIMUM = 2.0  # STLC of identical trajectories
@@ -99,14 +99,14 @@ def callback_costs_most(dp1: Trajectories) -> Finding:
     """Wall time of a command beyond its flight at 100x: ADSC's v TCSC's, longest path; at 1x a command takes T_move."""
     beyond_ms = []
     for command in ("adsc", "tcsc"):
-        cell = dp1.cell(command, FASTEST, LONGEST_S, dp1.most_rounds)
+        cell = dp1.longest(command, FASTEST, LONGEST_S)
         beyond_ms.append(1e3 * LONGEST_S * (1 / cell["effective_speedup"] - 1 / FASTEST))
     return Finding(f"{beyond_ms[0]:.3g} v {beyond_ms[1]:.3g} ms", beyond_ms[0] > beyond_ms[1])
 
 
 def _accelerated(least: float, most: float, error: float, dp1: Trajectories) -> Finding:
     """TCSC at 100x, T_move 1 s, longest path: its speed-up, and how far its pooled STLC is below the maximum."""
-    cell = dp1.cell("tcsc", FASTEST, LONGEST_S, dp1.most_rounds)
+    cell = dp1.longest("tcsc", FASTEST, LONGEST_S)
     missing = 1.0 - dp1.median("tcsc", FASTEST) / MAXIMUM
     interval = cell["effective_speedup_interval"]
     text = f"{cell['effective_speedup']:.1f}x [{interval[0]:.1f}, {interval[1]:.1f}], error {missing:.1%}"
@@ -122,7 +122,7 @@ speedup_50x = partial(_accelerated, 50.0, 65.0, 1.0)
 
 
 def _images_within(clock_speed: float, percent: float, dp2: Images) -> Finding:
-    cell = dp2.cells[clock_speed]
+    cell = dp2.cell(clock_speed)
     distance_m, dvs_ed = cell["position_error_m_max"], cell["dvs_ed_percent_median"]
     text = f"at most {100 * distance_m:.2g} cm, DVS-ED {dvs_ed:.2g} % (largest {cell['dvs_ed_percent_max']:.2g} %)"
     return Finding(text, distance_m <= 0.05 and dvs_ed <= percent)
@@ -134,7 +134,7 @@ images_at_10x = partial(_images_within, 10.0, 5.0)
 
 def images_beyond_10x(dp2: Images) -> Finding:
     """From 10x to 50x and 100x both medians grow, the DVS-ED by more percent of its scale than the distance in cm."""
-    slow, fast = dp2.cells[10.0], [dp2.cells[50.0], dp2.cells[100.0]]
+    slow, fast = dp2.cell(10.0), [dp2.cell(50.0), dp2.cell(100.0)]
     growth = [
         (
             cell["dvs_ed_percent_median"] - slow["dvs_ed_percent_median"],
@@ -149,19 +149,14 @@ def images_beyond_10x(dp2: Images) -> Finding:
 # --- RL -----------------------------------------------------------------------------------------------------------
 
 
-def _compared(
-    first: tuple[str, float], second: tuple[str, float], change: str, rl: Policies
-) -> Finding | None:
+def _compared(first: tuple[str, float], second: tuple[str, float], change: str, rl: Policies) -> Finding:
     """Success of two trainings, seeds pooled, by Fisher's exact test at 5 %; `change`: falls, rises or none."""
-    a, b = rl.counts(*first), rl.counts(*second)
-    if not a[1] or not b[1]:
-        return None
-    p_value = fisher_exact_p(a, b)
-    ratios = a[0] / a[1], b[0] / b[1]
+    a, b = rl.success(*first), rl.success(*second)
+    p_value = fisher_exact_p((a.successes, a.games), (b.successes, b.games))
     differs = p_value < LEVEL
-    holds = {"falls": differs and ratios[1] < ratios[0], "rises": differs and ratios[1] > ratios[0]}
-    text = f"{a[0]} of {a[1]} ({ratios[0]:.0%}) v {b[0]} of {b[1]} ({ratios[1]:.0%}), p = {p_value:.2g}"
-    return Finding(text, holds.get(change, not differs))
+    holds = {"falls": differs and b.ratio < a.ratio, "rises": differs and b.ratio > a.ratio}
+    text = " v ".join(f"{each.successes} of {each.games} ({each.ratio:.0%})" for each in (a, b))
+    return Finding(f"{text}, p = {p_value:.2g}", holds.get(change, not differs))
 
 
 adsc_collapses_at_5x = partial(_compared, ("adsc", 1.0), ("adsc", 5.0), "falls")
@@ -172,30 +167,28 @@ tcsc_improves_at_5x = partial(_compared, ("tcsc", 1.0), ("tcsc", 5.0), "rises")
 commands_interchange_at_1x = partial(_compared, ("adsc", 1.0), ("tcsc", 1.0), "none")
 
 
-def adsc_fails_accelerated(rl: Policies) -> Finding | None:
+def adsc_fails_accelerated(rl: Policies) -> Finding:
     """At each ClockSpeed above 1 an ADSC-trained policy completes at most as many games as 1 of 100 stands for."""
-    counts = {k: rl.counts("adsc", k) for k in rl.accelerated("adsc")}
-    if not counts:
-        return None
-    most = wilson_interval(1, 100)[1]
-    text = ", ".join(f"{k:g}x {won} of {games}" for k, (won, games) in counts.items())
-    return Finding(text, all(won / games <= most for won, games in counts.values()))
+    won = {k: rl.success("adsc", k) for k in rl.clocks("adsc") if k > 1}
+    if not won:
+        raise NoEvidence("ADSC was trained at no ClockSpeed above 1")
+    most = Proportion(1, 100).interval[1]
+    text = ", ".join(f"{k:g}x {each.successes} of {each.games}" for k, each in won.items())
+    return Finding(text, all(each.ratio <= most for each in won.values()))
 
 
-def policy_flies_with_both(rl: Policies) -> Finding | None:
+def policy_flies_with_both(rl: Policies) -> Finding:
     """A policy that TCSC trained in real time, flown with both commands on the same lanes: McNemar's test at 5 %."""
-    if not rl.interchange:
-        return None
-    test = rl.interchange[0]
+    test = rl.interchanged()
     flown = [
         f"{each['command'].upper()} {each['successes']} of {each['games']}" for each in test["flown_with"]
     ]
     return Finding(f"{' v '.join(flown)}, p = {test['mcnemar_p']:.2g}", test["mcnemar_p"] >= LEVEL)
 
 
-def _training_speedup(clock_speed: float, paper: float, rl: Policies) -> Finding | None:
+def _training_speedup(clock_speed: float, paper: float, rl: Policies) -> Finding:
     speedup = rl.speedup(clock_speed)
-    return None if speedup is None else Finding(f"{speedup:.3g}x", abs(speedup / paper - 1.0) <= 0.15)
+    return Finding(f"{speedup:.3g}x", abs(speedup / paper - 1.0) <= 0.15)
 
 
 training_speedup_5x = partial(_training_speedup, 5.0, 4.0)
@@ -204,10 +197,13 @@ training_speedup_50x = partial(_training_speedup, 50.0, 14.8)
 training_speedup_100x = partial(_training_speedup, 100.0, 15.4)
 
 
-def week_to_two_days(rl: Policies) -> Finding | None:
+def week_to_two_days(rl: Policies) -> Finding:
     """All phases 3.6x at 5x, or 5.2x at 10x: a week takes less than two days."""
-    known = [speedup for k in (5.0, 10.0) if (speedup := rl.whole_speedup(k)) is not None]
-    return Finding(f"{max(known):.3g}x", max(known) >= 3.6) if known else None
+    clocks = [k for k in (5.0, 10.0) if k in rl.clocks("tcsc")]
+    if not clocks:
+        raise NoEvidence("TCSC was trained at neither 5x nor 10x")
+    most = max(rl.speedup(k, "whole_training_speedup") for k in clocks)
+    return Finding(f"{most:.3g}x", most >= 3.6)
 
 
 def _rises(values: list[float]) -> bool:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.metrics.intervals import median_interval
+from uavaccel.metrics.intervals import Proportion, median_interval
 from uavaccel.records import RunDirectory
+from uavaccel.suites.report import SummaryCell
 
-Cell = Mapping[str, Any]
 FloatArray = NDArray[np.float64]
+
+
+class NoEvidence(Exception):
+    """The runs leave out the games that would decide a claim, or know nothing to compare them with."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +29,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """A run of DP1: its cells, and the STLC of each of their games."""
+    """A run of DP1: its cells, and the STLC of each of their games. What it lacks raises NoEvidence."""
 
-    cells: Sequence[Cell]
-    games: Sequence[Cell]
+    cells: Sequence[SummaryCell]
+    games: Sequence[SummaryCell]
     seed: int
 
     @classmethod
@@ -40,19 +43,15 @@ class Trajectories:
     @property
     def clocks(self) -> list[float]:
         """The ClockSpeeds above 1."""
-        return sorted({cell["clock_speed"] for cell in self.cells if cell["clock_speed"] > 1})
+        clocks = sorted({cell["clock_speed"] for cell in self.cells if cell["clock_speed"] > 1})
+        if not clocks:
+            raise NoEvidence("no ClockSpeed above 1 was flown")
+        return clocks
 
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """STLC of the games, T_moves pooled, and rounds too unless one is asked for; KeyError if none was flown."""
-        values = [
-            cell["stlc"]
-            for cell in self.games
-            if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
-            and rounds in (None, cell["rounds"])
-        ]
-        if not values:
-            raise KeyError(f"{command} at {clock_speed:g}x was not flown")
-        return np.concatenate([np.asarray(each, float) for each in values])
+        """STLC of the games, T_moves pooled, and rounds too unless one is asked for."""
+        chosen = _flown(self.games, command, clock_speed, rounds)
+        return _known(np.concatenate([np.asarray(cell["stlc"], float) for cell in chosen]), "STLC")
 
     def median(self, command: str, clock_speed: float) -> float:
         """Pooled median STLC, as in the paper's Figure 5."""
@@ -68,41 +67,65 @@ class Trajectories:
         """The longest path's rounds."""
         return max(int(cell["rounds"]) for cell in self.cells)
 
-    def cell(self, command: str, clock_speed: float, t_move_s: float, rounds: int) -> Cell:
-        """One cell of the summary."""
-        key = (command, clock_speed, t_move_s, rounds)
-        names = ("command", "clock_speed", "t_move_s", "rounds")
-        return next(cell for cell in self.cells if tuple(cell[name] for name in names) == key)
+    def longest(self, command: str, clock_speed: float, t_move_s: float) -> SummaryCell:
+        """The cell of the longest path, whose speed-up is known."""
+        for cell in _flown(self.cells, command, clock_speed, self.most_rounds):
+            if cell["t_move_s"] == t_move_s and cell["effective_speedup_interval"] is not None:
+                return cell
+        raise NoEvidence(f"no {command} at {clock_speed:g}x, T_move {t_move_s:g} s, with a speed-up")
 
     def column(self, key: str, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
         """A key of the cells of a command and ClockSpeed, by T_move."""
-        chosen = [
-            cell
-            for cell in self.cells
-            if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
-            and rounds in (None, cell["rounds"])
-        ]
-        return np.array([float(cell[key]) for cell in sorted(chosen, key=lambda cell: cell["t_move_s"])])
+        chosen = _flown(self.cells, command, clock_speed, rounds)
+        in_order = sorted(chosen, key=lambda cell: float(cell["t_move_s"]))
+        return _known(np.array([cell[key] for cell in in_order], float), key)
+
+
+def _flown(
+    cells: Sequence[SummaryCell], command: str, clock_speed: float, rounds: int | None = None
+) -> list[SummaryCell]:
+    chosen = [cell for cell in cells if (cell["command"], cell["clock_speed"]) == (command, clock_speed)]
+    if rounds is not None:
+        chosen = [cell for cell in chosen if cell["rounds"] == rounds]
+    if not chosen:
+        raise NoEvidence(f"{command} at {clock_speed:g}x was not flown")
+    return chosen
+
+
+def _known(values: FloatArray, name: str) -> FloatArray:
+    if not values.size or np.isnan(values).any():
+        raise NoEvidence(f"{name} is not known: there is nothing to compare with")
+    return values
 
 
 @dataclass(frozen=True)
 class Images:
     """A run of DP2: its cells of TCSC by ClockSpeed."""
 
-    cells: Mapping[float, Cell]
+    cells: Mapping[float, SummaryCell]
 
     @classmethod
     def of(cls, run: RunDirectory) -> Images:
         cells = run.read_json("summary.json")["cells"]
         return cls({cell["clock_speed"]: cell for cell in cells if cell["command"] == "tcsc"})
 
+    def cell(self, clock_speed: float) -> SummaryCell:
+        """Raises NoEvidence where it was not flown, or has no run at 1x to compare with."""
+        cell = self.cells.get(clock_speed)
+        if cell is None or cell["position_error_m_max"] is None:
+            raise NoEvidence(f"no images at {clock_speed:g}x, compared with 1x")
+        return cell
+
 
 @dataclass(frozen=True)
 class Policies:
-    """A run of the suite `rl`: evaluation games won by command and ClockSpeed of the training, seeds pooled."""
+    """A run of the suite `rl`: evaluation games won by command and ClockSpeed of the training, seeds pooled.
 
-    cells: Sequence[Cell]
-    interchange: Sequence[Cell] = ()
+    What it lacks raises NoEvidence.
+    """
+
+    cells: Sequence[SummaryCell]
+    interchange: Sequence[SummaryCell] = ()
     """Policies flown with both commands, seeds pooled."""
 
     @classmethod
@@ -114,34 +137,26 @@ class Policies:
             *([cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange"))
         )
 
-    def counts(self, command: str, clock_speed: float) -> tuple[int, int]:
-        """Successes and games; (0, 0) where nothing was trained."""
-        chosen = self._cells(command, clock_speed)
-        return sum(cell["successes"] for cell in chosen), sum(cell["games"] for cell in chosen)
+    def success(self, command: str, clock_speed: float) -> Proportion:
+        """Games won, seeds pooled."""
+        chosen = _flown(self.cells, command, clock_speed)
+        return Proportion(sum(cell["successes"] for cell in chosen), sum(cell["games"] for cell in chosen))
 
-    def speedup(self, clock_speed: float) -> float | None:
-        """Mean simulation-only speed-up of TCSC's trainings, on their modelled clock; None without one."""
-        return self._mean("training_speedup", clock_speed)
+    def speedup(self, clock_speed: float, key: str = "training_speedup") -> float:
+        """Mean speed-up of TCSC's trainings on their modelled clock, of simulation alone."""
+        values = np.array([cell[key] for cell in _flown(self.cells, "tcsc", clock_speed)], float)
+        return float(np.mean(_known(values, key)))
 
-    def whole_speedup(self, clock_speed: float) -> float | None:
-        """The same with image processing, inference and learning."""
-        return self._mean("whole_training_speedup", clock_speed)
+    def clocks(self, command: str) -> list[float]:
+        """ClockSpeeds at which the command was trained; none where it was not."""
+        return sorted({cell["clock_speed"] for cell in self.cells if cell["command"] == command})
 
-    def accelerated(self, command: str) -> list[float]:
-        """ClockSpeeds above 1 at which the command was trained."""
-        return sorted(
-            {c["clock_speed"] for c in self.cells if c["command"] == command and c["clock_speed"] > 1}
-        )
-
-    def _mean(self, key: str, clock_speed: float) -> float | None:
-        values = [cell[key] for cell in self._cells("tcsc", clock_speed)]
-        return float(np.mean(values)) if values and None not in values else None
-
-    def _cells(self, command: str, clock_speed: float) -> list[Cell]:
-        return [
-            cell for cell in self.cells if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
-        ]
+    def interchanged(self) -> SummaryCell:
+        """The policy that was flown with both commands."""
+        if not self.interchange:
+            raise NoEvidence("no policy was flown with both commands")
+        return self.interchange[0]
 
 
-def _kind(cell: Cell) -> tuple[str, str, str]:
+def _kind(cell: SummaryCell) -> tuple[str, str, str]:
     return cell["profile"], cell["timing"], cell["variant"]

@@ -9,52 +9,49 @@ from typing import Any
 from uavaccel.config import validate
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.records import RunDirectory
-from uavaccel.suites.pages import finished_rows, write_pages
 from uavaccel.suites.paper.config import PROFILES, PaperConfig
 from uavaccel.suites.paper.verdicts import at_the_papers_n, judge
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.report import Report, Summary
 
 HEADER = ("claim", "place", "the paper's", "under airsim", "", "under native", "", "the paper's n")
 SHORT_HEADER = ("claim", "place", "under airsim", "under native")
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it from the parts' reports; the summary. Raises UserError if no part was flown."""
-    finished_rows(run, "paper")
-    config = validate(PaperConfig, run.config(), str(run.path / "config.yaml"))
-    rows = judge(config, run)
-    summary = {"suite": "paper", "seed": config.seed, "claims": rows}
-    run.write_json("summary.json", summary)
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Heading("Claims"),
-        Table(HEADER, [_line(row) for row in rows]),
-        Paragraph(_INCONSISTENCIES),
-        *[block for name in config.parts for block in _part_blocks(run, name)],
-    ]
-    write_pages(run, "The paper, claim by claim", blocks)
-    return summary
+class PaperReport(Report):
+    """Of `uavaccel run paper`: made of the parts' own reports."""
 
+    def summarise(self) -> Summary:
+        config = validate(PaperConfig, self.config, str(self.run.path / "config.yaml"))
+        return {"suite": "paper", "seed": config.seed, "claims": judge(config, self.run)}
 
-def headline(summary: Mapping[str, Any]) -> str:
-    """How many claims hold, by profile."""
-    parts = []
-    for profile in PROFILES:
-        counts = Counter(row[profile]["verdict"] for row in summary["claims"])
-        parts.append(
-            f"under {profile} " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        )
-    return (
-        f"{len(summary['claims'])} claims: {'; '.join(parts)}; all times modelled unless a part says measured"
-    )
+    def title(self) -> str:
+        return "The paper, claim by claim"
 
+    def headline(self) -> str:
+        """How many claims hold, by profile."""
+        claims, parts = self.summary["claims"], []
+        for profile in PROFILES:
+            counts = Counter(claim[profile]["verdict"] for claim in claims)
+            said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+            parts.append(f"under {profile} {said}")
+        return f"{len(claims)} claims: {'; '.join(parts)}; all times modelled unless a part says measured"
 
-def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """One row of text for each claim, below `SHORT_HEADER`."""
-    return [
-        (row["claim"], row["place"], *(_both(row[profile]) for profile in PROFILES))
-        for row in summary["claims"]
-    ]
+    def overview(self) -> Table:
+        lines = [
+            (row["claim"], row["place"], *(_both(row[profile]) for profile in PROFILES))
+            for row in self.summary["claims"]
+        ]
+        return Table(SHORT_HEADER, lines)
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(self.headline() + "."),
+            Heading("Claims"),
+            Table(HEADER, [_line(claim) for claim in self.summary["claims"]]),
+            Paragraph(_INCONSISTENCIES),
+            *[block for name in self.config["parts"] for block in _part_blocks(self.run, name)],
+        ]
 
 
 def _both(judged: Mapping[str, str]) -> str:

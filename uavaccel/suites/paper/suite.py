@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.paper.config import PaperConfig, read_claims
+from uavaccel.suites.paper.report import PaperReport
 from uavaccel.suites.paper.verdicts import training_run
 from uavaccel.suites.parts import fly_part, part_cost, part_suite
-from uavaccel.suites.suite import Cost, Flown, Suite, Summary, SummaryTable
+from uavaccel.suites.suite import Cost, Flown, Suite
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Paper(Suite[PaperConfig, Case]):
 
     name = "paper"
     config = PaperConfig
+    report_class = PaperReport
     batch = 1
 
     def check(self, config: PaperConfig) -> None:
@@ -61,18 +62,3 @@ class Paper(Suite[PaperConfig, Case]):
     def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> Flown:
         summary = fly_part(opened, case.name, config.parts[case.name], config.seed)
         return Flown({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
-
-    def headline(self, summary: Summary) -> str:
-        from uavaccel.suites.paper import report
-
-        return report.headline(summary)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.paper import report
-
-        return SummaryTable(report.SHORT_HEADER, report.overview(summary))
-
-    def report(self, run: RunDirectory) -> dict[str, Any]:
-        from uavaccel.suites.paper import report
-
-        return report.write_report(run)

@@ -8,12 +8,12 @@ from typing import Any
 from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
+from uavaccel.suites import published
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.config import PROFILES, Claim, PaperConfig, read_claims
-from uavaccel.suites.paper.evidence import Finding, Images, Policies, Trajectories
+from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories
 from uavaccel.suites.parts import part_run
 
-PAPER_GAMES = 100
 LEVEL = 0.05
 
 
@@ -53,20 +53,14 @@ def training_run(path: str) -> RunDirectory:
 
 
 def _judged(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, Any]:
-    finding = _found(claim, evidence)
-    if finding is None:
-        return {"value": "", "verdict": "pending" if claim.decided_by == "rl" else "not flown"}
-    return {"value": finding.value, "verdict": "holds" if finding.holds else "fails"}
-
-
-def _found(claim: Claim, evidence: Mapping[str, Any]) -> Finding | None:
+    undecided = {"value": "", "verdict": "pending" if claim.decided_by == "rl" else "not flown"}
     if claim.decided_by not in evidence:
-        return None
+        return undecided
     try:
-        finding: Finding | None = getattr(claims, claim.id)(evidence[claim.decided_by])
-    except (KeyError, IndexError, StopIteration):
-        return None  # the runs leave out the games that decide it
-    return finding
+        finding: Finding = getattr(claims, claim.id)(evidence[claim.decided_by])
+    except NoEvidence:
+        return undecided
+    return {"value": finding.value, "verdict": "holds" if finding.holds else "fails"}
 
 
 def _paper_p(claim: Claim) -> float | None:
@@ -74,7 +68,7 @@ def _paper_p(claim: Claim) -> float | None:
     if claim.paper_counts is None:
         return None
     first, second = claim.paper_counts
-    return fisher_exact_p((first, PAPER_GAMES), (second, PAPER_GAMES))
+    return fisher_exact_p((first, published.GAMES), (second, published.GAMES))
 
 
 def at_the_papers_n(row: Mapping[str, Any]) -> str:
@@ -82,4 +76,4 @@ def at_the_papers_n(row: Mapping[str, Any]) -> str:
     if row["paper_p"] is None:
         return ""
     said = "significant" if row["paper_p"] < LEVEL else "undecidable"
-    return f"{said} at n = {PAPER_GAMES} (p = {row['paper_p']:.2g})"
+    return f"{said} at n = {published.GAMES} (p = {row['paper_p']:.2g})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -10,19 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
-from uavaccel.draw.distances import draw_distances
 from uavaccel.draw.document import Picture
 from uavaccel.draw.style import command_name
-from uavaccel.draw.success import SuccessLine, draw_success
-from uavaccel.draw.training_time import TrainingTime, draw_training_time
-from uavaccel.metrics.intervals import wilson_interval
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import published
-from uavaccel.suites.pages import listed
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Row, Summary, SummaryCell, listed
+from uavaccel.suites.rl.distances import plot_distances
+from uavaccel.suites.rl.success import SuccessLine, plot_success
+from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
 
-Cells = Sequence[Mapping[str, Any]]
 TABLE_I, FIGURE_8, FIGURE_9 = (
     "figures/table1_success.png",
     "figures/figure8_distances.png",
@@ -30,27 +28,27 @@ TABLE_I, FIGURE_8, FIGURE_9 = (
 )
 
 
-def panel_name(cell: Mapping[str, Any]) -> str:
+def panel_name(cell: SummaryCell) -> str:
     """TCSC, airsim; where it says more, its clock and variant."""
     clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
     variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
 
 
-def is_papers(cell: Mapping[str, Any]) -> bool:
+def is_papers(cell: SummaryCell) -> bool:
     """Whether the paper has trained so: under AirSim, and nothing else changed."""
     return cell["profile"] == "airsim" and cell["timing"] == "virtual" and not cell["variant"]
 
 
-def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
+def draw_figures(run: RunDirectory, summary: Summary, rows: Sequence[Row]) -> list[Picture]:
     """Table I, Figure 8 and Figure 9 as pictures with their captions."""
     pooled = summary["pooled"]
     seeds = listed(sorted({seed for cell in pooled for seed in cell["seeds"]}))
     source = f"modelled · {summary['training_games']} training games each · seed {seeds}"
-    table = draw_success(success_lines(pooled), "Success by training", run.file(TABLE_I), source)
+    table = style.save(plot_success(success_lines(pooled), "Success by training", source), run.file(TABLE_I))
     distances = _by_panel(pooled, lambda cell: distances_m(run, rows, cell))
     rows_m = np.unique(draw_layout(0, Difficulty()).x_m).tolist()
-    figure8 = draw_distances(distances, rows_m, run.file(FIGURE_8), source)
+    figure8 = style.save(plot_distances(distances, rows_m, source), run.file(FIGURE_8))
     pictures = [
         Picture(
             table, f"Table I as a picture: bars are 95 % Wilson intervals, dots are seeds. Source: {source}."
@@ -60,7 +58,7 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
     timed = [cell for cell in pooled if cell["timing"] == "virtual"]
     if timed:
         times = {name: list(panel.values()) for name, panel in _by_panel(timed, training_time).items()}
-        figure9 = draw_training_time(times, run.file(FIGURE_9), source)
+        figure9 = style.save(plot_training_time(times, source), run.file(FIGURE_9))
         pictures.append(
             Picture(
                 figure9,
@@ -70,7 +68,7 @@ def draw_figures(run: RunDirectory, summary: Mapping[str, Any], rows: Sequence[R
     return pictures
 
 
-def success_lines(pooled: Cells) -> list[SuccessLine]:
+def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
     """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
     lines: list[SuccessLine] = []
     others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
@@ -81,9 +79,7 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
                 name,
                 members[0]["command"],
                 list(panel),
-                [cell["success_ratio"] for cell in members],
-                [cell["wilson_low"] for cell in members],
-                [cell["wilson_high"] for cell in members],
+                [Proportion.of(cell) for cell in members],
                 by_seed=[
                     [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
                     for cell in members
@@ -97,18 +93,13 @@ def success_lines(pooled: Cells) -> list[SuccessLine]:
     return lines
 
 
-def _papers(cells: Cells) -> SuccessLine:
-    counts = [cell["paper_successes"] for cell in cells]
-    low, high = zip(*(wilson_interval(count, published.GAMES) for count in counts), strict=True)
-    command = cells[0]["command"]
-    clocks = [cell["clock_speed"] for cell in cells]
-    ratios = [count / published.GAMES for count in counts]
-    return SuccessLine(
-        f"{command_name(command)}, the paper's", command, clocks, ratios, low, high, dashed=True
-    )
+def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:
+    success = [Proportion(cell["paper_successes"], published.GAMES) for cell in cells]
+    command, clocks = cells[0]["command"], [cell["clock_speed"] for cell in cells]
+    return SuccessLine(f"{command_name(command)}, the paper's", command, clocks, success, dashed=True)
 
 
-def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any]) -> NDArray[np.float64]:
+def distances_m(run: RunDirectory, rows: Sequence[Row], cell: SummaryCell) -> NDArray[np.float64]:
     """Metres north in all evaluation games of a cell, its seeds together."""
     keys = ("variant", "profile", "timing", "command", "clock_speed")
     arrays = [
@@ -119,7 +110,7 @@ def distances_m(run: RunDirectory, rows: Sequence[Row], cell: Mapping[str, Any])
     return np.concatenate(arrays)
 
 
-def training_time(cell: Mapping[str, Any]) -> TrainingTime:
+def training_time(cell: SummaryCell) -> TrainingTime:
     """Of one training: the mean of the seeds; rendering is part of the paper's simulation."""
     mean_s = {phase: spent / len(cell["seeds"]) for phase, spent in cell["phase_s"].items()}
     phases = {
@@ -139,7 +130,7 @@ def training_time(cell: Mapping[str, Any]) -> TrainingTime:
 
 
 def _by_panel(
-    pooled: Iterable[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], Any]
+    pooled: Iterable[SummaryCell], value: Callable[[SummaryCell], Any]
 ) -> dict[str, dict[float, Any]]:
     panels: dict[str, dict[float, Any]] = {}
     for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.evaluation.as_part import outcomes
+from uavaccel.suites.evaluation.parts import outcomes
 from uavaccel.suites.host_time import wall_s
 from uavaccel.suites.parts import fly_part, part_folder, part_run
 from uavaccel.suites.rl.cells import EVALUATION_SEED, Cell, evaluation_part, flights, training_part

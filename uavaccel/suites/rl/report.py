@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uavaccel.draw.document import Block, Heading, Paragraph, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import published
-from uavaccel.suites.pages import finished_rows, listed, write_pages
+from uavaccel.suites.report import Report, Summary, SummaryCell, listed
 from uavaccel.suites.rl.figures import draw_figures, panel_name
 from uavaccel.suites.rl.summary import KEY, summarise
 
@@ -42,76 +43,76 @@ AS_TRAINED_HEADER = (
 )
 WEIGHTS_HEADER = ("trained with", "ClockSpeed", "seed", "training games won", "success", "weights (SHA-256)")
 
-Cell = Mapping[str, Any]
 
+class RlReport(Report):
+    """Of `uavaccel run rl`."""
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write summary.json, figures, report.md and report.html; the summary. Raises UserError without a finished cell."""
-    rows = finished_rows(run, "rl")
-    summary = summarise(run.config(), rows, run.load_arrays)
-    run.write_json("summary.json", summary)
-    pictures = draw_figures(run, summary, rows)
-    pooled = summary["pooled"]
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        Heading("Table I: success by training"),
-        Table(TABLE_HEADER, [_success_line(cell) for cell in pooled]),
-        Paragraph(_WHAT_N_TELLS),
-        *pictures[:2],
-    ]
-    if summary["interchange"]:
-        blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
-    if summary["as_trained"]:
-        lines = [_as_trained(flown) for flown in summary["as_trained"]]
-        blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
-    minutes = _machine_minutes(run, rows)
-    blocks += [
-        Heading("Time of the training"),
-        Table(TIME_HEADER, [_time_line(cell, minutes) for cell in pooled]),
-        Paragraph(_saved(pooled, minutes)),
-        Paragraph(_HOW_TIME_IS_MODELLED),
-        *pictures[2:],
-        Heading("Each training"),
-        Table(WEIGHTS_HEADER, [_training_line(cell) for cell in summary["cells"]]),
-    ]
-    write_pages(run, "Policies by the command and ClockSpeed of their training", blocks)
-    return summary
+    def summarise(self) -> Summary:
+        return summarise(self.config, self.rows, self.run.load_arrays)
 
+    def title(self) -> str:
+        return "Policies by the command and ClockSpeed of their training"
 
-def headline(summary: Mapping[str, Any]) -> str:
-    """How many trainings, of what size, evaluated on what."""
-    cells = summary["cells"]
-    games = sorted({cell["games"] for cell in cells})
-    return (
-        f"{len(cells)} trainings of {summary['training_games']} games, each policy flown on {listed(games)} lanes at "
-        f"{clock_label(summary['evaluation_clock_speed'])}; all times are modelled but those of this machine"
-    )
-
-
-def overview(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """One row of text for each training, its seeds pooled, below `SHORT_HEADER`."""
-    return [
-        (
-            panel_name(cell),
-            clock_label(cell["clock_speed"]),
-            listed(cell["seeds"]),
-            success(cell),
-            _text(cell["paper_successes"], "{} %"),
-            _text(cell["training_speedup"], "{:.3g}x"),
+    def headline(self) -> str:
+        """How many trainings, of what size, evaluated on what."""
+        cells, trained = self.summary["cells"], self.summary["training_games"]
+        lanes = listed(sorted({cell["games"] for cell in cells}))
+        clock = clock_label(self.summary["evaluation_clock_speed"])
+        return (
+            f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} lanes at {clock}; all times are "
+            "modelled but those of this machine"
         )
-        for cell in summary["pooled"]
-    ]
+
+    def overview(self) -> Table:
+        lines = [
+            (
+                panel_name(cell),
+                clock_label(cell["clock_speed"]),
+                listed(cell["seeds"]),
+                success(cell),
+                or_dash(cell["paper_successes"], "{} %".format),
+                or_dash(cell["training_speedup"], "{:.3g}x".format),
+            )
+            for cell in self.summary["pooled"]
+        ]
+        return Table(SHORT_HEADER, lines)
+
+    def figures(self) -> list[Picture]:
+        return draw_figures(self.run, self.summary, self.rows)
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        summary, pooled = self.summary, self.summary["pooled"]
+        blocks: list[Block] = [
+            Paragraph(self.headline() + "."),
+            Heading("Table I: success by training"),
+            Table(TABLE_HEADER, [_success_line(cell) for cell in pooled]),
+            Paragraph(_WHAT_N_TELLS),
+            *figures[:2],
+        ]
+        if summary["interchange"]:
+            blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
+        if summary["as_trained"]:
+            lines = [_as_trained(flown) for flown in summary["as_trained"]]
+            blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
+        minutes = _machine_minutes(self.run, self.rows)
+        return [
+            *blocks,
+            Heading("Time of the training"),
+            Table(TIME_HEADER, [_time_line(cell, minutes) for cell in pooled]),
+            Paragraph(_saved(pooled, minutes)),
+            Paragraph(_HOW_TIME_IS_MODELLED),
+            *figures[2:],
+            Heading("Each training"),
+            Table(WEIGHTS_HEADER, [_training_line(cell) for cell in summary["cells"]]),
+        ]
 
 
-def success(cell: Cell) -> str:
+def success(cell: SummaryCell) -> str:
     """23 of 100: 23.0 % [15.8, 32.2]."""
-    return (
-        f"{cell['successes']} of {cell['games']}: {cell['success_ratio']:.1%} "
-        f"[{100 * cell['wilson_low']:.1f}, {100 * cell['wilson_high']:.1f}]"
-    )
+    return f"{cell['successes']} of {cell['games']}: {Proportion.of(cell).text(interval_digits=1)}"
 
 
-def _success_line(cell: Cell) -> tuple[str, ...]:
+def _success_line(cell: SummaryCell) -> tuple[str, ...]:
     return (
         panel_name(cell),
         clock_label(cell["clock_speed"]),
@@ -119,9 +120,9 @@ def _success_line(cell: Cell) -> tuple[str, ...]:
         str(cell["games"]),
         success(cell),
         listed(cell["successes_by_seed"]),
-        _text(cell["paper_successes"], "{}"),
-        _text(cell["fisher_p"], "{:.2g}"),
-        _text(cell["mcnemar_p"], "{:.2g}"),
+        or_dash(cell["paper_successes"], "{}".format),
+        or_dash(cell["fisher_p"], "{:.2g}".format),
+        or_dash(cell["mcnemar_p"], "{:.2g}".format),
     )
 
 
@@ -131,12 +132,12 @@ def _as_trained(flown: Mapping[str, Any]) -> tuple[str, ...]:
         panel_name(flown),
         clock_label(flown["clock_speed"]),
         listed(flown["seeds"]),
-        *(success(real_time), _text(real_time["mcnemar_p"], "{:.2g}")),
-        *(success(own), _text(own["mcnemar_p"], "{:.2g}")),
+        *(success(real_time), or_dash(real_time["mcnemar_p"], "{:.2g}".format)),
+        *(success(own), or_dash(own["mcnemar_p"], "{:.2g}".format)),
     )
 
 
-def _interchange(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _interchange(summary: Summary) -> list[tuple[str, ...]]:
     return [
         (
             f"{panel_name(test)} {clock_label(test['clock_speed'])}",
@@ -151,22 +152,22 @@ def _interchange(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _time_line(cell: Cell, minutes: Mapping[tuple[Any, ...], float]) -> tuple[str, ...]:
+def _time_line(cell: SummaryCell, minutes: Mapping[tuple[Any, ...], float]) -> tuple[str, ...]:
     return (
         panel_name(cell),
         clock_label(cell["clock_speed"]),
         str(len(cell["seeds"])),
         f"{cell['training_wall_s'] / 3600:.3g}",
-        "-" if cell["real_time_s"] is None else f"{cell['real_time_s'] / 3600:.3g}",
-        _text(cell["training_speedup"], "{:.3g}x"),
-        _text(cell["paper_training_speedup"], "{:g}x"),
-        _text(cell["whole_training_speedup"], "{:.3g}x"),
-        _text(cell["paper_whole_training_speedup"], "{:g}x"),
-        _text(minutes.get(_key(cell)), "{:.3g}"),
+        or_dash(cell["real_time_s"], lambda s: f"{s / 3600:.3g}"),
+        or_dash(cell["training_speedup"], "{:.3g}x".format),
+        or_dash(cell["paper_training_speedup"], "{:g}x".format),
+        or_dash(cell["whole_training_speedup"], "{:.3g}x".format),
+        or_dash(cell["paper_whole_training_speedup"], "{:g}x".format),
+        or_dash(minutes.get(_key(cell)), "{:.3g}".format),
     )
 
 
-def _training_line(cell: Cell) -> tuple[str, ...]:
+def _training_line(cell: SummaryCell) -> tuple[str, ...]:
     return (
         panel_name(cell),
         clock_label(cell["clock_speed"]),
@@ -177,7 +178,7 @@ def _training_line(cell: Cell) -> tuple[str, ...]:
     )
 
 
-def _machine_minutes(run: RunDirectory, rows: Sequence[Cell]) -> dict[tuple[Any, ...], float]:
+def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> dict[tuple[Any, ...], float]:
     """Minutes that the trainings of a cell took here, one after another, by `KEY`."""
     took_s = {entry["case"]: entry["training_s"] for entry in run.timings() if "training_s" in entry}
     minutes: dict[tuple[Any, ...], float] = {}
@@ -187,7 +188,7 @@ def _machine_minutes(run: RunDirectory, rows: Sequence[Cell]) -> dict[tuple[Any,
     return minutes
 
 
-def _saved(pooled: Sequence[Cell], minutes: Mapping[tuple[Any, ...], float]) -> str:
+def _saved(pooled: Sequence[SummaryCell], minutes: Mapping[tuple[Any, ...], float]) -> str:
     """Modelled real time against this machine's, of all trainings that have both."""
     both = [cell for cell in pooled if cell["real_time_s"] is not None and _key(cell) in minutes]
     if not both:
@@ -202,12 +203,8 @@ def _saved(pooled: Sequence[Cell], minutes: Mapping[tuple[Any, ...], float]) -> 
     )
 
 
-def _key(cell: Cell) -> tuple[Any, ...]:
+def _key(cell: SummaryCell) -> tuple[Any, ...]:
     return tuple(cell[name] for name in KEY)
-
-
-def _text(value: Any, form: str) -> str:
-    return "-" if value is None else form.format(value)
 
 
 _WHAT_N_TELLS = (

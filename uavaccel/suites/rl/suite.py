@@ -10,6 +10,7 @@ from pathlib import Path
 from uavaccel.records import RunDirectory
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_suite
+from uavaccel.suites.report import Row
 from uavaccel.suites.rl.cells import (
     Cell,
     Size,
@@ -18,9 +19,10 @@ from uavaccel.suites.rl.cells import (
 )
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.flights import fly_cell
+from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
 from uavaccel.suites.rl.together import put_together
-from uavaccel.suites.suite import Cost, Flown, Row, Suite, Summary, SummaryTable
+from uavaccel.suites.suite import Cost, Flown, Suite
 
 
 class Rl(Suite[RlConfig, Cell]):
@@ -28,6 +30,7 @@ class Rl(Suite[RlConfig, Cell]):
 
     name = "rl"
     config = RlConfig
+    report_class = RlReport
     batch = 1
 
     def check(self, config: RlConfig) -> None:
@@ -66,25 +69,8 @@ class Rl(Suite[RlConfig, Cell]):
         flown = rows[-1]["evaluations"][0]
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
-    def headline(self, summary: Summary) -> str:
-        from uavaccel.suites.rl import report
-
-        return report.headline(summary)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.rl import report
-
-        return SummaryTable(report.SHORT_HEADER, report.overview(summary))
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.rl import report
-
-        return report.write_report(run)
-
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """One report of several runs' cells, in the first one's folder `together`."""
-        from uavaccel.suites.rl import report
-
         together = put_together(runs)
-        report.write_report(together)
+        self.report(together).write()
         return [together.path / "report.html"]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.metrics.intervals import fisher_exact_p, mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.suites import published
-from uavaccel.suites.suite import Row
+from uavaccel.suites.report import Row
 
 Arrays = Callable[[Row], Mapping[str, NDArray[Any]]]
 KEY = ("variant", "profile", "timing", "command", "clock_speed")
@@ -51,7 +51,7 @@ def _cell(row: Row, arrays: Mapping[str, NDArray[Any]], real_time: Sequence[Row]
     flown = row["evaluations"][0]
     return {
         **{name: row[name] for name in (*KEY, "seed")},
-        **_success(flown["successes"], flown["games"]),
+        **Proportion.of(flown).as_summary(),
         "distance_m_median": float(np.median(arrays[f"{row['command']}_distance_m"])),
         "trained_games": row["training"]["games"],
         "trained_successes": row["training"]["successes"],
@@ -83,18 +83,8 @@ def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> d
 def pooled_success(members: Sequence[Row], flight: int) -> dict[str, Any]:
     """Success of all seeds together in one of their flights."""
     flown = [row["evaluations"][flight] for row in members]
-    return _success(sum(each["successes"] for each in flown), sum(each["games"] for each in flown))
-
-
-def _success(won: int, games: int) -> dict[str, Any]:
-    low, high = wilson_interval(won, games)
-    return {
-        "games": games,
-        "successes": won,
-        "success_ratio": won / games,
-        "wilson_low": low,
-        "wilson_high": high,
-    }
+    won, games = (sum(each[key] for each in flown) for key in ("successes", "games"))
+    return Proportion(won, games).as_summary()
 
 
 def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: Arrays) -> dict[str, Any]:

@@ -7,25 +7,20 @@ from typing import Literal
 from pydantic import field_validator
 
 from uavaccel.limits import MOST_SCALE, Games
-from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, distinct
-from uavaccel.suites.parts import Part
+from uavaccel.suites.evaluation.parts import PolicyExperiment
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, ProfileName, distinct
 
 
-class RobustnessConfig(Experiment):
+class RobustnessConfig(PolicyExperiment):
     """`suite: robustness`."""
 
     suite: Literal["robustness"]
-    agent: str = DEFAULT
-    """As `uavaccel evaluate` takes it."""
     profile: ProfileName = "airsim"
     command: CommandNames = ("tcsc", "adsc")
     clock_speed: ClockSpeeds
     latency_scale: tuple[float, ...]
     """Times the latencies of the profile's model; flown in this order, so begin with what matters most."""
     games: Games = 100
-    """Evaluation lanes of each cell, the same ones in all."""
-    evaluation: Part = Part(experiment="evaluate")
 
     @field_validator("latency_scale")
     @classmethod

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
+from uavaccel.draw import style
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.draw.success_map import Success, draw_success_maps
-from uavaccel.metrics.intervals import wilson_interval
-from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.pages import finished_rows, write_pages
-from uavaccel.suites.suite import Row
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.suites.evaluation.parts import agent_name
+from uavaccel.suites.report import Report, Row, Summary, SummaryCell
+from uavaccel.suites.robustness.success_map import SuccessMap, plot_success_maps
 
 FIGURE = "figures/robustness_map.png"
 FITTED = 1.0
@@ -24,48 +23,52 @@ COLLAPSE_HEADER = (
     "falls below half of that in real time",
 )
 
-Cell = Mapping[str, Any]
 
+class RobustnessReport(Report):
+    """Of `uavaccel run robustness`."""
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it; the summary. Raises UserError if no cell is finished."""
-    rows = finished_rows(run, "robustness")
-    config = run.config()
-    summary = summarise(config, rows)
-    run.write_json("summary.json", summary)
-    lanes = max(row["games"] for row in rows)
-    source = f"modelled, profile {config['profile']} · {lanes} lanes each · seed {config['seed']}"
-    title = f"Success of {agent_name(config['agent'])} over latency and ClockSpeed"
-    picture = Picture(
-        draw_success_maps(maps(summary["cells"]), FITTED, title, run.file(FIGURE), source),
-        f"{title}, with 95 % Wilson intervals; the frame is the latency as fitted. Source: {source}.",
-    )
-    blocks: list[Block] = [
-        Paragraph(headline(summary) + "."),
-        picture,
-        Table(header(summary), table(summary)),
-        Heading("Where success collapses"),
-        Table(COLLAPSE_HEADER, [_collapse_line(each) for each in summary["collapses"]]),
-        Paragraph(_READING),
-    ]
-    write_pages(run, title, blocks)
-    return summary
+    def summarise(self) -> Summary:
+        return summarise(self.config, self.rows)
+
+    def title(self) -> str:
+        return f"Success of {agent_name(self.config['agent'])} over latency and ClockSpeed"
+
+    def headline(self) -> str:
+        """How much was flown, by whom."""
+        cells, who = self.summary["cells"], agent_name(self.summary["agent"])
+        return (
+            f"{who} in {sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and "
+            f"ClockSpeed, all of it modelled under {self.summary['profile']}"
+        )
+
+    def overview(self) -> Table:
+        return Table(header(self.summary), table(self.summary))
+
+    def figures(self) -> list[Picture]:
+        lanes = max(row["games"] for row in self.rows)
+        source = (
+            f"modelled, profile {self.config['profile']} · {lanes} lanes each · seed {self.config['seed']}"
+        )
+        figure = plot_success_maps(maps(self.summary["cells"]), FITTED, self.title(), source)
+        path = style.save(figure, self.run.file(FIGURE))
+        said = "with 95 % Wilson intervals; the frame is the latency as fitted"
+        return [Picture(path, f"{self.title()}, {said}. Source: {source}.")]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [
+            Paragraph(self.headline() + "."),
+            *figures,
+            self.overview(),
+            Heading("Where success collapses"),
+            Table(COLLAPSE_HEADER, [_collapse_line(each) for each in self.summary["collapses"]]),
+            Paragraph(_READING),
+        ]
 
 
 def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     """Every cell with its interval, and for each command and ClockSpeed between which latencies it collapses."""
-    cells = []
-    for row in rows:
-        low, high = wilson_interval(row["successes"], row["games"])
-        kept = ("command", "clock_speed", "latency_scale", "games", "successes", "distance_m_median")
-        cells.append(
-            {
-                **{name: row[name] for name in kept},
-                "success_ratio": row["successes"] / row["games"],
-                "wilson_low": low,
-                "wilson_high": high,
-            }
-        )
+    kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
+    cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
     pairs = sorted({(cell["command"], cell["clock_speed"]) for cell in cells})
     return {
         "suite": "robustness",
@@ -77,92 +80,65 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def collapse(cells: Sequence[Cell], command: str, clock_speed: float) -> dict[str, Any]:
+def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> dict[str, Any]:
     """Between which latencies success falls below half of the command's own in real time at the fitted latency.
 
     `above` is the largest latency below which it never does, `below` the next that was flown; None where there is
     none. Without the cell in real time both are None.
     """
-    line = {
-        cell["latency_scale"]: cell
+    success = {
+        (cell["clock_speed"], cell["latency_scale"]): cell["success_ratio"]
         for cell in cells
-        if (cell["command"], cell["clock_speed"]) == (command, clock_speed)
+        if cell["command"] == command
     }
-    real_time = next(
-        (
-            cell
-            for cell in cells
-            if (cell["command"], cell["clock_speed"], cell["latency_scale"]) == (command, 1.0, FITTED)
-        ),
-        None,
-    )
+    scales = sorted(scale for clock, scale in success if clock == clock_speed)
+    real_time = success.get((1.0, FITTED))
     found: dict[str, Any] = {"above": None, "below": None}
     if real_time is not None:
-        for scale in sorted(line):
-            if line[scale]["success_ratio"] < COLLAPSED * real_time["success_ratio"]:
+        for scale in scales:
+            if success[clock_speed, scale] < COLLAPSED * real_time:
                 found["below"] = scale
                 break
             found["above"] = scale
-    fitted = line.get(FITTED)
-    return {
-        "command": command,
-        "clock_speed": clock_speed,
-        "fitted": None if fitted is None else fitted["success_ratio"],
-        "real_time": None if real_time is None else real_time["success_ratio"],
-        **found,
-    }
+    fitted = success.get((clock_speed, FITTED))
+    return {"command": command, "clock_speed": clock_speed, "fitted": fitted, "real_time": real_time, **found}
 
 
-def maps(cells: Sequence[Cell]) -> dict[str, dict[tuple[float, float], Success]]:
+def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
     """The cells as the figure takes them, ADSC first."""
-    found: dict[str, dict[tuple[float, float], Success]] = {}
+    found: dict[str, dict[tuple[float, float], Proportion]] = {}
     for cell in sorted(cells, key=lambda cell: str(cell["command"])):
         panel = found.setdefault(command_name(cell["command"]), {})
-        panel[cell["latency_scale"], cell["clock_speed"]] = Success(
-            cell["success_ratio"], cell["wilson_low"], cell["wilson_high"]
-        )
-    return found
+        panel[cell["latency_scale"], cell["clock_speed"]] = Proportion.of(cell)
+    return dict(found)
 
 
-def agent_name(agent: str) -> str:
-    """An agent in a sentence."""
-    return "the policy that ships" if agent == DEFAULT else agent
-
-
-def headline(summary: Mapping[str, Any]) -> str:
-    """How much was flown, by whom."""
-    games, points = sum(cell["games"] for cell in summary["cells"]), len(summary["cells"])
-    return (
-        f"{agent_name(summary['agent'])} in {games} games over {points} points of latency and ClockSpeed, all of it "
-        f"modelled under {summary['profile']}"
-    )
-
-
-def header(summary: Mapping[str, Any]) -> tuple[str, ...]:
+def header(summary: Summary) -> tuple[str, ...]:
+    """A column for each ClockSpeed."""
     return ("command", "latency", *(clock_label(clock) for clock in _clocks(summary)))
 
 
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """A line for each command and latency, below `header`."""
-    cells = {(cell["command"], cell["latency_scale"], cell["clock_speed"]): cell for cell in summary["cells"]}
-    lines = []
-    for command, scale in sorted({key[:2] for key in cells}):
-        line = [cells.get((command, scale, clock)) for clock in _clocks(summary)]
-        lines.append(
-            (command_name(command), f"×{scale:g}", *("-" if each is None else _text(each) for each in line))
+    success = {
+        (cell["command"], cell["latency_scale"], cell["clock_speed"]): Proportion.of(cell).text(0)
+        for cell in summary["cells"]
+    }
+    return [
+        (
+            command_name(command),
+            f"×{scale:g}",
+            *(success.get((command, scale, clock), "-") for clock in _clocks(summary)),
         )
-    return lines
+        for command, scale in sorted({key[:2] for key in success})
+    ]
 
 
-def _clocks(summary: Mapping[str, Any]) -> list[float]:
+def _clocks(summary: Summary) -> list[float]:
     return sorted({cell["clock_speed"] for cell in summary["cells"]})
 
 
-def _text(cell: Cell) -> str:
-    return f"{cell['success_ratio']:.0%} [{100 * cell['wilson_low']:.0f}, {100 * cell['wilson_high']:.0f}]"
-
-
-def _collapse_line(found: Mapping[str, Any]) -> tuple[str, ...]:
+def _collapse_line(found: Summary) -> tuple[str, ...]:
     above, below = found["above"], found["below"]
     if found["real_time"] is None:
         where = "- (1x at the fitted latency was not flown)"
@@ -170,7 +146,7 @@ def _collapse_line(found: Mapping[str, Any]) -> tuple[str, ...]:
         where = f"nowhere up to ×{above:g}"
     else:
         where = f"at ×{below:g} or less" if above is None else f"between ×{above:g} and ×{below:g}"
-    fitted = "-" if found["fitted"] is None else f"{found['fitted']:.1%}"
+    fitted = or_dash(found["fitted"], "{:.1%}".format)
     return command_name(found["command"]), clock_label(found["clock_speed"]), fitted, where
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Any
 
-from uavaccel.errors import UsageError
+from uavaccel.errors import UsageError, suggestion
 from uavaccel.yaml_io import parse_yaml
 
 SHORT = {
@@ -57,11 +56,7 @@ def key_of(name: str) -> str:
         return SHORT[name]
     if name.startswith("task."):
         return name
-    close = difflib.get_close_matches(name, SHORT, n=1)
-    hint = (
-        f"did you mean {close[0]}?" if close else f"there are {', '.join(SHORT)}, and dotted keys, task.KEY"
-    )
-    raise UsageError(f"--sweep {name}: is unknown; {hint}")
+    raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*SHORT, 'task.KEY'])}")
 
 
 def keys_of(name: str, value: Any) -> dict[str, Any]:

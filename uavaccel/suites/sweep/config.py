@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
-from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import Part
+from uavaccel.suites.evaluation.parts import PolicyExperiment
 from uavaccel.suites.sweep.conditions import key_of, value_text
 
 
-class SweepConfig(Experiment):
+class SweepConfig(PolicyExperiment):
     """`suite: sweep`."""
 
     suite: Literal["sweep"]
-    agent: str = DEFAULT
-    """As `uavaccel evaluate` takes it."""
-    games: Annotated[int, Field(ge=1)] = 300
-    """Evaluation lanes of each condition, the same ones in all."""
     sweep: dict[str, tuple[Any, ...]]
     """By short name (suites/sweep/conditions.py) or dotted key, the values: one at a time, all else as trained."""
-    evaluation: Part = Part(experiment="evaluate")
 
     @field_validator("sweep")
     @classmethod

@@ -7,41 +7,59 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
-from uavaccel.draw.sweep import Sweep, SweptPoint, draw_sweeps
-from uavaccel.metrics.intervals import mcnemar_exact, wilson_interval
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
-from uavaccel.suites.pages import finished_rows, write_pages
-from uavaccel.suites.robustness.report import agent_name
-from uavaccel.suites.suite import Row
-from uavaccel.suites.sweep.cases import AS_TRAINED, case_id
+from uavaccel.suites.evaluation.parts import agent_name
+from uavaccel.suites.report import Report, Row, Summary
 from uavaccel.suites.sweep.conditions import UNITS, value_text
+from uavaccel.suites.sweep.figure import plot_sweeps
 
 FIGURE = "figures/sweep.png"
+AS_TRAINED = "as-trained"
 HEADER = ("condition", "value", "success", "95 % interval", "lanes", "median distance, m", "p")
 
-Cell = Mapping[str, Any]
 Won = Mapping[str, NDArray[Any]]
 
 
-def write_report(run: RunDirectory) -> dict[str, Any]:
-    """Write it; the summary. Raises UserError if no condition is finished."""
-    rows = finished_rows(run, "sweep")
-    won = {row["case"]: run.load_arrays(row)["is_success"] for row in rows}
-    summary = summarise(run.config(), rows, won)
-    run.write_json("summary.json", summary)
-    lanes, provenance = summary["lanes"], " and ".join(summary["provenance"])
-    source = f"{provenance} · {lanes} lanes each · seed {summary['seed']}"
-    title = f"Success of {agent_name(summary['agent'])}, one condition changed at a time"
-    picture = Picture(
-        draw_sweeps(swept(summary), as_trained(summary), title, run.file(FIGURE), source),
-        f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained. Source: {source}.",
-    )
-    result = Table(HEADER, table(summary))
-    blocks: list[Block] = [Paragraph(headline(summary) + "."), picture, result, Paragraph(_READING)]
-    write_pages(run, title, blocks)
-    return summary
+class SweepReport(Report):
+    """Of `uavaccel evaluate --sweep` and `uavaccel run sweep`."""
+
+    def summarise(self) -> Summary:
+        won = {row["case"]: self.run.load_arrays(row)["is_success"] for row in self.rows}
+        return summarise(self.config, self.rows, won)
+
+    def title(self) -> str:
+        return f"Success of {agent_name(self.summary['agent'])}, one condition changed at a time"
+
+    def headline(self) -> str:
+        """The success as trained, and where it is least."""
+        departed = [cell for cell in self.summary["cells"] if cell["condition"]]
+        usual = as_trained(self.summary)
+        parts = [] if usual is None else [f"{usual:.1%} as trained"]
+        if departed:
+            worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
+            where = f"{worst['condition']} = {value_text(worst['value'])}"
+            parts.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
+        provenance = " and ".join(self.summary["provenance"])
+        who, lanes = agent_name(self.summary["agent"]), self.summary["lanes"]
+        return f"{who} wins {', '.join(parts)}; {provenance}, {lanes} lanes each"
+
+    def overview(self) -> Table:
+        return Table(HEADER, table(self.summary))
+
+    def figures(self) -> list[Picture]:
+        summary, title = self.summary, self.title()
+        provenance = " and ".join(summary["provenance"])
+        source = f"{provenance} · {summary['lanes']} lanes each · seed {summary['seed']}"
+        figure = plot_sweeps(swept(summary), as_trained(summary), title, source)
+        path = style.save(figure, self.run.file(FIGURE))
+        said = "with 95 % Wilson intervals; the dashed line is the success as trained"
+        return [Picture(path, f"{title}, {said}. Source: {source}.")]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
 def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> dict[str, Any]:
@@ -72,55 +90,40 @@ def _conditions(config: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return [("", None), *((name, value) for name, values in config["sweep"].items() for value in values)]
 
 
+def case_id(condition: str, value: Any) -> str:
+    """Name of a condition's row."""
+    return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
+
+
 def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
-    low, high = wilson_interval(row["successes"], row["games"])
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
     return {
         "condition": name,
         "value": value,
-        "games": row["games"],
-        "successes": row["successes"],
-        "success_ratio": row["successes"] / row["games"],
-        "wilson_low": low,
-        "wilson_high": high,
+        **Proportion.of(row).as_summary(),
         "distance_m_median": row["distance_m_median"],
         "mcnemar_p": test,
     }
 
 
-def as_trained(summary: Mapping[str, Any]) -> float | None:
+def as_trained(summary: Summary) -> float | None:
     """The success under the conditions of the training, if that is flown."""
     return next((cell["success_ratio"] for cell in summary["cells"] if not cell["condition"]), None)
 
 
-def swept(summary: Mapping[str, Any]) -> list[Sweep]:
-    """The cells as the figure takes them."""
-    sweeps: dict[str, list[SweptPoint]] = {}
+def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
+    """Success by condition and value, as the figure takes it."""
+    sweeps: dict[str, dict[str, Proportion]] = {}
     for cell in summary["cells"]:
         if cell["condition"]:
-            ends = cell["success_ratio"], cell["wilson_low"], cell["wilson_high"]
-            sweeps.setdefault(cell["condition"], []).append(SweptPoint(value_text(cell["value"]), *ends))
-    return [Sweep(_name(name), points) for name, points in sweeps.items()]
+            values = sweeps.setdefault(_name(cell["condition"]), {})
+            values[value_text(cell["value"])] = Proportion.of(cell)
+    return sweeps
 
 
-def headline(summary: Mapping[str, Any]) -> str:
-    """The success as trained, and where it is least."""
-    departed = [cell for cell in summary["cells"] if cell["condition"]]
-    usual = as_trained(summary)
-    parts = [] if usual is None else [f"{usual:.1%} as trained"]
-    if departed:
-        worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
-        where = f"{worst['condition']} = {value_text(worst['value'])}"
-        parts.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
-    provenance = " and ".join(summary["provenance"])
-    return (
-        f"{agent_name(summary['agent'])} wins {', '.join(parts)}; {provenance}, {summary['lanes']} lanes each"
-    )
-
-
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """A line for each condition, below HEADER."""
     return [
         (

@@ -1,93 +1,52 @@
-"""A sweep as a suite: a case is an evaluation under one condition, a run directory of its own below the run's."""
+"""A sweep as a suite: a case is an evaluation in which one condition departs from the training's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import replace
 
-from uavaccel.errors import UserError
-from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import policy_sha256
-from uavaccel.suites.evaluation.as_part import OF_SUMMARY, fly_evaluation, won
-from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.parts import EvaluationCase, PolicySuite
 from uavaccel.suites.experiment import timing_of
-from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_cost, part_suite
-from uavaccel.suites.suite import AnySuite, Cost, Flown, Row, Suite, Summary, SummaryTable
-from uavaccel.suites.sweep.cases import Case, cases, conditions, part_of
+from uavaccel.suites.sweep.conditions import keys_of
 from uavaccel.suites.sweep.config import SweepConfig
+from uavaccel.suites.sweep.report import AS_TRAINED, SweepReport, case_id
 
 
-class Sweep(Suite[SweepConfig, Case]):
+class Sweep(PolicySuite[SweepConfig]):
     """`uavaccel evaluate --sweep`, `uavaccel run sweep`."""
 
     name = "sweep"
     config = SweepConfig
-    batch = 1
+    report_class = SweepReport
+    kept = (*PolicySuite.kept, "timing")
 
-    def check(self, config: SweepConfig) -> None:
-        for case in conditions(config):
-            _, evaluation = part_suite(part_of(config, case), config.seed)
-            if not isinstance(evaluation, EvaluateConfig):
-                raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
+    def evaluations(self, config: SweepConfig) -> Iterator[EvaluationCase]:
+        """As trained, then one condition at a time."""
+        yield EvaluationCase(AS_TRAINED, {}, {"condition": "", "value": None})
+        for name, values in config.sweep.items():
+            for value in values:
+                labels = {"condition": name, "value": value}
+                yield EvaluationCase(case_id(name, value), keys_of(name, value), labels)
 
-    def cases(self, config: SweepConfig) -> Iterator[Case]:
-        return cases(config)
-
-    def games(self, config: SweepConfig, case: Case) -> int:
-        return config.games
-
-    def cost(self, config: SweepConfig, case: Case) -> Cost:
-        return part_cost(part_of(config, case), config.seed)[1]
-
-    def renders(self, config: SweepConfig) -> bool:
-        suite, evaluation = _as_trained(config)
-        return suite.renders(evaluation)
+    def cases(self, config: SweepConfig) -> Iterator[EvaluationCase]:
+        """What is flown: conditions that change nothing are flown once, as trained."""
+        evaluations = [
+            (case, part, part_suite(part, config.seed)[1])
+            for case in self.evaluations(config)
+            for part in [self.part(config, case)]
+        ]
+        (_, _, usual), *departed = evaluations
+        same = [case.id for case, _, evaluation in departed if evaluation == usual]
+        for case, part, evaluation in evaluations:
+            if case.id not in same:
+                labels = {**case.labels, "same": same if case.id == AS_TRAINED else []}
+                simulated_s, _ = part_cost(part, config.seed)
+                yield replace(case, labels=labels, timing=timing_of(evaluation), simulated=simulated_s)
 
     def why_serial(self, config: SweepConfig) -> str:
         """As its evaluations."""
-        suite, evaluation = _as_trained(config)
+        suite, evaluation = self.first(config)
         if timing_of(evaluation) == "wall":
             return "neighbours would spoil the measurement on the wall clock"
         return suite.why_serial(evaluation)
-
-    def provenance(self, config: SweepConfig) -> Mapping[str, Any]:
-        return {"policy_sha256": policy_sha256(config.agent)}
-
-    def open(
-        self, config: SweepConfig, timing: str, run: RunDirectory
-    ) -> AbstractContextManager[RunDirectory]:
-        return on_own_gpu(run)
-
-    def fly(self, config: SweepConfig, case: Case, opened: RunDirectory) -> Flown:
-        row = {
-            "suite": self.name,
-            "case": case.id,
-            "condition": case.condition,
-            "value": case.value,
-            "same": list(case.same),
-        }
-        return fly_evaluation(opened, row, part_of(config, case), config.seed, (*OF_SUMMARY, "timing"))
-
-    def status(self, rows: Sequence[Row]) -> str:
-        return won(rows[-1])
-
-    def headline(self, summary: Summary) -> str:
-        from uavaccel.suites.sweep import report
-
-        return report.headline(summary)
-
-    def overview(self, summary: Summary) -> SummaryTable:
-        from uavaccel.suites.sweep import report
-
-        return SummaryTable(report.HEADER, report.table(summary))
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.sweep import report
-
-        return report.write_report(run)
-
-
-def _as_trained(config: SweepConfig) -> tuple[AnySuite, Any]:
-    return part_suite(part_of(config, Case()), config.seed)

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Picture, Table
-from uavaccel.draw.phases import PhaseTimes, draw_phases
-from uavaccel.draw.style import clock_label, command_name
-from uavaccel.envs.stopwatch import PHASES
+from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import published
-from uavaccel.suites.disturbed import disturbed_words
-from uavaccel.suites.host_time import in_words, over_all_starts, wall_s
-from uavaccel.suites.pages import finished_rows, listed, summary_blocks, write_pages
-from uavaccel.suites.suite import Summary
+from uavaccel.suites.host_time import in_words, pace, wall_s
+from uavaccel.suites.report import Report, Summary, summary_table
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.curve import draw_over_games, draw_runs
 from uavaccel.suites.training.evaluations import evaluations
+from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
+from uavaccel.suites.training.phases import draw_trainings, told_apart, trainings_source
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
-from uavaccel.suites.training.summary import headline, summarise, summarise_evaluations
+from uavaccel.suites.training.summary import summarise, summarise_evaluations
 
 FIGURE = "figures/figure9_phases.png"
 COMPARISON = "figures/figure9_phases_compared.png"
@@ -33,30 +28,53 @@ GAMES_COMPARED = "figures/learning_games_compared.png"
 OVER_GAMES, OVER_TIME = "figures/learning_games.png", "figures/learning_curve.png"
 
 
-def write_report(run: RunDirectory) -> Summary:
-    """Write them into a training's folder; the summary. Raises UserError if it has no finished game."""
-    rows = finished_rows(run, "train")
-    config = validate(TrainConfig, run.config(), str(run.path / "config.yaml"))
-    trained = trained_with(run.path)
-    over = trained.get("games") == len(rows)
-    summary = summarise(config, rows, trained["weights_sha256"] if over else None)
-    if over and (run.path / REAL_TIME).is_file():
-        summary |= in_real_time(summary["commands"], run.read_json(REAL_TIME))
-    if evaluated := summarise_evaluations(evaluations(run)):
-        summary["evaluations"] = evaluated
-    run.write_json("summary.json", summary)
-    path = draw_trainings([run], run.file(FIGURE))
-    picture = Picture(path, f"Figure 9. Time of the training by phase. Source: {_source([run])}.")
-    blocks = summary_blocks(
-        headline(summary),
-        summary,
-        _beside_the_papers(run, summary),
-        *_curves(run),
-        *_evaluated(evaluated),
-        picture,
-    )
-    write_pages(run, f"Training, {config.algorithm}, seed {config.seed}", blocks)
-    return summary
+class TrainingReport(Report):
+    """Of `uavaccel train`."""
+
+    def summarise(self) -> Summary:
+        config = validate(TrainConfig, self.config, str(self.run.path / "config.yaml"))
+        trained = trained_with(self.run.path)
+        over = trained.get("games") == len(self.rows)
+        summary = summarise(config, self.rows, trained["weights_sha256"] if over else None)
+        if over and (self.run.path / REAL_TIME).is_file():
+            summary |= in_real_time(summary["commands"], self.run.read_json(REAL_TIME))
+        if evaluated := summarise_evaluations(evaluations(self.run)):
+            summary["evaluations"] = evaluated
+        return summary
+
+    def title(self) -> str:
+        return f"Training, {self.config['algorithm']}, seed {self.config['seed']}"
+
+    def headline(self) -> str:
+        """The result in a sentence."""
+        summary = self.summary
+        weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
+        return (
+            f"{summary['successes']} of {summary['games']} training games succeeded, "
+            f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
+            f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
+        )
+
+    def pace(self) -> str:
+        return pace(self.run)
+
+    def figures(self) -> list[Picture]:
+        path = draw_trainings([self.run], self.run.file(FIGURE))
+        phases = Picture(
+            path, f"Figure 9. Time of the training by phase. Source: {trainings_source([self.run])}."
+        )
+        return [*_curves(self.run), phases]
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        *curves, phases = figures
+        return [
+            Paragraph(self.headline() + "."),
+            _beside_the_papers(self.run, self.summary),
+            *curves,
+            *_evaluated(self.summary.get("evaluations", ())),
+            phases,
+            summary_table(self.summary),
+        ]
 
 
 def _curves(run: RunDirectory) -> list[Picture]:
@@ -81,7 +99,7 @@ def _evaluated(lines: Sequence[Mapping[str, Any]]) -> list[Table]:
     rows = [
         (
             str(line["games"]),
-            f"{line['success_ratio']:.1%} [{100 * line['wilson_low']:.0f}, {100 * line['wilson_high']:.0f}]",
+            Proportion(line["successes"], line["lanes"]).text(),
             str(line["lanes"]),
             f"{line['distance_m_median']:.1f}",
         )
@@ -99,10 +117,10 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
     real_time_s = summary.get("modelled_real_time_s")
     rows = [
         ("games", str(summary["games"]), str(published.TRAINING_GAMES), "counted"),
-        ("wall clock", in_words(wall_s(run)) if wall_s(run) else "-", "-", "measured, start-up not counted"),
+        ("wall clock", or_dash(wall_s(run) or None, in_words), "-", "measured, start-up not counted"),
         (
             "in real time",
-            "-" if real_time_s is None else in_words(real_time_s),
+            or_dash(real_time_s, in_words),
             in_words(published.REAL_TIME_S),
             "ours modelled, the paper's measured",
         ),
@@ -110,59 +128,11 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
     return Table(("", "this training", "the paper's", "how"), rows)
 
 
-def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
-    """Figure 9 with a bar for each training; returns `path`."""
-    return draw_phases(_told_apart(runs), path, _source(runs))
-
-
 def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
     """Figure 9 and the learning curves of several trainings, in the first one's folder."""
-    labels = [training.label.replace("\n", ", ") for training in _told_apart(runs)]
+    labels = [training.label.replace("\n", ", ") for training in told_apart(runs)]
     return [
         draw_trainings(runs, runs[0].file(COMPARISON)),
         draw_runs(runs, labels, runs[0].file(CURVES)),
         draw_over_games(runs, runs[0].file(GAMES_COMPARED)),
     ]
-
-
-def _source(runs: Sequence[RunDirectory]) -> str:
-    games = listed(sorted({len(run.rows()) for run in runs}))
-    seeds = listed(sorted({run.config()["seed"] for run in runs}))
-    clocks = " and ".join(sorted({_clock(run) for run in runs}))
-    disturbed = disturbed_words([row for run in runs for row in run.rows()])
-    return " · ".join([clocks, f"{games} games", f"seed {seeds}", *disturbed])
-
-
-def _told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
-    """Times of the trainings; where labels are alike, each has its folder below."""
-    trainings = [phase_times(run) for run in runs]
-    named = Counter(training.label for training in trainings)
-    return [
-        replace(training, label=f"{training.label}\n{run.path}") if named[training.label] > 1 else training
-        for training, run in zip(trainings, runs, strict=True)
-    ]
-
-
-def phase_times(run: RunDirectory) -> PhaseTimes:
-    """Of a training: by its own clock where that is simulated, else by the machine's."""
-    config, rows = run.config(), run.rows()
-    task = config["task"]
-    flown_by = f"{command_name(task['command'])} {clock_label(task['clock_speed'])}"
-    label = f"{flown_by}\n{task['timing']}, seed {config['seed']}"
-    sim_time_s = sum(row["sim_time_s"] for row in rows)
-    if task["timing"] == "virtual":
-        phase_s = {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES}
-        return PhaseTimes(label, phase_s, sim_time_s / (sum(phase_s.values()) / config["environments"]))
-    timings = run.timings()
-    flown, learned = Counter[str](), over_all_starts([entry["learner_s"] for entry in timings])
-    for entry in timings:
-        flown.update(entry["host_phase_s"])
-    return PhaseTimes(
-        label, {phase: flown[phase] + learned[phase] for phase in PHASES}, sim_time_s / wall_s(run)
-    )
-
-
-def _clock(run: RunDirectory) -> str:
-    if run.config()["task"]["timing"] == "virtual":
-        return "modelled"
-    return "measured, learning beside the flight"

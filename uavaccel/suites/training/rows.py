@@ -15,7 +15,8 @@ from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.rl.learner import Game
 from uavaccel.suites.disturbed import measured_disturbances
-from uavaccel.suites.suite import Flown, Row
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import Flown
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.units import NS_PER_S
 

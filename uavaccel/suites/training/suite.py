@@ -15,8 +15,8 @@ from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.algorithms import check_algorithm
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.host_time import pace
-from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Row, Suite, Summary, flying_s
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Suite, flying_s
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import (
     CHECKPOINTS,
@@ -27,8 +27,8 @@ from uavaccel.suites.training.flights import (
     open_trainer,
 )
 from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
+from uavaccel.suites.training.report import TrainingReport, compare_trainings
 from uavaccel.suites.training.rows import RECENT
-from uavaccel.suites.training.summary import headline
 
 LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
 
@@ -38,6 +38,7 @@ class Training(Suite[TrainConfig, Case]):
 
     name = "train"
     config = TrainConfig
+    report_class = TrainingReport
     serial = "its games learn from each other; --set environments=N flies N lanes side by side"
 
     def check(self, config: TrainConfig) -> None:
@@ -66,9 +67,6 @@ class Training(Suite[TrainConfig, Case]):
     def finish(self, config: TrainConfig, run: RunDirectory) -> None:
         run.write_json(REAL_TIME, model_real_time(config))
 
-    def pace(self, run: RunDirectory) -> str:
-        return pace(run)
-
     def renders(self, config: TrainConfig) -> bool:
         return config.task.observation != "state"
 
@@ -93,15 +91,5 @@ class Training(Suite[TrainConfig, Case]):
             f"success of the last {len(recent)}: {sum(row['is_success'] for row in recent) / len(recent):.0%}"
         )
 
-    def headline(self, summary: Summary) -> str:
-        return headline(summary)
-
-    def report(self, run: RunDirectory) -> Summary:
-        from uavaccel.suites.training import report
-
-        return report.write_report(run)
-
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        from uavaccel.suites.training import report
-
-        return report.compare_trainings(runs)
+        return compare_trainings(runs)

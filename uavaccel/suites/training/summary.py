@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.metrics.intervals import wilson_interval
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.host_time import in_words
-from uavaccel.suites.suite import Row, Summary
+from uavaccel.suites.report import Row
 from uavaccel.suites.training.config import TrainConfig
 
 
@@ -38,29 +37,12 @@ def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | No
 
 def summarise_evaluations(lines: Sequence[Row]) -> list[dict[str, Any]]:
     """Of each line of evaluations.jsonl: success with its 95 % Wilson interval, and how far the policy got."""
-    found = []
-    for line in lines:
-        lanes, successes = len(line["lanes"]), line["successes"]
-        low, high = wilson_interval(successes, lanes)
-        found.append(
-            {
-                "games": line["games"],
-                "lanes": lanes,
-                "successes": successes,
-                "success_ratio": successes / lanes,
-                "wilson_low": low,
-                "wilson_high": high,
-                "distance_m_median": float(np.median(line["distance_m"])),
-            }
-        )
-    return found
-
-
-def headline(summary: Summary) -> str:
-    """The result in a sentence."""
-    weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
-    return (
-        f"{summary['successes']} of {summary['games']} training games succeeded, "
-        f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
-        f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
-    )
+    return [
+        {
+            **Proportion(line["successes"], len(line["lanes"])).as_summary(),
+            "games": line["games"],
+            "lanes": len(line["lanes"]),
+            "distance_m_median": float(np.median(line["distance_m"])),
+        }
+        for line in lines
+    ]

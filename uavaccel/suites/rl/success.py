@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
+from uavaccel.metrics.intervals import Proportion
 
 
 @dataclass(frozen=True)
 class SuccessLine:
-    """One command's success ratios by ClockSpeed, with the ends of their intervals, and those of each seed."""
+    """One command's success by ClockSpeed, and the ratios of each seed."""
 
     label: str
     command: str
     clock_speed: Sequence[float]
-    ratio: Sequence[float]
-    low: Sequence[float]
-    high: Sequence[float]
+    success: Sequence[Proportion]
     by_seed: Sequence[Sequence[float]] = ()
     dashed: bool = False
     colour: str | None = None
     """The command's own unless one is given."""
-
-
-def draw_success(lines: Sequence[SuccessLine], title: str, path: Path, source: str) -> Path:
-    """Write `plot_success` as a PNG; returns `path`."""
-    return style.save(plot_success(lines, title, source), path)
 
 
 def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figure:
@@ -42,11 +35,10 @@ def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figur
         for number, line in enumerate(lines):
             aside = 0.06 * (number - (len(lines) - 1) / 2)
             places = np.array([clocks.index(clock) for clock in line.clock_speed]) + aside
-            ratio = np.asarray(line.ratio)
-            below = [ratio - np.asarray(line.low), np.asarray(line.high) - ratio]
+            ratio = [each.ratio for each in line.success]
             colour = line.colour or style.COMMAND_COLOUR.get(line.command, style.GREEN)
             axes.errorbar(
-                places, ratio, np.maximum(below, 0.0), label=line.label, color=colour, marker="o", markersize=4,
+                places, ratio, style.error_bars(line.success), label=line.label, color=colour, marker="o", markersize=4,
                 capsize=3, linestyle=":" if line.dashed else "-", alpha=0.5 if line.dashed else 1.0,
             )  # fmt: skip
             for place, seeds in zip(places, line.by_seed, strict=False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from uavaccel.draw import style
+from uavaccel.draw.document import Picture
+from uavaccel.suites.dp1.scores import CellScores, rows_of
+from uavaccel.suites.report import Summary, SummaryCell
+from uavaccel.suites.source_line import source_line
 
 _MARKERS = "osD^v<>"
 
@@ -28,9 +33,30 @@ class SpeedupCurve:
     high: np.ndarray
 
 
-def draw_speedup(curves: Sequence[SpeedupCurve], path: Path, source: str, rounds: int) -> Path:
-    """Write `plot_speedup` as a PNG; returns `path`."""
-    return style.save(plot_speedup(curves, source, rounds), path)
+def speedup_figure(scores: Sequence[CellScores], summary: Summary, path: Path) -> Picture:
+    """Figure 6 from the cells with most rounds."""
+    rounds = max((cell["rounds"] for cell in summary["cells"]), default=0)
+    curves: dict[tuple[str, float], list[SummaryCell]] = defaultdict(list)
+    for cell in summary["cells"]:
+        if cell["rounds"] == rounds and cell["effective_speedup"] is not None:
+            curves[cell["command"], cell["t_move_s"]].append(cell)
+    source = source_line(rows_of([score for score in scores if score.cell.key.rounds == rounds]))
+    drawn = [_curve(*key, cells) for key, cells in sorted(curves.items())]
+    style.save(plot_speedup(drawn, source, rounds), path)
+    return Picture(
+        path,
+        f"Figure 6. Effective speed-up of games of {style.rounds_label(rounds)}: mean wall time of ADSC at 1x over the "
+        f"cell's, with 95 % bootstrap intervals over games. Dashed: the ideal. Source: {source}.",
+    )
+
+
+def _curve(command: str, t_move_s: float, cells: Sequence[SummaryCell]) -> SpeedupCurve:
+    cells = sorted(cells, key=lambda cell: cell["clock_speed"])
+    speedup = [cell["effective_speedup"] for cell in cells]
+    interval = [cell["effective_speedup_interval"] or [cell["effective_speedup"]] * 2 for cell in cells]
+    low, high = np.array(interval, dtype=float).T
+    clocks = np.array([cell["clock_speed"] for cell in cells])
+    return SpeedupCurve(command, t_move_s, clocks, np.array(speedup), low, high)
 
 
 def plot_speedup(curves: Sequence[SpeedupCurve], source: str, rounds: int) -> Figure:

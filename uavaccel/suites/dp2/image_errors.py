@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,11 +32,6 @@ class ImageCloud:
         """Which images have neither error, (images,)."""
         exact: NDArray[np.bool_] = (self.dvs_ed_percent == 0) & (self.position_error_m == 0)
         return exact
-
-
-def draw_images(clouds: Sequence[ImageCloud], path: Path, source: str) -> Path:
-    """Write `plot_images` as a PNG; returns `path`."""
-    return style.save(plot_images(clouds, source), path)
 
 
 def plot_images(clouds: Sequence[ImageCloud], source: str) -> Figure:

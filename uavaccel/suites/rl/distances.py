@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,11 +15,6 @@ from uavaccel.sim.lane.layout import LENGTH_M
 BIN_M = 2.0
 
 Distances = Mapping[str, Mapping[float, Sequence[float]]]
-
-
-def draw_distances(panels: Distances, rows_m: Sequence[float], path: Path, source: str) -> Path:
-    """Write `plot_distances` as a PNG; returns `path`."""
-    return style.save(plot_distances(panels, rows_m, source), path)
 
 
 def plot_distances(panels: Distances, rows_m: Sequence[float], source: str) -> Figure:

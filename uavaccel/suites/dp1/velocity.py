@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from uavaccel.draw import style
+from uavaccel.draw.document import Picture
+from uavaccel.metrics.trajectory import command_gaps_s
+from uavaccel.suites.dp1.scores import LoadArrays
+from uavaccel.suites.report import Row
+from uavaccel.suites.source_line import source_line
 
 _AXIS_NAMES = ("north", "east", "down")
 _END: dict[str, Any] = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
@@ -32,9 +37,31 @@ class VelocityPanel:
     command_end_s: np.ndarray
 
 
-def draw_velocity(panels: Sequence[VelocityPanel], path: Path, source: str, title: str = "Velocity") -> Path:
-    """Write `plot_velocity` as a PNG; returns `path`."""
-    return style.save(plot_velocity(panels, source, title), path)
+def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) -> Picture:
+    """Figure 2 from the games of role "figure2": two steps forward and one back, slowest ClockSpeed on top."""
+    flown = [row for row in rows if row["role"] == "figure2" and row.get("error") is None]
+    flown.sort(key=lambda row: row["clock_speed"])
+    source = source_line(flown)
+    panels = [_velocity_panel(row, load_arrays(row)) for row in flown]
+    style.save(plot_velocity(panels, source, "Two steps forward, one back"), path)
+    return Picture(
+        path,
+        "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the "
+        "run's highest ClockSpeed. Dashed: a command ends. Grey: no command runs, the drone flies on while "
+        f"the client reacts. Source: {source}.",
+    )
+
+
+def _velocity_panel(row: Row, arrays: Mapping[str, np.ndarray]) -> VelocityPanel:
+    start_s, end_s = arrays["command_start_s"], arrays["command_end_s"]
+    gap_ms = float(np.mean(command_gaps_s(start_s, end_s))) * 1e3
+    return VelocityPanel(
+        f"{style.command_at_clock(row)}: {gap_ms:.1f} ms between commands",
+        arrays["time_s"],
+        arrays["linear_velocity_m_s"],
+        start_s,
+        end_s,
+    )
 
 
 def plot_velocity(panels: Sequence[VelocityPanel], source: str, title: str) -> Figure:

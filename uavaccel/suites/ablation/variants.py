@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
+from uavaccel.suites.report import SummaryCell
 
 SIMILAR_STLC = 1.8
 _LINES = {"adsc": "-", "tcsc": "--"}
@@ -28,9 +29,29 @@ class VariantCurve:
     speedup: np.ndarray
 
 
-def draw_variants(curves: Sequence[VariantCurve], axis: str, title: str, path: Path, source: str) -> Path:
-    """Write `plot_variants` as a PNG; returns `path`."""
-    return style.save(plot_variants(curves, axis, title, source), path)
+def curves(entries: Sequence[SummaryCell], times_clock_speed: bool) -> list[VariantCurve]:
+    """A curve a command and ClockSpeed; a value without anything to compare with is NaN."""
+    grouped: dict[tuple[str, float], list[SummaryCell]] = defaultdict(list)
+    for entry in entries:
+        grouped[entry["command"], entry["clock_speed"]].append(entry)
+    return [
+        VariantCurve(
+            command,
+            clock_speed,
+            [_place(entry["variant"], clock_speed if times_clock_speed else 1.0) for entry in own],
+            np.array([(entry["stlc_quartiles"] or [np.nan] * 3)[1] for entry in own], float),
+            np.array([entry["position_rmse_m_median"] for entry in own], float),
+            np.array([entry["effective_speedup"] for entry in own], float),
+        )
+        for (command, clock_speed), own in sorted(grouped.items())
+    ]
+
+
+def _place(name: str, factor: float) -> float | str:
+    try:
+        return float(name) * factor
+    except ValueError:
+        return name
 
 
 def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source: str) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,15 +11,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
+from uavaccel.draw.document import Picture
+from uavaccel.suites.dp1.scores import CellScores, rows_of
+from uavaccel.suites.source_line import source_line
 
 SIMILAR_STLC = 1.8  # the paper's line: above it trajectories look alike (section III-C2a)
 
 AccuracyBoxes = Mapping[tuple[str, float, int], Sequence[float]]
 
 
-def draw_accuracy(boxes: AccuracyBoxes, path: Path, source: str) -> Path:
-    """Write `plot_accuracy` as a PNG; returns `path`."""
-    return style.save(plot_accuracy(boxes, source), path)
+def accuracy_figure(scores: Sequence[CellScores], path: Path) -> Picture:
+    """Figure 5 from all games, T_moves pooled."""
+    boxes: dict[tuple[str, float, int], list[float]] = defaultdict(list)
+    for score in scores:
+        key = score.cell.key
+        known = score.stlc[np.isfinite(score.stlc)]
+        boxes[key.command, key.clock_speed, key.rounds] += known.tolist()
+    source = source_line(rows_of(scores))
+    style.save(plot_accuracy(boxes, source), path)
+    return Picture(
+        path,
+        "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, "
+        "T_moves pooled; line: 1.8. Replicas whose flights are identical make a box of zero width, drawn as "
+        f"it is. Source: {source}.",
+    )
 
 
 def plot_accuracy(boxes: AccuracyBoxes, source: str) -> Figure:

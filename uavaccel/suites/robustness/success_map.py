@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,27 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from uavaccel.draw import style
+from uavaccel.metrics.intervals import Proportion
 
 COLOURS = "cividis"  # which the common colour-vision deficiencies keep apart
 
 
-@dataclass(frozen=True)
-class Success:
-    """A ratio and the ends of its interval."""
-
-    ratio: float
-    low: float
-    high: float
-
-
-SuccessMap = Mapping[tuple[float, float], Success]  # by latency scale and ClockSpeed
-
-
-def draw_success_maps(
-    maps: Mapping[str, SuccessMap], fitted: float, title: str, path: Path, source: str
-) -> Path:
-    """Write `plot_success_maps` as a PNG; returns `path`."""
-    return style.save(plot_success_maps(maps, fitted, title, source), path)
+SuccessMap = Mapping[tuple[float, float], Proportion]  # by latency scale and ClockSpeed
 
 
 def plot_success_maps(maps: Mapping[str, SuccessMap], fitted: float, title: str, source: str) -> Figure:
@@ -69,7 +52,7 @@ def _write(axes: Axes, panel: SuccessMap, scales: Sequence[float], clocks: Seque
         axes.annotate(
             f"{success.ratio:.0%}", place, ha="center", va="bottom", color=colour, fontweight="bold"
         )
-        interval = f"{100 * success.low:.0f}–{100 * success.high:.0f}"
+        interval = "–".join(f"{100 * end:.0f}" for end in success.interval)
         axes.annotate(
             interval,
             place,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
-from uavaccel.draw.phases import UNITS
+from uavaccel.suites.training.phases import UNITS
 
 
 @dataclass(frozen=True)
@@ -25,11 +24,6 @@ class TrainingTime:
     speedup: float | None
     paper_simulation_speedup: float | None = None
     paper_speedup: float | None = None
-
-
-def draw_training_time(panels: Mapping[str, Sequence[TrainingTime]], path: Path, source: str) -> Path:
-    """Write `plot_training_time` as a PNG; returns `path`."""
-    return style.save(plot_training_time(panels, source), path)
 
 
 def plot_training_time(panels: Mapping[str, Sequence[TrainingTime]], source: str) -> Figure:

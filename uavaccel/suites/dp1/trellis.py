@@ -7,6 +7,7 @@ A trace is a list of events in time order, each with the keys "source" ("client"
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from uavaccel.draw import style
+from uavaccel.draw.document import Picture
+from uavaccel.errors import UserError
+from uavaccel.suites.report import Row
+from uavaccel.suites.source_line import clock_words, conditions
 
 Event = Mapping[str, Any]
 Trace = Sequence[Event]
@@ -37,9 +42,33 @@ class Message:
     received: int
 
 
-def draw_trellis(traces: Mapping[str, Trace], path: Path, source: str) -> Path:
-    """Write `plot_trellis` as a PNG; returns `path`."""
-    return style.save(plot_trellis(traces, source), path)
+def trellis_figure(run_dir: Path, rows: Sequence[Row], path: Path) -> Picture:
+    """Figure 4 from the traces that the run recorded, if it did."""
+    traces = _traces(run_dir)
+    timings = sorted({row["timing"] for row in rows if row["role"] == "game"})
+    clocks = [clock_words(timing) for timing in timings]
+    source = " · ".join(["one recorded command each", *clocks, *conditions(rows)])
+    style.save(plot_trellis(traces, source), path)
+    return Picture(
+        path,
+        "Figure 4. Messages of one command between client and server, from a recorded trace; not to scale. "
+        "Thick: simulated time runs. Left of the client's line wall time, right of the server's simulated "
+        f"time, both since the first event. Source: {source}.",
+    )
+
+
+def _traces(run_dir: Path) -> dict[str, Trace]:
+    """The recorded traces, by what stands above them: TCSC first, as in the paper."""
+    found: dict[str, Trace] = {}
+    for command in ("tcsc", "adsc"):
+        path = run_dir / "traces" / f"{command}.json"
+        if not path.is_file():
+            continue
+        try:
+            found[style.command_name(command)] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise UserError(f"{path}: not JSON: {error}") from error
+    return found
 
 
 def plot_trellis(traces: Mapping[str, Trace], source: str) -> Figure:

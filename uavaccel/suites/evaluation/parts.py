@@ -1,0 +1,121 @@
+"""Suites whose cases are evaluations of one policy, each a run directory of its own below the run's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.limits import Games
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import DEFAULT, policy_sha256
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.gpu import on_own_gpu
+from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
+from uavaccel.suites.report import Row
+from uavaccel.suites.suite import Cost, Flown, Suite
+
+
+class PolicyExperiment(Experiment):
+    """Keys of suites that evaluate one policy under several conditions."""
+
+    agent: str = DEFAULT
+    """As `uavaccel evaluate` takes it."""
+    games: Games = 300
+    """Evaluation lanes under each condition, the same ones under all."""
+    evaluation: Part = Part(experiment="evaluate")
+
+
+@dataclass(frozen=True)
+class EvaluationCase:
+    """An evaluation: its dotted keys that are no other's, and what its row says of them."""
+
+    id: str
+    keys: Mapping[str, Any]
+    labels: Mapping[str, Any]
+    timing: str = "virtual"
+    simulated: float = 0.0
+
+    def simulated_s(self) -> float:
+        return self.simulated
+
+
+PolicyConfig = TypeVar("PolicyConfig", bound=PolicyExperiment)
+
+
+class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
+    """One policy, evaluated on the same lanes in every case."""
+
+    batch = 1
+    kept: ClassVar[Sequence[str]] = ("games", "successes", "distance_m_median", "sim_time_s")
+    """Of an evaluation's summary, in its row."""
+
+    def evaluations(self, config: PolicyConfig) -> Iterator[EvaluationCase]:
+        """Every condition, whether or not it is flown."""
+        return self.cases(config)
+
+    def part(self, config: PolicyConfig, case: EvaluationCase) -> Part:
+        """The evaluation that a case is."""
+        keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
+        return Part(experiment=config.evaluation.experiment, keys=keys)
+
+    def first(self, config: PolicyConfig) -> tuple[Suite[EvaluateConfig, Any], EvaluateConfig]:
+        """Suite and configuration of the first evaluation, which stands for all where they do not differ."""
+        suite, evaluation = part_suite(self.part(config, next(self.evaluations(config))), config.seed)
+        if not isinstance(evaluation, EvaluateConfig):
+            raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
+        return suite, evaluation
+
+    def check(self, config: PolicyConfig) -> None:
+        self.first(config)
+        for case in self.evaluations(config):
+            part_suite(self.part(config, case), config.seed)
+
+    def games(self, config: PolicyConfig, case: EvaluationCase) -> int:
+        return config.games
+
+    def cost(self, config: PolicyConfig, case: EvaluationCase) -> Cost:
+        return part_cost(self.part(config, case), config.seed)[1]
+
+    def renders(self, config: PolicyConfig) -> bool:
+        suite, evaluation = self.first(config)
+        return suite.renders(evaluation)
+
+    def provenance(self, config: PolicyConfig) -> Mapping[str, Any]:
+        return {"policy_sha256": policy_sha256(config.agent)}
+
+    def open(
+        self, config: PolicyConfig, timing: str, run: RunDirectory
+    ) -> AbstractContextManager[RunDirectory]:
+        return on_own_gpu(run)
+
+    def fly(self, config: PolicyConfig, case: EvaluationCase, opened: RunDirectory) -> Flown:
+        """The row has what the evaluation's summary says, the arrays what became of each lane."""
+        summary = fly_part(opened, case.id, self.part(config, case), config.seed)
+        found = {name: summary[name] for name in self.kept}
+        row = {"suite": self.name, "case": case.id, **case.labels, **found}
+        return Flown(row, outcomes(part_run(opened, case.id)))
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+
+
+def outcomes(run: RunDirectory) -> dict[str, NDArray[Any]]:
+    """Of an evaluation's games (n,): lane, success, and metres north."""
+    rows = run.rows()
+    return {
+        "lane": np.array([row["lane"] for row in rows], np.int64),
+        "is_success": np.array([row["is_success"] for row in rows], bool),
+        "distance_m": np.array([row["distance_m"] for row in rows], np.float64),
+    }
+
+
+def agent_name(agent: str) -> str:
+    """An agent in a sentence."""
+    return "the policy that ships" if agent == DEFAULT else agent

@@ -1,0 +1,215 @@
+"""The learning curves of trainings: games won over the games, or over the wall clock, and evaluations on the way."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+from numpy.typing import NDArray
+
+from uavaccel.draw import style
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.errors import UserError
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites import published
+from uavaccel.suites.host_time import running_s
+from uavaccel.suites.report import listed
+from uavaccel.suites.training.evaluations import evaluations
+from uavaccel.suites.training.rows import RECENT
+
+PAPER_S = {
+    "paper: 5 000 games in real time, 182 h": published.REAL_TIME_S
+}  # section IV-D: one week and 14 hours
+TICKS_S = {
+    "1 s": 1.0,
+    "10 s": 10.0,
+    "1 min": 60.0,
+    "10 min": 600.0,
+    "1 h": 3600.0,
+    "10 h": 36_000.0,
+    "100 h": 360_000.0,
+}
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """Evaluations during one training: when each was, in games or seconds (n,), and what it won (n,)."""
+
+    at: Sequence[float]
+    success: Sequence[Proportion]
+
+    @property
+    def ratio(self) -> NDArray[np.float64]:
+        """Success (n,), 0 to 1."""
+        return np.array([each.ratio for each in self.success])
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """Of one training the success lately, 0 to 1, after so many games or seconds of wall clock (n,) each.
+
+    Those of one label are its seeds.
+    """
+
+    label: str
+    at: Sequence[float]
+    success: Sequence[float]
+    evaluated: Evaluated | None = None
+
+
+def learning_curve(run: RunDirectory, label: str) -> LearningCurve:
+    """From the 100th game on: the wall clock so far, of all starts, and the share won of the last 100 games.
+
+    A shorter training has the share of all its games so far. Raises UserError where the run has no game of a training,
+    or no wall times.
+    """
+    rows, timings = run.rows(), run.timings()
+    if not rows or len(timings) < len(rows) or any("wall_s" not in entry for entry in timings):
+        raise UserError(f"{run.path}: is no training with a wall time in timing.jsonl for each game")
+    games, success = _recent_success([row["is_success"] for row in rows])
+    wall_s = np.array(running_s(run))
+    return LearningCurve(label, wall_s[games - 1].tolist(), success.tolist(), evaluated(run, wall_s))
+
+
+def games_curve(run: RunDirectory, label: str) -> LearningCurve:
+    """The share won of the last 100 games, or of all so far, after each game from the 100th, or the first, on."""
+    rows = run.rows()
+    games, success = _recent_success([row["is_success"] for row in rows])
+    return LearningCurve(
+        label, games.tolist(), success.tolist(), evaluated(run, np.arange(1.0, len(rows) + 1))
+    )
+
+
+def evaluated(run: RunDirectory, after_game: NDArray[np.float64]) -> Evaluated | None:
+    """Its evaluations, where an axis has the end of each game at `after_game` (n,); None where there were none."""
+    lines = [line for line in evaluations(run) if line["games"] <= len(after_game)]
+    if not lines:
+        return None
+    at = [float(after_game[line["games"] - 1]) for line in lines]
+    return Evaluated(at, [Proportion(line["successes"], len(line["lanes"])) for line in lines])
+
+
+def _recent_success(won: Sequence[bool]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    so_far = np.array([0, *accumulate(won)])
+    games = np.arange(RECENT if len(won) > RECENT else 1, len(won) + 1)
+    before = np.maximum(games - RECENT, 0)
+    return games, (so_far[games] - so_far[before]) / (games - before)
+
+
+def draw_over_games(runs: Sequence[RunDirectory], path: Path) -> Path:
+    """A curve for each training over its games; those that differ in their seed alone are one band. Returns `path`."""
+    alike: dict[str, list[RunDirectory]] = {}
+    for run in runs:
+        alike.setdefault(json.dumps({**run.config(), "seed": None}, sort_keys=True), []).append(run)
+    curves = [games_curve(run, _label(group)) for group in alike.values() for run in group]
+    timings = sorted({timing_provenance(run.config()["task"]["timing"]) for run in runs})
+    source = f"{' and '.join(timings)} · seed {_seeds(runs)}"
+    return style.save(plot_learning_games(curves, source), path)
+
+
+def _label(group: Sequence[RunDirectory]) -> str:
+    task = group[0].config()["task"]
+    flown_by = f"{command_name(task['command'])} {clock_label(task['clock_speed'])}, {group[0].path.name}"
+    return flown_by if len(group) == 1 else f"{flown_by} and {len(group) - 1} more seeds"
+
+
+def draw_runs(runs: Sequence[RunDirectory], labels: Sequence[str], path: Path) -> Path:
+    """A curve for each training, and the paper's real time beside them; returns `path`."""
+    curves = [learning_curve(run, label) for run, label in zip(runs, labels, strict=True)]
+    source = f"measured, start-up not counted · seed {_seeds(runs)}"
+    return style.save(plot_learning_curves(curves, source, PAPER_S), path)
+
+
+def _seeds(runs: Sequence[RunDirectory]) -> str:
+    return listed(sorted({run.config()["seed"] for run in runs}))
+
+
+def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
+    """A line per label, the mean of its seeds over the games that all of them flew, in the band from least to most."""
+    with style.project_style():
+        figure = style.new_figure(8.0, 3.8, "Success over the games", source)
+        axes = figure.subplots()
+        for number, label in enumerate(dict.fromkeys(curve.label for curve in curves)):
+            seeds = [curve for curve in curves if curve.label == label]
+            first, last = max(seed.at[0] for seed in seeds), min(seed.at[-1] for seed in seeds)
+            games = np.arange(first, max(last, first) + 1)
+            success = np.array([np.interp(games, seed.at, seed.success) for seed in seeds])
+            colour = style.CYCLE[number % len(style.CYCLE)]
+            axes.plot(games, success.mean(axis=0), color=colour, label=label)
+            if len(seeds) > 1:
+                ends = success.min(axis=0), success.max(axis=0)
+                axes.fill_between(games, *ends, color=colour, alpha=0.2, linewidth=0)
+            plot_evaluated(axes, [seed.evaluated for seed in seeds if seed.evaluated is not None], colour)
+        axes.set(xlabel="games", ylabel="games won, of the last 100", ylim=(-0.02, 1.02))
+        axes.set_xlim(left=0)
+        axes.yaxis.set_major_formatter("{x:.0%}")
+        figure.legend(loc="outside upper right")
+        return figure
+
+
+def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Mapping[str, float]) -> Figure:
+    """A line per training, those of one label in one colour, and a vertical one at each of `marks`, seconds by name."""
+    with style.project_style():
+        figure = style.new_figure(8.0, 4.2, "Success over the wall clock", source)
+        axes = figure.subplots()
+        labels = list(dict.fromkeys(curve.label for curve in curves))
+        for number, curve in enumerate(curves):
+            first = curve.label not in [other.label for other in curves[:number]]
+            colour = style.CYCLE[labels.index(curve.label) % len(style.CYCLE)]
+            axes.plot(curve.at, curve.success, color=colour, label=curve.label if first else None)
+            if curve.evaluated is not None:
+                plot_evaluated(axes, [curve.evaluated], colour)
+        for name, wall_s in marks.items():
+            axes.axvline(wall_s, color=style.BLACK, linewidth=1.2, linestyle="--")
+            axes.text(0.93 * wall_s, 0.5, name, rotation=90, ha="right", va="center")
+        axes.set_xscale("log")
+        longest_s = max([*marks.values(), *(curve.at[-1] for curve in curves)])
+        axes.set_xlim(1.0, 2.0 * longest_s)
+        ticks = {name: wall_s for name, wall_s in TICKS_S.items() if wall_s <= 2.0 * longest_s}
+        axes.set_xticks(list(ticks.values()), list(ticks))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set(xlabel="wall clock since the first command", ylabel="games won, of the last 100")
+        axes.set_ylim(0.0, 1.0)
+        axes.yaxis.set_major_formatter("{x:.0%}")
+        figure.legend(loc="outside upper right")
+        return figure
+
+
+def plot_evaluated(axes: Axes, seeds: Sequence[Evaluated], colour: str) -> None:
+    """One seed: points with 95 % Wilson intervals. Several: their mean where all were evaluated, from least to most."""
+    if len(seeds) < 2:
+        for seed in seeds:
+            _plot_points(axes, seed, colour)
+        return
+    first, last = max(seed.at[0] for seed in seeds), min(seed.at[-1] for seed in seeds)
+    at = np.unique([place for seed in seeds for place in seed.at if first <= place <= last])
+    if not at.size:
+        return
+    success = np.array([np.interp(at, seed.at, seed.ratio) for seed in seeds])
+    label = f"evaluated on {seeds[0].success[0].games} lanes: mean, least and most of {len(seeds)} seeds"
+    axes.plot(at, success.mean(axis=0), "o--", color=colour, markersize=4, label=label)
+    axes.fill_between(at, success.min(axis=0), success.max(axis=0), color=colour, alpha=0.3, linewidth=0)
+
+
+def _plot_points(axes: Axes, seed: Evaluated, colour: str) -> None:
+    label = f"evaluated on {seed.success[0].games} lanes, 95 % Wilson interval"
+    axes.errorbar(
+        seed.at,
+        seed.ratio,
+        style.error_bars(seed.success),
+        fmt="o--",
+        color=colour,
+        markersize=4,
+        linewidth=1.0,
+        capsize=2,
+        label=label,
+    )
