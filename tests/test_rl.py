@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,7 +15,6 @@ from scipy.stats import binomtest, fisher_exact
 
 from tests.opengl import needs_opengl
 from tests.running import configured, run_into
-from tests.test_training import side_by_side
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
@@ -28,7 +26,8 @@ from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import summarise
-from uavaccel.suites.training import flights as training
+
+pytestmark = pytest.mark.usefixtures("trainings_here")
 
 # No pictures, hence no OpenGL; games of a dozen commands; the interchange test once.
 SMALL = (
@@ -48,11 +47,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.training import flights
 from uavaccel.yaml_io import load_yaml
-from tests.test_training import side_by_side
+from tests.learning import fly_here
 
-flights.make_lanes = side_by_side
+fly_here()
 append, left = RunDirectory.append_row, [int(sys.argv[3])]
 
 def append_and_die(run, row):
@@ -73,16 +71,8 @@ def small(*overrides: str, **options: Any) -> RlConfig:
     return config
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _no_processes() -> Iterator[None]:
-    """Lanes fly in this process: `test_training` has them in others."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "make_lanes", side_by_side)
-        yield
-
-
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     """A run of six cells."""
     out = tmp_path_factory.mktemp("rl") / "whole"
     run_into(out, Rl(), small())

@@ -52,11 +52,8 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
     assert summary["cells"][1]["distance_m_median"] == summary["cells"][0]["distance_m_median"]
     report: Any = Sweep().report(run)
     ratios = (0.9, 0.95, 0.25, 0.5)
-    report.summary = summary | {
-        "cells": [
-            cell | {"success_ratio": ratio} for cell, ratio in zip(summary["cells"], ratios, strict=True)
-        ]
-    }
+    cells = [cell | {"success_ratio": ratio} for cell, ratio in zip(summary["cells"], ratios, strict=True)]
+    report.summary = {**summary, "cells": cells}
     assert "wins 90.0% as trained, 25.0% at wind = 8, the least of 3 conditions;" in report.headline()
 
 

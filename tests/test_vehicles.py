@@ -339,6 +339,13 @@ def test_each_takes_off_over_its_own_place() -> None:
         assert np.hypot(*risen[:2]) < 0.1
 
 
+def test_take_off_goes_up_from_where_the_vehicle_is() -> None:
+    api = hovering()
+    fly(api, "takeoff", 20.0)
+    go_on(api, 3.0)
+    assert place(api) == pytest.approx((START_M[0], START_M[1], START_M[2] - 2.0), abs=0.55)
+
+
 def in_world(api: Api, name: str) -> NDArray[np.float64]:
     return np.array(api.pilot_of(name).vehicle.state["position"])
 
