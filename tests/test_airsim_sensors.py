@@ -11,6 +11,7 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.scenes import Pose
+from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, local, magnetic_field_gauss
 from uavaccel.sim.sensors.noise import Drift
@@ -55,6 +56,28 @@ def test_an_imu_feels_the_specific_force_and_the_body_rate_with_the_noise_of_its
     assert (
         readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
     )
+
+
+def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
+    silent = dict.fromkeys(
+        ("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0
+    )
+    wire = with_sensors(Imu={"SensorType": 2} | silent)
+    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.fly(0.1)
+    true, told = wire.call("simGetGroundTruthKinematics", ""), wire.call("getImuData", "", "")
+    w, x, y, z = true["orientation"].values()
+    down = np.array(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    )  # in the body's frame
+    acceleration, force = (np.array(xyz(each["linear_acceleration"])) for each in (true, told))
+    turned = wire.simulation.kinematics().orientation_wxyz
+    assert force == pytest.approx(
+        (acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix()
+    )
+    assert down @ force == pytest.approx(acceleration[2] - 9.80665)
+    assert np.abs(force[:2]).max() > 0.1
+    assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
 
 
 @pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])

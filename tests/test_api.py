@@ -64,7 +64,7 @@ def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
 
 
 @pytest.mark.slow
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(calls())
 def test_any_arguments(call: tuple[str, list[Any]]) -> None:
     api = new_api()
