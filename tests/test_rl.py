@@ -21,7 +21,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites import gpu
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies
-from uavaccel.suites.rl.cells import flights
+from uavaccel.suites.rl.cases import flights
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl

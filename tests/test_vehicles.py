@@ -357,7 +357,7 @@ def test_take_off_goes_up_from_where_the_vehicle_is() -> None:
 
 
 def in_world(api: Api, name: str) -> NDArray[np.float64]:
-    return np.array(api.pilot_of(name).vehicle.state["position"])
+    return np.array(api.scenery.pilot(name).vehicle.state["position"])
 
 
 @pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])
