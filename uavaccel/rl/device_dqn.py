@@ -108,8 +108,8 @@ class DeviceDQN:
         begun_ns = self._clock.now_ns()
         for _ in range(CHUNK):
             self._round(self._kind())
-        log = self._log.to("cpu", non_blocking=True)
-        begun = self.lanes.games.begun.to("cpu", non_blocking=True)
+        log = self._log.to("cpu", non_blocking=True, copy=True)
+        begun = self.lanes.games.begun.to("cpu", non_blocking=True, copy=True)
         read = th.cuda.Event()
         read.record()
         self._unread.append((read, log, begun, begun_ns))
