@@ -17,14 +17,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from uavaccel.wire.arguments import coercion_of
-from uavaccel.wire.latency import DEFAULT
+from uavaccel.wire.latency import DEFAULT, Channel
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.scenery import Scenery
 
 MOST_IGNORED = 16  # arguments of a call without effect
 Method = TypeVar("Method", bound=Callable[..., object])
-Channel = str | Callable[[Sequence[object]], str]
+AnyChannel = Channel | Callable[[Sequence[object]], Channel]
 
 
 class WireCall:
@@ -39,7 +39,7 @@ class WireCall:
         self,
         name: str,
         method: Callable[..., object],
-        channel: Channel = DEFAULT,
+        channel: AnyChannel = DEFAULT,
         joined: bool = False,
         leaves_state: bool = False,
         status: str = "done",
@@ -54,7 +54,7 @@ class WireCall:
         hints = get_type_hints(method, include_extras=True)
         self._coercions = [(coercion_of(hints[each.name]), each.name) for each in taken]
 
-    def channel_of(self, params: Sequence[object]) -> str:
+    def channel_of(self, params: Sequence[object]) -> Channel:
         return self._channel if isinstance(self._channel, str) else self._channel(params)
 
     def arguments(self, params: Sequence[object]) -> list[object]:
@@ -63,7 +63,7 @@ class WireCall:
 
 
 def call(
-    name: str, channel: Channel = DEFAULT, *, joined: bool = False, leaves_state: bool = False
+    name: str, channel: AnyChannel = DEFAULT, *, joined: bool = False, leaves_state: bool = False
 ) -> Callable[[Method], Method]:
     """Make a method of a `Calls` class the wire call `name`."""
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
@@ -28,8 +28,9 @@ from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
-DEFAULT = "call"
-CHANNELS = (DEFAULT, "pause", "continue", "move", "continue_for", "state", "image")
+Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
+DEFAULT: Final = "call"
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024

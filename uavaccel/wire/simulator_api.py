@@ -12,6 +12,7 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire.arguments import number
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.flight_api import LONGEST_S
+from uavaccel.wire.latency import Channel
 
 SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
 MIN_CLIENT_VERSION = 1
@@ -34,7 +35,7 @@ def frame_count(value: object, name: str) -> float:
     return count
 
 
-def pause_channel(params: Sequence[object]) -> str:
+def pause_channel(params: Sequence[object]) -> Channel:
     return "pause" if params and params[0] else "continue"
 
 

@@ -17,7 +17,7 @@ from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
-from uavaccel.wire.latency import DEFAULT, Latency
+from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
@@ -28,7 +28,7 @@ _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
 
 
-def channel_of(method: str, params: Sequence[object]) -> str:
+def channel_of(method: str, params: Sequence[object]) -> Channel:
     """The kind of latency that a call has."""
     called = CALLS.get(method)
     return DEFAULT if called is None else called.channel_of(params)
