@@ -15,14 +15,14 @@ from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 
 LANES = 3
 VIRTUAL = {"timing": "virtual", "max_commands": 3, "knows": ["frame_age"], "image_processing_s": 0.02}
 FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (ObstacleLane, {"max_commands": 2, "knows": ["last_action", "frame_age"], "history": 2}),
-    (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
+    (ObstacleLane, {"max_commands": 6, "observation": "state", "history": 2}),
     (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
     (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
     (ObstacleLane, VIRTUAL | {"command": "adsc", "clock_speed": 5.0}),
@@ -52,7 +52,7 @@ def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[
             seen, _ = batch.reset(seed=seed)
             assert isinstance(seen, th.Tensor)
             np.testing.assert_array_equal(seen.numpy(), other.reset(seed=seed)[0])
-            for number in range(15):
+            for number in range(8):
                 actions = actions_of(batch.single_action_space, random)
                 flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
                 expected = other.step(actions)
@@ -84,6 +84,34 @@ def assert_equal_infos(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
             assert_equal_infos(value, theirs[key])
         else:
             np.testing.assert_array_equal(value, theirs[key])
+
+
+@pytest.mark.parametrize("keys", [{"timing": "lockstep"}, {"timing": "virtual", "command": "adsc"}])
+@pytest.mark.usefixtures("host_kernels")
+def test_saved_lanes_go_on_elsewhere_to_the_same_bytes(keys: dict[str, Any]) -> None:
+    """In the middle of games, some drawn ahead, some begun at other times than their neighbours'."""
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+    task = LaneTask(observation="state", max_commands=4, difficulty={"first_row_m": 3.0}, **keys)
+    lanes, others = (CudaLanes(task, LANES, th.device("cpu")) for _ in range(2))
+    actions = th.from_numpy(np.random.default_rng(1).integers(5, size=(12, LANES)))
+    lanes.seed(7)
+    lanes.begin()
+    for flown in actions[:6]:
+        lanes.fly(flown)
+        lanes.games.refill(lanes.games.begun.tolist())
+    saved = [
+        {name: np.array(value) for name, value in state.items()} for state in lanes.env_method("get_state")
+    ]
+    seen = [others.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved)]
+    np.testing.assert_array_equal(np.stack(seen), lanes.observations.numpy())
+    for flown in actions[6:]:
+        for each in (lanes, others):
+            each.fly(flown)
+            each.games.refill(each.games.begun.tolist())
+        for name in ("observations", "rewards", "ended"):
+            np.testing.assert_array_equal(getattr(others, name).numpy(), getattr(lanes, name).numpy())
+    assert lanes.games.begun.min() > 2
 
 
 @pytest.mark.usefixtures("host_kernels")

@@ -51,6 +51,11 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
     assert [row["distance_m"] for row in RunDirectory(tmp_path / "alone").rows()] == list(distances["wind-8"])
     assert (distances["speed-2"] > distances["as-trained"] + 2.0).all()
     assert summary["cells"][1]["distance_m_median"] == summary["cells"][0]["distance_m_median"]
+    report: Any = Sweep().report(run)
+    ratios = (0.9, 0.95, 0.25, 0.5)
+    cells = [cell | {"success_ratio": ratio} for cell, ratio in zip(summary["cells"], ratios, strict=True)]
+    report.summary = {**summary, "cells": cells}
+    assert "wins 90.0% as trained, 25.0% at wind = 8, the least of 3 conditions;" in report.headline()
 
 
 def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:

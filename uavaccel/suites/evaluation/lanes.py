@@ -17,7 +17,7 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.kernel_plan import check_flyable, check_flyable_on_gpu
+from uavaccel.envs.flyable import check_flyable, check_flyable_on_gpu
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
 from uavaccel.machine import usable_cores
