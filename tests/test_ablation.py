@@ -92,7 +92,7 @@ ENTRY = {
 
 def test_what_is_tabulated_and_drawn() -> None:
     unknown = {**ENTRY, "variant": "0.5", "stlc_quartiles": None, "position_rmse_m_median": None}
-    assert table({"entries": [ENTRY]}) == [
+    assert table({"entries": [ENTRY]}).rows == [
         ("3", "ADSC", "10x", "4 (1 failed)", "1.500 [1.250, 1.750]", "0.125", "7.50", "25%")
     ]
     [curve] = curves([unknown, ENTRY], times_clock_speed=True)

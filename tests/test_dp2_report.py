@@ -16,7 +16,7 @@ from uavaccel.suites.dp2.flights import Dp2Config
 from uavaccel.suites.dp2.report import Dp2Report
 from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
 from uavaccel.suites.dp2.summary import summary_of
-from uavaccel.suites.dp2.table import HEADER, table
+from uavaccel.suites.dp2.table import table
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS
 
@@ -183,10 +183,11 @@ def test_a_line_of_the_table() -> None:
         "cells"
     ]
     game["position_error_m_median"], game["dvs_counts_equal_lockstep"] = 0.0004, False
-    lines = table(
+    shown = table(
         {"cells": [game, reference, game | {"attitude_error_deg_max": None, "poses_equal_lockstep": None}]}
     )
-    assert dict(zip(HEADER, lines[0], strict=True)) == {
+    lines = shown.rows
+    assert dict(zip(shown.header, lines[0], strict=True)) == {
         "command": "TCSC",
         "ClockSpeed": "50x",
         "images": "3",
@@ -266,7 +267,7 @@ def test_the_written_report(run: RunDirectory, monkeypatch: pytest.MonkeyPatch) 
         "Warning: the machine could not keep up and lost 0.125 s of wall time.",
         "Modelled: 10.0% of the images of the games were perturbed",
         "sent 20 times",
-        "| " + " | ".join(table(summary)[1]) + " |",
+        "| " + " | ".join(table(summary).rows[1]) + " |",
         "False alarms: 0 of 3 clean images.",
     ):
         assert said in text, said

@@ -100,7 +100,7 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
     interval = binomtest(3, 8).proportion_ci(method="wilson")
     assert (cell["wilson_low"], cell["wilson_high"]) == pytest.approx((interval.low, interval.high))
     assert cell["mcnemar_p"] == pytest.approx(binomtest(1, 6).pvalue)  # lost five that were won, won one
-    assert table(summary)[2][:5] == ("wind, m/s", "3", "37.5%", "13.7% to 69.4%", "3 of 8")
+    assert table(summary).rows[2][:5] == ("wind, m/s", "3", "37.5%", "13.7% to 69.4%", "3 of 8")
     figure = plot_sweeps(swept(summary), 7 / 8, "Success", "modelled")
     axes = figure.axes[0]
     assert tick_texts(axes.xaxis) == ["0", "3"]

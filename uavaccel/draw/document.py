@@ -37,10 +37,12 @@ class Table:
     folded: str = ""
 
     @classmethod
-    def of(cls, entries: Sequence[Entry], *columns: tuple[str, Callable[[Entry], str]]) -> Table:
+    def of(
+        cls, entries: Sequence[Entry], *columns: tuple[str, Callable[[Entry], str]], folded: str = ""
+    ) -> Table:
         """A row for each entry: each column is its header and the text that it has of an entry."""
         header = [name for name, _ in columns]
-        return cls(header, [[text(entry) for _, text in columns] for entry in entries])
+        return cls(header, [tuple(text(entry) for _, text in columns) for entry in entries], folded)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from inspect import getattr_static
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +81,8 @@ def _load(place: str) -> AnySuite:
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
-    report = getattr(suite, "report_class", None)
-    if not (isinstance(report, type) and issubclass(report, Report)):
+    report = getattr_static(suite, "report_class")  # a property would import what draws
+    if not (isinstance(report, property) or (isinstance(report, type) and issubclass(report, Report))):
         raise TypeError(f"{name}.report_class has to be a subclass of uavaccel.suites.report.Report")
     if not isinstance(getattr(suite, "name", None), str):
         raise TypeError(f"{name}.name has to be a text")

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, to_html, to_markdown
+from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, or_dash, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 
@@ -21,6 +21,14 @@ SummaryCell = Mapping[str, Any]
 Arrays = Mapping[str, NDArray[Any]]
 LoadArrays = Callable[[Row], Arrays]
 """Gives the arrays of a row, as `RunDirectory.load_arrays`."""
+
+Column = tuple[str, Callable[[SummaryCell], str]]
+"""Of a table of cells: its header, and its text."""
+
+
+def number(header: str, key: str, form: str) -> Column:
+    """The column of a cell's number, "-" where it is not known; `form` as for `str.format`."""
+    return header, lambda cell: or_dash(cell[key], form.format)
 
 
 class Report(ABC):

@@ -68,14 +68,17 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     name: ClassVar[str]
     """The key `suite` of its YAML."""
     config: type[ConfigType]
-    report_class: type[Report]
-    """What a finished run of it says."""
     serial: ClassVar[str] = ""
     """Why its games must be flown one after another in one process; empty where they need not."""
     batch: ClassVar[int] = 4
     """Games that a worker process is handed at once; 1 where each takes minutes."""
     quick: ClassVar[Mapping[str, Any] | None] = None
     """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
+
+    @property
+    @abstractmethod
+    def report_class(self) -> type[Report]:
+        """What a finished run says: a class attribute, or a property that imports it when it is asked for."""
 
     @abstractmethod
     def cases(self, config: ConfigType) -> Iterator[CaseType]:

@@ -14,20 +14,10 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1 import summary as dp1_summary
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.report import Report, Summary, SummaryCell
+from uavaccel.suites.report import Report, Summary, SummaryCell, number
 from uavaccel.suites.source_line import source_line
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
-HEADER = (
-    "variant",
-    "command",
-    "ClockSpeed",
-    "games",
-    "STLC median [q25, q75]",
-    "RMSE median, m",
-    "effective speed-up",
-    "gaps beyond the goal timeout",
-)
 
 
 class AblationReport(Report):
@@ -53,7 +43,7 @@ class AblationReport(Report):
         return [Picture(path, f"{self.title()}. {_READING} Source: {source}.")]
 
     def overview(self) -> Table:
-        return Table(HEADER, table(self.summary))
+        return table(self.summary)
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [self.overview(), Paragraph(_READING), *figures]
@@ -103,23 +93,28 @@ def summarise(
     return entries
 
 
-def table(summary: Summary) -> list[tuple[str, ...]]:
-    """One row of text an entry, below `HEADER`; what cannot be known is "-"."""
-    return [_line(entry) for entry in summary["entries"]]
-
-
-def _line(entry: SummaryCell) -> tuple[str, ...]:
-    failed = f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
-    return (
-        entry["variant"],
-        command_name(entry["command"]),
-        clock_label(entry["clock_speed"]),
-        f"{entry['games']}{failed}",
-        or_dash(entry["stlc_quartiles"], lambda q: f"{q[1]:.3f} [{q[0]:.3f}, {q[2]:.3f}]"),
-        or_dash(entry["position_rmse_m_median"], "{:.3f}".format),
-        or_dash(entry["effective_speedup"], "{:.2f}".format),
-        or_dash(entry["share_beyond_goal_timeout"], "{:.0%}".format),
+def table(summary: Summary) -> Table:
+    """A row for each variant, command and ClockSpeed; what cannot be known is "-"."""
+    return Table.of(
+        summary["entries"],
+        ("variant", lambda entry: str(entry["variant"])),
+        ("command", lambda entry: command_name(entry["command"])),
+        ("ClockSpeed", lambda entry: clock_label(entry["clock_speed"])),
+        ("games", lambda entry: str(entry["games"]) + _failed(entry)),
+        ("STLC median [q25, q75]", lambda entry: or_dash(entry["stlc_quartiles"], _quartiles)),
+        number("RMSE median, m", "position_rmse_m_median", "{:.3f}"),
+        number("effective speed-up", "effective_speedup", "{:.2f}"),
+        number("gaps beyond the goal timeout", "share_beyond_goal_timeout", "{:.0%}"),
     )
+
+
+def _failed(entry: SummaryCell) -> str:
+    return f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
+
+
+def _quartiles(stlc: Sequence[float]) -> str:
+    low, median, high = stlc
+    return f"{median:.3f} [{low:.3f}, {high:.3f}]"
 
 
 _READING = (

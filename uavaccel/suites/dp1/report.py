@@ -15,7 +15,7 @@ from uavaccel.suites.dp1.accuracy import accuracy_figure
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summarise
-from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
+from uavaccel.suites.dp1.table import overview, table
 from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
 from uavaccel.suites.dp1.velocity import velocity_figure
@@ -57,7 +57,7 @@ class Dp1Report(Report):
         ]
 
     def overview(self) -> Table:
-        return Table(OVERVIEW_HEADER, overview(self.summary))
+        return overview(self.summary)
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [
@@ -69,7 +69,7 @@ class Dp1Report(Report):
             Heading("Figures"),
             *figures,
             Heading("All cells"),
-            Table(HEADER, table(self.summary), folded=f"{len(self.summary['cells'])} cells"),
+            table(self.summary),
         ]
 
 

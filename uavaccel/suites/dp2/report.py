@@ -12,7 +12,7 @@ from uavaccel.suites.dp2 import guard as dp2_guard
 from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
 from uavaccel.suites.dp2.scores import GameScore, score_games
 from uavaccel.suites.dp2.summary import summary_of
-from uavaccel.suites.dp2.table import HEADER, table
+from uavaccel.suites.dp2.table import table
 from uavaccel.suites.report import Report, Row, Summary
 from uavaccel.suites.source_line import source_line
 from uavaccel.vision.guard import GuardSettings
@@ -58,7 +58,7 @@ class Dp2Report(Report):
         return [Picture(style.save(plot_images(clouds, source), path), caption)]
 
     def overview(self) -> Table:
-        return Table(HEADER, table(self.summary))
+        return table(self.summary)
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [

@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-from uavaccel.draw.document import or_dash
+from uavaccel.draw.document import Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.report import Summary, SummaryCell
 
-HEADER = (
-    "command",
-    "ClockSpeed",
-    "images",
-    "position error, m: median, max",
-    "attitude error, deg: max",
-    "DVS-ED, %: median, max",
-    "guard retries",
-    "poses, counts v. lockstep",
-    "distance, m",
-    "simulated s a wall s",
-    "source",
-)
 
-
-def table(summary: Summary) -> list[tuple[str, ...]]:
-    """One row of text a cell, below `HEADER`; what cannot be known is "-"."""
-    return [_line(cell) for cell in summary["cells"]]
-
-
-def _line(cell: SummaryCell) -> tuple[str, ...]:
-    return (
-        command_name(cell["command"]),
-        clock_label(cell["clock_speed"]) + _role(cell),
-        str(cell["paired_images"]),
-        _pair(cell, "position_error_m", 3),
-        _number(cell["attitude_error_deg_max"], 2),
-        _pair(cell, "dvs_ed_percent", 2),
-        str(cell["guard_retries"]),
-        ", ".join(
-            or_dash(cell[key], _equality) for key in ("poses_equal_lockstep", "dvs_counts_equal_lockstep")
-        ),
-        f"{cell['distance_m']:.1f}" + _end(cell),
-        _number(cell["simulated_s_per_wall_s"], 2),
-        cell["provenance"],
+def table(summary: Summary) -> Table:
+    """A row for each command and ClockSpeed; what cannot be known is "-"."""
+    return Table.of(
+        summary["cells"],
+        ("command", lambda cell: command_name(cell["command"])),
+        ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"]) + _role(cell)),
+        ("images", lambda cell: str(cell["paired_images"])),
+        ("position error, m: median, max", lambda cell: _pair(cell, "position_error_m", 3)),
+        ("attitude error, deg: max", lambda cell: _number(cell["attitude_error_deg_max"], 2)),
+        ("DVS-ED, %: median, max", lambda cell: _pair(cell, "dvs_ed_percent", 2)),
+        ("guard retries", lambda cell: str(cell["guard_retries"])),
+        ("poses, counts v. lockstep", _against_lockstep),
+        ("distance, m", lambda cell: f"{cell['distance_m']:.1f}" + _end(cell)),
+        ("simulated s a wall s", lambda cell: _number(cell["simulated_s_per_wall_s"], 2)),
+        ("source", lambda cell: str(cell["provenance"])),
     )
 
 
@@ -53,8 +34,9 @@ def _end(cell: SummaryCell) -> str:
     return f" (hit {cell['collision']['object']})" if cell["collision"] else ""
 
 
-def _equality(equal: bool) -> str:
-    return "equal" if equal else "differ"
+def _against_lockstep(cell: SummaryCell) -> str:
+    compared = (cell[key] for key in ("poses_equal_lockstep", "dvs_counts_equal_lockstep"))
+    return ", ".join(or_dash(equal, {True: "equal", False: "differ"}.__getitem__) for equal in compared)
 
 
 def _pair(cell: SummaryCell, name: str, digits: int) -> str:

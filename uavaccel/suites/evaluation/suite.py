@@ -19,10 +19,8 @@ from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
-from uavaccel.suites.evaluation.report import EvaluationReport
 from uavaccel.suites.evaluation.side_by_side import write_simulators
-from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
-from uavaccel.suites.report import Row
+from uavaccel.suites.report import Report, Row
 from uavaccel.suites.suite import GameResult, Suite, choose_row
 
 Opened = Callable[[int], GameResult]
@@ -33,7 +31,12 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     name = "evaluate"
     config = EvaluateConfig
-    report_class = EvaluationReport
+
+    @property
+    def report_class(self) -> type[Report]:
+        from uavaccel.suites.evaluation.report import EvaluationReport  # loads what draws
+
+        return EvaluationReport
 
     def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
         return completed(mapping)
@@ -84,6 +87,8 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
+
         both = write_simulators(runs)
         return [draw_evaluations(runs, runs[0].file(COMPARISON)), *both]
 

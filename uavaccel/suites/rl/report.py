@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
@@ -10,11 +10,10 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Report, Summary, SummaryCell, listed
+from uavaccel.suites.report import Column, Report, Summary, SummaryCell, listed, number
 from uavaccel.suites.rl.figures import draw_figures, panel_name
 from uavaccel.suites.rl.summary import KEY, summarise
 
-Column = tuple[str, Callable[[SummaryCell], str]]
 Minutes = Mapping[tuple[Any, ...], float]
 """Of this machine, by `KEY`."""
 
@@ -43,8 +42,8 @@ class RlReport(Report):
             self.summary["pooled"],
             *_TRAINED,
             ("success [95 %]", success),
-            _number("the paper's", "paper_successes", "{} %"),
-            _number("training speed-up", "training_speedup", "{:.3g}x"),
+            number("the paper's", "paper_successes", "{} %"),
+            number("training speed-up", "training_speedup", "{:.3g}x"),
         )
 
     def figures(self) -> list[Picture]:
@@ -82,10 +81,6 @@ def success(cell: SummaryCell) -> str:
     return f"{cell['successes']} of {cell['games']}: {Proportion.of(cell).text(interval_digits=1)}"
 
 
-def _number(header: str, key: str, form: str) -> Column:
-    return header, lambda cell: or_dash(cell[key], form.format)
-
-
 _CELL: Sequence[Column] = (
     ("trained with", panel_name),
     ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"])),
@@ -100,9 +95,9 @@ def _success_table(pooled: Sequence[SummaryCell]) -> Table:
         ("games", lambda cell: str(cell["games"])),
         ("success [95 % Wilson]", success),
         ("of each seed", lambda cell: listed(cell["successes_by_seed"])),
-        _number("the paper's, of 100", "paper_successes", "{}"),
-        _number("p against 1x: Fisher", "fisher_p", "{:.2g}"),
-        _number("McNemar", "mcnemar_p", "{:.2g}"),
+        number("the paper's, of 100", "paper_successes", "{}"),
+        number("p against 1x: Fisher", "fisher_p", "{:.2g}"),
+        number("McNemar", "mcnemar_p", "{:.2g}"),
     )
 
 
@@ -146,10 +141,10 @@ def _time_table(pooled: Sequence[SummaryCell], minutes: Minutes) -> Table:
         ("trainings", lambda cell: str(len(cell["seeds"]))),
         ("modelled hours", lambda cell: f"{cell['training_wall_s'] / 3600:.3g}"),
         ("the same at 1x, hours", lambda cell: or_dash(cell["real_time_s"], lambda s: f"{s / 3600:.3g}")),
-        _number("speed-up of simulation", "training_speedup", "{:.3g}x"),
-        _number("the paper's", "paper_training_speedup", "{:g}x"),
-        _number("of the whole training", "whole_training_speedup", "{:.3g}x"),
-        _number("the paper's", "paper_whole_training_speedup", "{:g}x"),
+        number("speed-up of simulation", "training_speedup", "{:.3g}x"),
+        number("the paper's", "paper_training_speedup", "{:g}x"),
+        number("of the whole training", "whole_training_speedup", "{:.3g}x"),
+        number("the paper's", "paper_whole_training_speedup", "{:g}x"),
         ("this machine, minutes", lambda cell: or_dash(minutes.get(_key(cell)), "{:.3g}".format)),
     )
 

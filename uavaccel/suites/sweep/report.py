@@ -19,7 +19,6 @@ from uavaccel.suites.sweep.figure import plot_sweeps
 
 FIGURE = "figures/sweep.png"
 AS_TRAINED = "as-trained"
-HEADER = ("condition", "value", "success", "95 % interval", "lanes", "median distance, m", "p")
 
 Won = Mapping[str, NDArray[Any]]
 
@@ -48,7 +47,7 @@ class SweepReport(Report):
         return f"{who} wins {', '.join(parts)}; {provenance}, {lanes} lanes each"
 
     def overview(self) -> Table:
-        return Table(HEADER, table(self.summary))
+        return table(self.summary)
 
     def figures(self) -> list[Picture]:
         summary, title = self.summary, self.title()
@@ -124,20 +123,18 @@ def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
     return sweeps
 
 
-def table(summary: Summary) -> list[tuple[str, ...]]:
-    """A line for each condition, below HEADER."""
-    return [
-        (
-            _name(cell["condition"]) if cell["condition"] else "as trained",
-            value_text(cell["value"]) if cell["condition"] else "",
-            f"{cell['success_ratio']:.1%}",
-            f"{cell['wilson_low']:.1%} to {cell['wilson_high']:.1%}",
-            f"{cell['successes']} of {cell['games']}",
-            f"{cell['distance_m_median']:.1f}",
-            "" if cell["mcnemar_p"] is None else f"{cell['mcnemar_p']:.2g}",
-        )
-        for cell in summary["cells"]
-    ]
+def table(summary: Summary) -> Table:
+    """A row for each condition."""
+    return Table.of(
+        summary["cells"],
+        ("condition", lambda cell: _name(cell["condition"]) if cell["condition"] else "as trained"),
+        ("value", lambda cell: value_text(cell["value"]) if cell["condition"] else ""),
+        ("success", lambda cell: f"{cell['success_ratio']:.1%}"),
+        ("95 % interval", lambda cell: f"{cell['wilson_low']:.1%} to {cell['wilson_high']:.1%}"),
+        ("lanes", lambda cell: f"{cell['successes']} of {cell['games']}"),
+        ("median distance, m", lambda cell: f"{cell['distance_m_median']:.1f}"),
+        ("p", lambda cell: "" if cell["mcnemar_p"] is None else f"{cell['mcnemar_p']:.2g}"),
+    )
 
 
 def _name(condition: str) -> str:

@@ -15,7 +15,7 @@ from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.algorithms import check_algorithm
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.report import Row
+from uavaccel.suites.report import Report, Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import (
@@ -27,7 +27,6 @@ from uavaccel.suites.training.flights import (
     open_trainer,
 )
 from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
-from uavaccel.suites.training.report import TrainingReport, compare_trainings
 from uavaccel.suites.training.rows import RECENT
 
 LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
@@ -38,8 +37,13 @@ class Training(Suite[TrainConfig, Case]):
 
     name = "train"
     config = TrainConfig
-    report_class = TrainingReport
     serial = "its games learn from each other; --set environments=N flies N lanes side by side"
+
+    @property
+    def report_class(self) -> type[Report]:
+        from uavaccel.suites.training.report import TrainingReport  # loads what draws
+
+        return TrainingReport
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
@@ -92,4 +96,6 @@ class Training(Suite[TrainConfig, Case]):
         )
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.training.report import compare_trainings
+
         return compare_trainings(runs)
