@@ -18,8 +18,8 @@ from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
+from uavaccel.wire.api import CALLS
 from uavaccel.wire.types import EPOCH_NS
-from uavaccel.wire.world_api import ACCEPTED, REFUSED
 
 HOME = {"latitude": 47.641468, "longitude": -122.140165, "altitude": 122.0}
 QUIET = {"UncorrelatedNoiseSigma": 0.0}
@@ -342,14 +342,21 @@ def test_lines_of_sight_and_extents_are_geographic() -> None:
 
 def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
     wire = AirSimWire()
-    for name, answer in ACCEPTED.items():
+    accepted = [name for name, call in CALLS.items() if call.status == "accepted"]
+    assert len(accepted) == 16
+    answers = {"simSwapTextures": [], "simSetLightIntensity": True, "simRunConsoleCommand": True}
+    for name in accepted:
         for _ in range(2):
-            assert wire.call(name, 1, 2, 3) == answer
-    assert wire.said == [f"{name}: accepted, without effect" for name in ACCEPTED]
-    for name, reason in REFUSED.items():
-        with pytest.raises(rpc.RpcError, match=f"{name} is not available: {reason}"):
+            assert wire.call(name, 1, 2, 3) == answers.get(name)
+    assert wire.said == [f"{name}: accepted, without effect" for name in accepted]
+    refused = {name: call.status for name, call in CALLS.items() if call.status.startswith("refused: ")}
+    assert len(refused) == 20
+    for name, status in refused.items():
+        with pytest.raises(
+            rpc.RpcError, match=f"{name} is not available: {status.removeprefix('refused: ')}"
+        ):
             wire.call(name, "")
-    assert len(wire.said) == len(ACCEPTED) + len(REFUSED)
+    assert len(wire.said) == len(accepted) + len(refused)
     assert wire.call("simLoadLevel", "blocks")
     with pytest.raises(rpc.RpcError, match="the scene is 'blocks' and stays"):
         wire.call("simLoadLevel", "City")

@@ -21,7 +21,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites import gpu
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies
-from uavaccel.suites.rl.cells import flights
+from uavaccel.suites.rl.cases import flights
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl
@@ -428,14 +428,12 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
 
 
 @pytest.mark.slow
-def test_two_runs_put_together_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
+def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
-    assert Rl().compare(runs) == [tmp_path / "adsc/together/report.html"]
-    together, one = (
-        run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/together"), whole)
-    )
+    assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]
+    merged, one = (run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/merged"), whole))
     for name in ("cells", "pooled", "interchange"):
-        assert sorted(together[name], key=str) == sorted(one[name], key=str)
+        assert sorted(merged[name], key=str) == sorted(one[name], key=str)
     with pytest.raises(UserError, match=r"has airsim-virtual-adsc-1x-seed0, which .* has too"):
         Rl().compare([runs[0], runs[0]])
     other = RunDirectory.create(tmp_path / "other", small("games=4"), {})

@@ -13,10 +13,11 @@ from tests.drawing import texts, tick_texts
 from tests.running import configured, run_into
 from uavaccel.cli.evaluate import sweep_agent
 from uavaccel.cli.run import RunRequest
+from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.sweep.conditions import SHORT, keys_of, parse_sweep
+from uavaccel.suites.sweep.conditions import keys_of, parse_sweep
 from uavaccel.suites.sweep.config import SweepConfig
 from uavaccel.suites.sweep.figure import plot_sweeps
 from uavaccel.suites.sweep.report import summarise, swept, table
@@ -60,7 +61,7 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
 def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
     config = configured("sweep", "agent=straight")
     assert isinstance(config, SweepConfig)
-    assert set(SHORT) - set(config.sweep) == {"profile"}
+    assert set(CONDITIONS) - set(config.sweep) == {"profile"}
     flown = [case.id for case in Sweep().cases(config)]
     assert flown[0] == "as-trained"
     usual = {
@@ -105,6 +106,12 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
     assert tick_texts(axes.xaxis) == ["0", "3"]
     assert axes.get_xlabel() == "wind, m/s"
     assert "modelled" in texts(figure)
+
+
+def test_the_page_has_the_table_of_conditions() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "learning.md").read_text(encoding="utf-8")
+    lines = [f"| `{each.short}` | `task.{each.key}` | {each.unit} |" for each in CONDITIONS.values()]
+    assert "\n".join(lines) in page
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
 from uavaccel.suites.training.flights import CHECKPOINTS
@@ -220,8 +220,8 @@ class GamesHere:
     def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._config, self._agent = config, make_agent(config.agent, config.task)
 
-    def game(self, lane: int) -> Flown:
-        return Flown(fly_game(self._config, self._environment, self._agent, lane))
+    def game(self, lane: int) -> GameResult:
+        return GameResult(fly_game(self._config, self._environment, self._agent, lane))
 
     def close(self) -> None:
         self._environment.close()

@@ -23,6 +23,10 @@ ASIDE = {"X": 5, "Y": 5}
 MANY = 50
 STILL = point(0, 0, 0)
 PLACE = [0.0, 0.0, -9.0]
+LEVEL = {
+    "position": point(0, 0, -9),
+    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
+}
 ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "enableApiControl": [True],
     "isApiControlEnabled": [],
@@ -30,8 +34,11 @@ ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "getMultirotorState": [],
     "simGetGroundTruthKinematics": [],
     "simGetVehiclePose": [],
-    "simSetVehiclePose": [{}, True],
-    "simSetKinematics": [{}, True],
+    "simSetVehiclePose": [LEVEL, True],
+    "simSetKinematics": [
+        {**LEVEL, "linear_velocity": point(0, 0, 0), "angular_velocity": point(0, 0, 0)},
+        True,
+    ],
     "simGetCollisionInfo": [],
     "takeoff": [1.0],
     "land": [1.0],
@@ -110,7 +117,7 @@ def test_each_has_its_frame_and_its_command() -> None:
     np.testing.assert_allclose(place(api, "A"), (0.0, 0.0, -12.0), atol=0.7)
     np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)
     go_on(api, 6.0)
-    in_world = np.array(api.pilot_of("B").vehicle.state["position"])
+    in_world = np.array(api.scenery.pilot("B").vehicle.state["position"])
     np.testing.assert_allclose(in_world - place(api, "B"), (5.0, -4.0, -0.045), atol=2e-4)
     np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)  # held in its own frame
     gps = [call(api, "getMultirotorState", name)["gps_location"] for name in ("A", "B")]
@@ -125,7 +132,10 @@ def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
     call(api, "enableApiControl", False, "A")
     assert call(api, "isApiControlEnabled", "B") is True
     assert (call(api, "armDisarm", False, "A"), call(api, "armDisarm", False, "B")) == (False, True)
-    assert (api.pilot_of("A").vehicle.state["armed"], api.pilot_of("B").vehicle.state["armed"]) == (1, 0)
+    assert (api.scenery.pilot("A").vehicle.state["armed"], api.scenery.pilot("B").vehicle.state["armed"]) == (
+        1,
+        0,
+    )
 
 
 def test_an_unknown_vehicle_is_refused_in_every_call_with_the_known_ones() -> None:
@@ -347,7 +357,7 @@ def test_take_off_goes_up_from_where_the_vehicle_is() -> None:
 
 
 def in_world(api: Api, name: str) -> NDArray[np.float64]:
-    return np.array(api.pilot_of(name).vehicle.state["position"])
+    return np.array(api.scenery.pilot(name).vehicle.state["position"])
 
 
 @pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])

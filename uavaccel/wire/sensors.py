@@ -6,7 +6,7 @@ Source: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings); a list 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
@@ -26,7 +26,7 @@ SensorSettings = Annotated[
     Field(discriminator="sensor_type"),
 ]
 Kind = TypeVar("Kind")
-DEFAULTS: dict[str, Any] = {
+DEFAULTS: dict[str, SensorSettings] = {
     "imu": ImuSettings(),
     "magnetometer": MagnetometerSettings(),
     "gps": GpsSettings(),
@@ -38,14 +38,17 @@ class Sensors:
     """A vehicle's sensors by name; `seed` is that of their noise."""
 
     def __init__(
-        self, given: Mapping[str, Any] | None, defaults: Mapping[str, Any] | None, seed: int
+        self,
+        given: Mapping[str, SensorSettings] | None,
+        defaults: Mapping[str, SensorSettings] | None,
+        seed: int,
     ) -> None:
         chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
         self._sensors = {
             name: _sensor(settings, name, seed) for name, settings in chosen.items() if settings.enabled
         }
 
-    def named(self, kind: type[Kind], word: str, name: Any) -> Kind:
+    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
         """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
@@ -57,7 +60,7 @@ class Sensors:
         return found
 
 
-def _sensor(settings: Any, name: str, seed: int) -> Any:
+def _sensor(settings: SensorSettings, name: str, seed: int) -> object:
     match settings:
         case ImuSettings():
             return Imu(settings, seed, name)
