@@ -76,7 +76,6 @@ def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
         (acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix()
     )
     assert down @ force == pytest.approx(acceleration[2] - 9.80665)
-    assert np.abs(force[:2]).max() > 0.1
     assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
 
 

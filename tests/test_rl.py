@@ -385,7 +385,8 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
         row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
         run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], load(row)))
         run.append_timing({"case": row["case"], "training_s": 60.0 * (number + 1)})
-    Rl().report(run).write()
+    report = Rl().report(run)
+    report.write()
     page = (run.path / "report.md").read_text(encoding="utf-8")
     _, fast = table_below(page, "Table I: success by training")
     fisher = fisher_exact(np.array([[22, 58], [50, 30]])).pvalue
@@ -401,6 +402,9 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
         "5x", "2", f"{300 * (fast_s + beside_s) / 3600:.3g}", f"{300 * (slow_s + beside_s) / 3600:.3g}",
         f"{slow_s / fast_s:.3g}x", "4x", f"{(slow_s + beside_s) / (fast_s + beside_s):.3g}x", "3.6x", "7",
     ]  # fmt: skip
+    shown = report.overview()
+    assert shown is not None
+    assert shown.rows[1][-1] == f"{slow_s / fast_s:.3g}x"
     hours = 600 * (slow_s + beside_s) / 3600
     assert f"These trainings' 40 games would have taken {hours:.3g} hours in real time" in page
     assert f"{3600 * hours / 40:.0f} s per game" in page
