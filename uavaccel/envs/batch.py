@@ -59,8 +59,8 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         self.single_action_space = task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        space = self.single_observation_space
-        self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
+        one = task.observation_space().low
+        self._observations = Observations.made(num_envs, one.shape, one.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options = {
