@@ -60,3 +60,13 @@ def lane_world(_lane_world: World) -> World:
     _lane_world.set_lane(layout_from({"obstacles": []}, "test"))
     _lane_world.reset()
     return _lane_world
+
+
+@pytest.fixture(scope="module")
+def trainings_here() -> Iterator[None]:
+    """Small trainings are quick."""
+    from tests.learning import fly_here  # which loads all that learns
+
+    with pytest.MonkeyPatch.context() as patch:
+        fly_here(patch.setattr)
+        yield

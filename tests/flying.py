@@ -49,7 +49,7 @@ def go_on(api: Api, seconds: float) -> None:
 
 
 def place(api: Api, vehicle: str = "") -> NDArray[np.float64]:
-    return np.array(api.pilot_of(vehicle).kinematics().position_m)
+    return np.array(api.scenery.pilot(vehicle).kinematics().position_m)
 
 
 def point(x: float, y: float, z: float) -> dict[str, float]:

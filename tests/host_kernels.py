@@ -18,8 +18,8 @@ import torch as th
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import cpu, lane_clocks, lanes
-from uavaccel.kernels.fields import COLUMNS, ROWS
+from uavaccel.kernels import cpu, events, lane_clocks, lanes
+from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_desk
 
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
@@ -125,7 +125,7 @@ class Kernels:
             game = now.game[lane]
             cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._desk, self._picture)
             self._levels[lane] = self._desk.channels[0].sum()
-            time_s = cpu.moment_ns(lane, now, tick_ns) * cpu.NS
+            time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
             cpu.take_events(lane, pixels, frames[lane][None])
@@ -138,7 +138,7 @@ class Kernels:
             frames[lane] = 0
             if lanes.touched(lane, now):
                 continue
-            if kind == cpu.COLOUR:
+            if kind == COLOUR:
                 cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._desk, frames[lane])
                 self._levels[lane] = self._desk.channels.sum(axis=(1, 2))
             else:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from stable_baselines3.common.vec_env import DummyVecEnv
+
 from tests.running import run_into
 from uavaccel.config import validate
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.rl.lanes import Lanes
+from uavaccel.suites.evaluation.report import EvaluationReport
 from uavaccel.suites.report import Summary
+from uavaccel.suites.training import flights
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.report import TrainingReport
 from uavaccel.suites.training.suite import Training
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
@@ -23,3 +31,17 @@ def tiny_config(task: dict[str, Any] | None = None, **keys: Any) -> TrainConfig:
 def train_into(out: Path, config: TrainConfig, resume: bool = False) -> Summary:
     """Train; the summary."""
     return run_into(out, Training(), config, resume)
+
+
+def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
+    """As make_lanes, but in this process."""
+    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
+    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+
+
+def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
+    """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
+    put(flights, "make_lanes", side_by_side)
+    for report in (TrainingReport, EvaluationReport):
+        put(report, "figures", lambda _: [])
+    put(TrainingReport, "blocks", lambda *_: [])

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
+from uavaccel.wire.api import CALLS, Api
 
 YAW = {"is_rate": True, "yaw_or_rate": 0.0}
 HERE = {"x_val": 1.0, "y_val": 0.0, "z_val": -10.0}
@@ -79,7 +79,7 @@ def mutated_calls(api: Api, choose: random.Random) -> Iterator[bytes]:
     while True:
         number = number % 0xFFFFFFF0 + 1
         name = choose.choice(methods)
-        least, most = api.methods[name].required, api.methods[name].most
+        least, most = CALLS[name].required, CALLS[name].most
         given = GOOD.get(name) or [choose.choice(WILD) for _ in range(choose.randint(least, most))]
         params = [changed(each, choose) if choose.random() < 0.3 else each for each in given]
         if choose.random() < 0.1:

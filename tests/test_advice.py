@@ -39,6 +39,14 @@ def test_without_latency_both_fly_alike_and_with_it_adsc_alone_is_off() -> None:
     assert late[-1].adsc_speedup < late[-1].tcsc_speedup < late[-1].clock_speed
 
 
+def test_its_seed_chooses_the_latencies() -> None:
+    """Of every game: another seed has other games, and the first seed's are those that the command line shows."""
+    uneven = LatencyConfig(reply_us={"call": tuple(float(1_000 * n) for n in range(12))})
+    told = {seed: list(advise(uneven, "native", 0.2, 1, seed))[3] for seed in (0, 1)}
+    assert told[0].adsc_error_m != told[1].adsc_error_m
+    assert list(advise(uneven, "native", 0.2, 1))[3] == told[0]
+
+
 def test_airsim_is_advised_with_its_own_model(capsys: pytest.CaptureFixture[str]) -> None:
     show_advice(AdviceRequest(1.0, 0.1, 1, None, "airsim"))
     said = capsys.readouterr().out.splitlines()[-1]

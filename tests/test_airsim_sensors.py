@@ -11,14 +11,15 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.scenes import Pose
+from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, local, magnetic_field_gauss
 from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
+from uavaccel.wire.api import CALLS
 from uavaccel.wire.types import EPOCH_NS
-from uavaccel.wire.world_api import ACCEPTED, REFUSED
 
 HOME = {"latitude": 47.641468, "longitude": -122.140165, "altitude": 122.0}
 QUIET = {"UncorrelatedNoiseSigma": 0.0}
@@ -55,6 +56,28 @@ def test_an_imu_feels_the_specific_force_and_the_body_rate_with_the_noise_of_its
     assert (
         readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
     )
+
+
+def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
+    silent = dict.fromkeys(
+        ("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0
+    )
+    wire = with_sensors(Imu={"SensorType": 2} | silent)
+    wire.call("simSetVehiclePose", TILTED.message(), True, "")
+    wire.fly(0.1)
+    true, told = wire.call("simGetGroundTruthKinematics", ""), wire.call("getImuData", "", "")
+    w, x, y, z = true["orientation"].values()
+    down = np.array(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    )  # in the body's frame
+    acceleration, force = (np.array(xyz(each["linear_acceleration"])) for each in (true, told))
+    turned = wire.simulation.kinematics().orientation_wxyz
+    assert force == pytest.approx(
+        (acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix()
+    )
+    assert down @ force == pytest.approx(acceleration[2] - 9.80665)
+    assert np.abs(force[:2]).max() > 0.1
+    assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
 
 
 @pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
@@ -320,14 +343,21 @@ def test_lines_of_sight_and_extents_are_geographic() -> None:
 
 def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
     wire = AirSimWire()
-    for name, answer in ACCEPTED.items():
+    accepted = [name for name, call in CALLS.items() if call.status == "accepted"]
+    assert len(accepted) == 16
+    answers = {"simSwapTextures": [], "simSetLightIntensity": True, "simRunConsoleCommand": True}
+    for name in accepted:
         for _ in range(2):
-            assert wire.call(name, 1, 2, 3) == answer
-    assert wire.said == [f"{name}: accepted, without effect" for name in ACCEPTED]
-    for name, reason in REFUSED.items():
-        with pytest.raises(rpc.RpcError, match=f"{name} is not available: {reason}"):
+            assert wire.call(name, 1, 2, 3) == answers.get(name)
+    assert wire.said == [f"{name}: accepted, without effect" for name in accepted]
+    refused = {name: call.status for name, call in CALLS.items() if call.status.startswith("refused: ")}
+    assert len(refused) == 20
+    for name, status in refused.items():
+        with pytest.raises(
+            rpc.RpcError, match=f"{name} is not available: {status.removeprefix('refused: ')}"
+        ):
             wire.call(name, "")
-    assert len(wire.said) == len(ACCEPTED) + len(REFUSED)
+    assert len(wire.said) == len(accepted) + len(refused)
     assert wire.call("simLoadLevel", "blocks")
     with pytest.raises(rpc.RpcError, match="the scene is 'blocks' and stays"):
         wire.call("simLoadLevel", "City")

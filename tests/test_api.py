@@ -16,7 +16,8 @@ from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
+from uavaccel.wire.api import CALLS, Api
+from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.recorder import COLUMNS, FILE_NAME
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
@@ -54,19 +55,16 @@ def result_of(api: Api, method: str, params: Sequence[Any], wall_ns: int = 0) ->
     return api.call(method, params, wall_ns)
 
 
-METHODS = new_api().methods
-
-
 @st.composite
 def calls(draw: st.DrawFn) -> tuple[str, list[Any]]:
     """A method and as many arguments as it takes, of any kind."""
-    name = draw(st.sampled_from(sorted(METHODS)))
-    method = METHODS[name]
+    name = draw(st.sampled_from(sorted(CALLS)))
+    method = CALLS[name]
     return name, draw(st.lists(values, min_size=method.required, max_size=method.most))
 
 
 @pytest.mark.slow
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(calls())
 def test_any_arguments(call: tuple[str, list[Any]]) -> None:
     api = new_api()
@@ -82,7 +80,7 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
         msgpack.packb(result)
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", sorted(CALLS))
 def test_arity_is_checked_before_anything_else(method: str) -> None:
     with pytest.raises(rpc.RpcError, match="invalid number of arguments"):
         result_of(new_api(), method, [object()] * 99)
@@ -93,6 +91,54 @@ def test_an_error_in_a_handler_costs_the_caller_its_call() -> None:
     api.methods["ping"].handler = lambda: dict[str, int]()["pong"]
     with pytest.raises(rpc.RpcError, match=r"threw an exception.* KeyError: 'pong'\."):
         api.call("ping", [], 0)
+
+
+def test_a_bug_in_a_call_leaves_its_traceback_in_the_log_once(caplog: pytest.LogCaptureFixture) -> None:
+    api = new_api()
+
+    def broken() -> int:
+        return dict[str, int]()["pong"]
+
+    for name in ("ping", "reset"):
+        api.methods[name].handler = broken
+        for _ in range(2):
+            with pytest.raises(rpc.RpcError, match="KeyError: 'pong'"):
+                api.call(name, [], 0)
+    assert [record.getMessage() for record in caplog.records] == ["ping failed", "reset failed"]
+    assert caplog.text.count("in broken") == 2
+    assert caplog.text.count("KeyError: 'pong'") == 2
+
+
+def test_a_clients_mistake_is_no_bug(caplog: pytest.LogCaptureFixture) -> None:
+    api = new_api()
+    for name, params in (
+        ("moveByRC", [7]),
+        ("simPause", []),
+        ("moveByVelocity", [1.0] * 6),
+        ("takeoff", ["x"]),
+    ):
+        with pytest.raises(rpc.RpcError):
+            api.call(name, params, 0)
+    assert not caplog.records
+
+
+def test_a_method_says_all_about_its_call() -> None:
+    class OwnApi(Calls, title="Own"):
+        @call("uavaccelTriple", lambda params: "state" if params else "call", leaves_state=True)
+        def triple(self, number: float, times: int = 3) -> float:
+            return number * times
+
+    triple = OwnApi.calls["uavaccelTriple"]
+    assert (triple.required, triple.most, triple.leaves_state, triple.joined) == (1, 2, True, False)
+    assert [triple.channel_of([]), triple.channel_of([2])] == ["call", "state"]
+    assert triple.arguments([2]) == [2.0]
+    with pytest.raises(ValueError, match=r"times must be a whole number of 32 bits, not 1\.5"):
+        triple.arguments([2.0, 1.5])
+    with pytest.raises(TypeError, match="no client's value becomes <class 'dict'>"):
+
+        class BadApi(Calls, title="Bad"):
+            @call("uavaccelBad")
+            def bad(self, value: dict) -> None: ...
 
 
 def test_settings_name_the_vehicle() -> None:

@@ -14,7 +14,7 @@ from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.vehicle.goal import Goal, of_velocity
-from uavaccel.wire import rpc, types
+from uavaccel.wire import arguments, rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.flight_api import facing
 from uavaccel.wire.game_api import decode_state, encode_state
@@ -121,7 +121,7 @@ def test_gps_is_a_sphere_around_airsims_origin() -> None:
 def test_yaw_follows_the_direction_of_travel_if_asked_to(
     velocity: tuple[float, float, float], drivetrain: int, mode: Any, yaw: float, is_rate: bool
 ) -> None:
-    found = facing(velocity, drivetrain, mode)
+    found = facing(*velocity[:2], drivetrain, arguments.yaw_mode(mode, "yaw_mode"))
     assert found[0] == pytest.approx(yaw)
     assert found[1] is is_rate
 
@@ -284,22 +284,25 @@ def test_airsims_wall_timer_notes_when_it_was_due_and_when_it_ended() -> None:
 def test_a_pose_is_taken_apart_and_its_attitude_made_a_unit() -> None:
     place = {"x_val": 1, "y_val": 2.0, "z_val": -3.0}
     turned = {"w_val": 0.0, "x_val": 0.0, "y_val": 3.0, "z_val": 4.0}
-    assert types.pose({"position": place, "orientation": turned}) == ((1.0, 2.0, -3.0), (0.0, 0.0, 0.6, 0.8))
+    assert arguments.pose({"position": place, "orientation": turned}, "pose") == (
+        (1.0, 2.0, -3.0),
+        (0.0, 0.0, 0.6, 0.8),
+    )
     for bad in ({**turned, "y_val": 0.0, "z_val": 0.0}, {**turned, "w_val": math.inf}):
         with pytest.raises(ValueError, match="orientation finite and not zero"):
-            types.pose({"position": place, "orientation": bad})
+            arguments.pose({"position": place, "orientation": bad}, "pose")
     with pytest.raises(ValueError, match="within 1e\\+06 m"):
-        types.pose({"position": {**place, "x_val": -1.1e6}, "orientation": turned})
+        arguments.pose({"position": {**place, "x_val": -1.1e6}, "orientation": turned}, "pose")
 
 
 @pytest.mark.parametrize("value", [-1e6, 0, 1e6])
 def test_places_within_a_thousand_kilometres(value: float) -> None:
-    assert types.coordinate(value, "z") == value
+    assert arguments.coordinate(value, "z") == value
     with pytest.raises(ValueError, match="z must be within"):
-        types.coordinate(value * 1.01 if value else 1e7, "z")
+        arguments.coordinate(value * 1.01 if value else 1e7, "z")
 
 
 def test_flags_may_be_numbers_and_yaw_is_in_degrees() -> None:
-    assert [types.flag(value, "it") for value in (True, False, 1, 0)] == [True, False, True, False]
-    assert types.yaw_mode({"is_rate": False, "yaw_or_rate": 180}) == (False, math.pi)
-    assert types.yaw_mode({}) == (True, 0.0)
+    assert [arguments.flag(value, "it") for value in (True, False, 1, 0)] == [True, False, True, False]
+    assert arguments.yaw_mode({"is_rate": False, "yaw_or_rate": 180}, "it") == (math.pi, False)
+    assert arguments.yaw_mode({}, "it") == (0.0, True)

@@ -27,7 +27,7 @@ from uavaccel.errors import UserError
 from uavaccel.sim.rendering.service import RenderService
 
 NAME = "uavaccel/ObstacleLane-v0"
-COMMANDS = 40
+COMMANDS = 14
 SIZES = [(1, 1, 1), (3, 2, 2), (8, 3, 5)]  # lanes, processes, tiles
 OTHERS: list[dict[str, Any]] = [
     {"timing": "virtual", "clock_speed": 10.0, "command": "adsc"},
@@ -78,7 +78,7 @@ def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], co
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
 def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, int], keys: dict[str, Any]) -> None:
-    (lanes, processes, tiles), task = size, {"max_commands": 25, **keys}
+    (lanes, processes, tiles), task = size, {"max_commands": 8, **keys}
     batch = EnvironmentBatch(ObstacleLane, lanes, processes, "shared", tiles, **task)
     with closing(batch), singles(lanes, **task) as alone:
         ends = assert_flies_as_alone(batch, alone, COMMANDS)

@@ -8,9 +8,11 @@ import sys
 import pytest
 
 from tests.opengl import needs_opengl
+from uavaccel.bench import speed
 from uavaccel.bench.images import frames_seen
 from uavaccel.bench.memory import proportional_mib
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.wire.session import VirtualSession
 
 
 @needs_opengl
@@ -21,6 +23,37 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
     environment.step(2)
     assert frames_seen(environment) == pictures  # at 10 Hz two samples of the three fall between them
     environment.close()
+
+
+def test_the_hot_loop_is_held_against_bare_steps_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 000 ticks in 2, 4, 8 s and bare steps in half of that, as if the machine grew slower and slower."""
+    took_s = iter([2.0, 1.0, 4.0, 2.0, 8.0, 4.0])
+    monkeypatch.setattr(speed, "REPEATS", 3)
+    monkeypatch.setattr(speed, "STEPS", 100)
+    monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), next(took_s))[1])
+    loop, ratio = speed.bench_hot_loop()
+    assert (loop.value, loop.bound, ratio.value) == (25.0, 50.0, 0.5)
+    assert not list(took_s)
+
+
+def test_a_commands_speed_is_simulated_time_over_wall_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixteen commands, as if they took a second together; and a round trip two of them."""
+    monkeypatch.setattr(speed, "WallSession", VirtualSession)
+    monkeypatch.setattr(speed, "REPEATS", 1)
+    monkeypatch.setattr(speed, "PINGS", 1)
+    monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), 1.0)[1])
+    found = {each.name: each for each in speed.bench_tcsc()}
+    assert found["round trip of a call"].value == 1e6
+    for t_move_s in (1.0, 0.1):
+        tcsc, over, adsc = (
+            found[f"{name}, T_move {t_move_s:g} s"] for name in ("TCSC", "TCSC over its bound", "ADSC")
+        )
+        assert tcsc.value == adsc.value == pytest.approx(16 * t_move_s)
+        calls = int(tcsc.note.split(" + ")[1].split(" calls")[0])
+        assert calls == 2  # the command, and the continue-for, whose reply is the state
+        assert tcsc.bound == pytest.approx(t_move_s / (t_move_s / 100 + calls))
+        assert over.value == pytest.approx(tcsc.value / (tcsc.bound or 0.0))
+        assert adsc.bound == 100.0
 
 
 HOLDS_64_MIB_TWICE = """

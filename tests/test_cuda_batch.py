@@ -22,7 +22,7 @@ LANES = 3
 VIRTUAL = {"timing": "virtual", "max_commands": 3, "knows": ["frame_age"], "image_processing_s": 0.02}
 FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (ObstacleLane, {"max_commands": 2, "knows": ["last_action", "frame_age"], "history": 2}),
-    (ObstacleLane, {"max_commands": 12, "observation": "state", "history": 2}),
+    (ObstacleLane, {"max_commands": 6, "observation": "state", "history": 2}),
     (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
     (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
     (ObstacleLane, VIRTUAL | {"command": "adsc", "clock_speed": 5.0}),
@@ -52,7 +52,7 @@ def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[
             seen, _ = batch.reset(seed=seed)
             assert isinstance(seen, th.Tensor)
             np.testing.assert_array_equal(seen.numpy(), other.reset(seed=seed)[0])
-            for number in range(15):
+            for number in range(8):
                 actions = actions_of(batch.single_action_space, random)
                 flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
                 expected = other.step(actions)

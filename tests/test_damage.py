@@ -21,6 +21,8 @@ from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import CHECKPOINTS
 
+pytestmark = pytest.mark.usefixtures("trainings_here")
+
 STATE: dict[str, Any] = {"observation": "state"}
 
 
@@ -29,7 +31,7 @@ def config(games: int = 5) -> TrainConfig:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A training of three games, its checkpoint at two."""
     folder = tmp_path_factory.mktemp("trained") / "run"
     train_into(folder, config(3))

@@ -29,7 +29,7 @@ from uavaccel.suites.dp1.accuracy import accuracy_figure
 from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.speedup import speedup_figure
-from uavaccel.suites.dp1.summary import summary_of
+from uavaccel.suites.dp1.summary import summarise
 from uavaccel.suites.dp1.table import HEADER, table
 from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
@@ -170,7 +170,7 @@ def test_figure_5_shows_stlc_with_t_moves_pooled(tmp_path: Path, drawn: dict[str
 def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = accelerated_rows()
     scores = scored(rows)
-    summary = summary_of(rows, scores)
+    summary = summarise(rows, scores)
     picture = speedup_figure(scores, summary, tmp_path / "six.png")
     adsc, tcsc = drawn["six"].axes
     assert headline(drawn["six"]) == (

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from tests.dp1_games import line_arrays, line_row, quantile, synthetic_games
-from uavaccel.suites.dp1.summary import summarise
+from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.suites.dp1.scores import cells_of, score_cells
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
+from uavaccel.suites.report import LoadArrays
 
 Row = dict[str, Any]
+
+
+def summarise(rows: list[Row], load_arrays: LoadArrays) -> Row:
+    return dp1_summary.summarise(rows, score_cells(cells_of(rows), load_arrays))
+
 
 REFERENCES_M, GAMES_M = [0.0, 0.2, 0.5], [0.1, 0.9, 0.3, 0.35]
 REFERENCE_WALL_S, WALL_S = [4.1, 4.3, 4.9], [0.12, 0.09, 0.1, 0.2]

@@ -296,7 +296,7 @@ def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: floa
             go_on(api, profile.tick_s)
         assert call(api, "simGetCollisionInfo", name)["has_collided"]
         np.testing.assert_allclose(
-            api.pilot_of(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4
+            api.scenery.pilot(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4
         )
     np.testing.assert_allclose(places, 0.0, atol=1e-6)
 

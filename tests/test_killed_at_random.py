@@ -71,7 +71,7 @@ ALL = {
 }  # fmt: skip
 EVERY_DAY = ("dp1", "train", "evaluate")
 RUNS = {name: ALL[name] for name in (ALL if "KILLS" in os.environ else EVERY_DAY)}
-KILLS = max(int(os.environ.get("KILLS", "6")) // len(RUNS), 1)
+KILLS = max(int(os.environ.get("KILLS", "3")) // len(RUNS), 1)
 CLOCK = MonotonicClock()
 
 

@@ -23,10 +23,10 @@ from uavaccel.wire.latency import (
     LatencyConfig,
     LatencyModel,
     after_wait,
-    channel_of,
     read_latency,
     shipped_latency,
 )
+from uavaccel.wire.transport import channel_of
 from uavaccel.yaml_io import dump_yaml, load_yaml
 
 MS = 1_000_000

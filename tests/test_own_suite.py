@@ -134,7 +134,7 @@ from dataclasses import dataclass
 from contextlib import nullcontext
 from uavaccel.suites.experiment import Experiment, Timing
 from uavaccel.suites.report import Report
-from uavaccel.suites.suite import Flown, Suite
+from uavaccel.suites.suite import GameResult, Suite
 
 class Config(Experiment):
     suite: str
@@ -180,15 +180,15 @@ class Nothing(Own):
 
 class NoJson(Own):
     def flown(self, case):
-        return Flown({"suite": "own", "case": case.id, "value": object()})
+        return GameResult({"suite": "own", "case": case.id, "value": object()})
 
 class OtherCase(Own):
     def flown(self, case):
-        return Flown({"suite": "own", "case": "c"})
+        return GameResult({"suite": "own", "case": "c"})
 
 class NoRow(Own):
     def flown(self, case):
-        return Flown([1])
+        return GameResult([1])
 """
 
 

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,17 +15,19 @@ from scipy.stats import binomtest, fisher_exact
 
 from tests.opengl import needs_opengl
 from tests.running import configured, run_into
-from tests.test_training import side_by_side
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import gpu
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies
+from uavaccel.suites.rl.cases import flights
 from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import summarise
-from uavaccel.suites.training import flights as training
+
+pytestmark = pytest.mark.usefixtures("trainings_here")
 
 # No pictures, hence no OpenGL; games of a dozen commands; the interchange test once.
 SMALL = (
@@ -46,11 +47,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.training import flights
 from uavaccel.yaml_io import load_yaml
-from tests.test_training import side_by_side
+from tests.learning import fly_here
 
-flights.make_lanes = side_by_side
+fly_here()
 append, left = RunDirectory.append_row, [int(sys.argv[3])]
 
 def append_and_die(run, row):
@@ -71,16 +71,8 @@ def small(*overrides: str, **options: Any) -> RlConfig:
     return config
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _no_processes() -> Iterator[None]:
-    """Lanes fly in this process: `test_training` has them in others."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "make_lanes", side_by_side)
-        yield
-
-
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     """A run of six cells."""
     out = tmp_path_factory.mktemp("rl") / "whole"
     run_into(out, Rl(), small())
@@ -147,6 +139,36 @@ def test_native_tcsc_learns_at_100x_what_it_does_in_lockstep(whole: RunDirectory
     weights = {row["case"]: row["training"]["weights_sha256"] for row in whole.rows()}
     assert weights["native-virtual-tcsc-100x-seed0"] == weights["native-lockstep-tcsc-1x-seed0"]
     assert weights["airsim-virtual-adsc-1x-seed0"] != weights["airsim-virtual-adsc-5x-seed0"]
+
+
+@pytest.mark.slow
+def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(
+    whole: RunDirectory,
+) -> None:
+    """The lanes of seed 0, whatever the seed of the training; with ADSC too where TCSC was trained at 1x."""
+    for row in whole.rows():
+        commands = ["tcsc", "adsc"] if row["case"] == "airsim-virtual-tcsc-1x-seed0" else [row["command"]]
+        assert [flown["command"] for flown in row["evaluations"]] == commands
+        parts = {"training": (row["command"], row["clock_speed"], row["seed"], 3)}
+        parts |= {f"evaluation-{command}": (command, 1.0, 0, 2) for command in commands}
+        for part, expected in parts.items():
+            config = RunDirectory(whole.path / "parts" / row["case"] / part).config()
+            task = config["task"]
+            assert (task["command"], task["clock_speed"], config["seed"], config["games"]) == expected
+            assert (task["timing"], task["profile"]) == (row["timing"], row["profile"])
+        for flown in row["evaluations"]:
+            rows = RunDirectory(whole.path / f"parts/{row['case']}/evaluation-{flown['command']}").rows()
+            assert (flown["games"], flown["clock_speed"]) == (2, 1.0)
+            assert flown["successes"] == sum(each["is_success"] for each in rows)
+            found = whole.load_arrays(row)
+            for name in ("distance_m", "lane"):
+                assert found[f"{flown['command']}_{name}"].tolist() == [each[name] for each in rows]
+
+
+def test_a_policy_is_flown_as_it_was_trained_where_that_is_asked_for() -> None:
+    config = small("as_trained=true", clock_speed=[5.0], command=["adsc"])
+    (cell,) = Rl().cases(config)
+    assert flights(config, cell) == [("adsc", 1.0, "adsc"), ("adsc", 5.0, "adsc-5x")]
 
 
 @pytest.mark.slow
@@ -221,7 +243,7 @@ LANES = 40
 
 
 def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) -> list[dict[str, Any]]:
-    """A row for each seed that won those lanes; `wall_s` of simulation, a quarter of it rendering, for a command."""
+    """A row for each seed that won those lanes; of a command three quarters of `wall_s` fly, and 0.25 s draw."""
     return [
         {
             "variant": "",
@@ -241,7 +263,7 @@ def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) 
                     phase: 100 * (seed + 1) * spent_s
                     for phase, spent_s in {
                         "simulation": 0.75 * wall_s,
-                        "rendering": 0.25 * wall_s,
+                        "rendering": 0.25,
                         "image_processing": 0.001,
                         "inference": 0.002,
                         "learning": 0.007,
@@ -289,9 +311,11 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     # Lanes 0 to 24 of seed 0 and 12 to 19 of seed 1 were won at 1x alone, 30 to 34 of seed 0 at 5x alone.
     assert fast["mcnemar_p"] == pytest.approx(binomtest(5, 5 + 25 + 8).pvalue)
     assert (fast["paper_successes"], real_time["paper_successes"]) == (30, 21)
-    assert fast["training_speedup"] == pytest.approx(4.0)
-    assert fast["whole_training_speedup"] == pytest.approx(1.01 / 0.26)
-    assert fast["training_wall_s"] == pytest.approx(300 * 0.26)
+    assert fast["training_speedup"] == pytest.approx(1.0 / 0.4375)
+    assert fast["whole_training_speedup"] == pytest.approx(1.01 / 0.4475)
+    assert fast["training_wall_s"] == pytest.approx(300 * 0.4475)
+    assert fast["phase_s"]["rendering"] == pytest.approx(300 * 0.25)
+    assert (fast["trained_games"], fast["commands"], fast["sim_time_s"]) == (20, 300, 300.0)
     assert fast["real_time_s"] == pytest.approx(300 * 1.01)
     assert (fast["paper_training_speedup"], fast["paper_whole_training_speedup"]) == (4.0, 3.6)
     assert real_time["training_speedup"] == 1.0
@@ -334,6 +358,55 @@ def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> Non
     )
 
 
+def test_times_of_a_figure_are_means_of_the_seeds_and_rendering_is_of_simulation() -> None:
+    rows = made("tcsc", 1.0, [[0], [1]], 1.0)
+    (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
+    drawn = training_time(cell)
+    assert drawn.phase_s == pytest.approx({
+        "simulation (with rendering)": 150.0, "image processing": 0.15, "inference": 0.3, "learning": 1.05,
+    })  # fmt: skip
+
+
+def table_below(page: str, heading: str) -> list[dict[str, str]]:
+    """The first table after a heading of a report.md: a line each, its cells by their columns' names, in order."""
+    lines = [line for line in page.split(f"## {heading}\n")[1].split("## ")[0].splitlines() if "|" in line]
+    columns, _, *cells = ([cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines)
+    numbered = [f"{column} ({columns[:n].count(column) + 1})" for n, column in enumerate(columns)]
+    return [dict(zip(numbered, line, strict=True)) for line in cells]
+
+
+@pytest.mark.slow
+def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
+    """Hours of hours, minutes of minutes, Fisher's test and McNemar's each in its own."""
+    run = RunDirectory.create(tmp_path / "run", small(), {})
+    rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 3600.0)
+    rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 900.0)
+    for number, row in enumerate(rows):
+        row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
+        run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], load(row)))
+        run.append_timing({"case": row["case"], "training_s": 60.0 * (number + 1)})
+    Rl().report(run).write()
+    page = (run.path / "report.md").read_text(encoding="utf-8")
+    _, fast = table_below(page, "Table I: success by training")
+    fisher = fisher_exact(np.array([[22, 58], [50, 30]])).pvalue
+    mcnemar = binomtest(5, 5 + 25 + 8).pvalue
+    assert list(fast.values())[3:] == [
+        "80", "22 of 80: 27.5% [18.9, 38.1]", "10, 12", "30", f"{fisher:.2g}", f"{mcnemar:.2g}",
+    ]  # fmt: skip
+    assert f"{fisher:.2g}" != f"{mcnemar:.2g}"
+    assert [name.split(" (")[0] for name in fast][-2:] == ["p against 1x: Fisher", "McNemar"]
+    _, fast = table_below(page, "Time of the training")
+    slow_s, fast_s, beside_s = 0.75 * 3600 + 0.25, 0.75 * 900 + 0.25, 400.003
+    assert list(fast.values())[1:] == [
+        "5x", "2", f"{300 * (fast_s + beside_s) / 3600:.3g}", f"{300 * (slow_s + beside_s) / 3600:.3g}",
+        f"{slow_s / fast_s:.3g}x", "4x", f"{(slow_s + beside_s) / (fast_s + beside_s):.3g}x", "3.6x", "7",
+    ]  # fmt: skip
+    hours = 600 * (slow_s + beside_s) / 3600
+    assert f"These trainings' 40 games would have taken {hours:.3g} hours in real time" in page
+    assert f"{3600 * hours / 40:.0f} s per game" in page
+    assert f"took 0.17 hours of training, measured, one after another: {hours * 6:.0f} times less" in page
+
+
 # --- reports ----------------------------------------------------------------------------------------------------
 
 
@@ -351,14 +424,12 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
 
 
 @pytest.mark.slow
-def test_two_runs_put_together_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
+def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
-    assert Rl().compare(runs) == [tmp_path / "adsc/together/report.html"]
-    together, one = (
-        run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/together"), whole)
-    )
+    assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]
+    merged, one = (run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/merged"), whole))
     for name in ("cells", "pooled", "interchange"):
-        assert sorted(together[name], key=str) == sorted(one[name], key=str)
+        assert sorted(merged[name], key=str) == sorted(one[name], key=str)
     with pytest.raises(UserError, match=r"has airsim-virtual-adsc-1x-seed0, which .* has too"):
         Rl().compare([runs[0], runs[0]])
     other = RunDirectory.create(tmp_path / "other", small("games=4"), {})

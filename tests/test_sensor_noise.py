@@ -94,14 +94,23 @@ def flown(environment: ObstacleLane, commands: int, **reset: Any) -> list[bytes]
 
 
 @pytest.mark.opengl
-def test_a_game_has_its_own_noise_and_always_the_same() -> None:
-    with closing(ObstacleLane(**NOISES)) as noisy, closing(ObstacleLane()) as clean:
+@pytest.mark.parametrize(
+    "noise", [{"dvs_shot_noise_hz": 1.0}, {"image_noise": 4.0}], ids=lambda noise: next(iter(noise))
+)
+def test_a_game_has_its_own_noise_and_always_the_same(noise: dict[str, Any]) -> None:
+    with closing(ObstacleLane(**noise)) as noisy, closing(ObstacleLane()) as clean:
         lane = {"lane": 3}
         first = flown(noisy, 1, seed=1, options=lane)
         assert flown(noisy, 1, options=lane)[1] != first[1]  # the same lane in the next game
         assert flown(noisy, 1, seed=1, options=lane) == first
         assert flown(clean, 1, seed=1, options=lane)[1] != first[1]
         assert flown(clean, 1, options=lane) == flown(clean, 1, seed=7, options=lane)
+
+
+def test_event_noise_is_of_the_game_where_there_is_any() -> None:
+    for keys in ({"dvs_shot_noise_hz": 1.0}, {"dvs_leak_hz": 0.5}):
+        assert [LaneTask(**keys).events_seed(seed) for seed in (3, 4)] == [3, 4]
+    assert LaneTask(dvs_hot_pixels=0.1, image_noise=3.0).events_seed(3) == 0
 
 
 @pytest.mark.opengl

@@ -14,7 +14,7 @@ from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, begin_run, run_suite
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.wire import server_watch
 from uavaccel.wire.server_watch import ServerGoneError, WatchedServer
 from uavaccel.wire.session import WallSession
@@ -112,7 +112,7 @@ def test_a_server_that_dies_in_every_attempt_ends_the_run_with_one_line(tmp_path
     class Dying(Dp1):
         attempts = 0
 
-        def fly(self, config: Any, case: Any, opened: Any) -> Flown:
+        def fly(self, config: Any, case: Any, opened: Any) -> GameResult:
             self.attempts += 1
             raise ServerGoneError("the server's process ended with status -9")
 

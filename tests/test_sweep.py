@@ -13,10 +13,11 @@ from tests.drawing import texts, tick_texts
 from tests.running import configured, run_into
 from uavaccel.cli.evaluate import sweep_agent
 from uavaccel.cli.run import RunRequest
+from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.sweep.conditions import SHORT, keys_of, parse_sweep
+from uavaccel.suites.sweep.conditions import keys_of, parse_sweep
 from uavaccel.suites.sweep.config import SweepConfig
 from uavaccel.suites.sweep.figure import plot_sweeps
 from uavaccel.suites.sweep.report import summarise, swept, table
@@ -50,12 +51,17 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
     assert [row["distance_m"] for row in RunDirectory(tmp_path / "alone").rows()] == list(distances["wind-8"])
     assert (distances["speed-2"] > distances["as-trained"] + 2.0).all()
     assert summary["cells"][1]["distance_m_median"] == summary["cells"][0]["distance_m_median"]
+    report: Any = Sweep().report(run)
+    ratios = (0.9, 0.95, 0.25, 0.5)
+    cells = [cell | {"success_ratio": ratio} for cell, ratio in zip(summary["cells"], ratios, strict=True)]
+    report.summary = {**summary, "cells": cells}
+    assert "wins 90.0% as trained, 25.0% at wind = 8, the least of 3 conditions;" in report.headline()
 
 
 def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
     config = configured("sweep", "agent=straight")
     assert isinstance(config, SweepConfig)
-    assert set(SHORT) - set(config.sweep) == {"profile"}
+    assert set(CONDITIONS) - set(config.sweep) == {"profile"}
     flown = [case.id for case in Sweep().cases(config)]
     assert flown[0] == "as-trained"
     usual = {
@@ -100,6 +106,12 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
     assert tick_texts(axes.xaxis) == ["0", "3"]
     assert axes.get_xlabel() == "wind, m/s"
     assert "modelled" in texts(figure)
+
+
+def test_the_page_has_the_table_of_conditions() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "learning.md").read_text(encoding="utf-8")
+    lines = [f"| `{each.short}` | `task.{each.key}` | {each.unit} |" for each in CONDITIONS.values()]
+    assert "\n".join(lines) in page
 
 
 @pytest.mark.parametrize(

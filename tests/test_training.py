@@ -6,16 +6,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.learning import tiny_config, train_into
+from tests.learning import side_by_side, tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
@@ -32,13 +31,13 @@ from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
 from uavaccel.suites.training.flights import CHECKPOINTS
 from uavaccel.suites.training.suite import Training
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 EVALUATED = {"evaluate_every_games": 3, "evaluation_games": 2}
@@ -51,12 +50,11 @@ from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training import flights
 from uavaccel.suites.training.suite import Training
 from uavaccel.yaml_io import load_yaml
-from tests.test_training import side_by_side
+from tests.learning import fly_here
 
-flights.make_lanes = side_by_side
+fly_here()
 
 def die(case, row):
     if row["game"] + 1 == int(sys.argv[3]):
@@ -67,22 +65,8 @@ run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {
 """
 
 
-def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
-    """As make_lanes, but in this process."""
-    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
-    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _no_processes() -> Iterator[None]:
-    """Lanes fly in this process, whose weights are those of lanes in others: so says a test of its own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "make_lanes", side_by_side)
-        yield
-
-
 @pytest.fixture(scope="module")
-def lockstep(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+def lockstep(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     """A training in `lockstep`."""
     out = tmp_path_factory.mktemp("training") / "run"
     train_into(out, tiny_config())
@@ -236,8 +220,8 @@ class GamesHere:
     def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._config, self._agent = config, make_agent(config.agent, config.task)
 
-    def game(self, lane: int) -> Flown:
-        return Flown(fly_game(self._config, self._environment, self._agent, lane))
+    def game(self, lane: int) -> GameResult:
+        return GameResult(fly_game(self._config, self._environment, self._agent, lane))
 
     def close(self) -> None:
         self._environment.close()
@@ -280,7 +264,7 @@ def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(training, "make_lanes", make_lanes)
-    killed = KILLED.replace("flights.make_lanes", "_")
+    killed = KILLED.replace("fly_here()", "")
     config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     (tmp_path / "config.yaml").write_text(to_yaml(config))
     command = [sys.executable, "-c", killed, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "7"]

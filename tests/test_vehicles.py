@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from uavaccel.errors import UserError
@@ -22,6 +23,10 @@ ASIDE = {"X": 5, "Y": 5}
 MANY = 50
 STILL = point(0, 0, 0)
 PLACE = [0.0, 0.0, -9.0]
+LEVEL = {
+    "position": point(0, 0, -9),
+    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
+}
 ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "enableApiControl": [True],
     "isApiControlEnabled": [],
@@ -29,8 +34,11 @@ ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "getMultirotorState": [],
     "simGetGroundTruthKinematics": [],
     "simGetVehiclePose": [],
-    "simSetVehiclePose": [{}, True],
-    "simSetKinematics": [{}, True],
+    "simSetVehiclePose": [LEVEL, True],
+    "simSetKinematics": [
+        {**LEVEL, "linear_velocity": point(0, 0, 0), "angular_velocity": point(0, 0, 0)},
+        True,
+    ],
     "simGetCollisionInfo": [],
     "takeoff": [1.0],
     "land": [1.0],
@@ -109,7 +117,7 @@ def test_each_has_its_frame_and_its_command() -> None:
     np.testing.assert_allclose(place(api, "A"), (0.0, 0.0, -12.0), atol=0.7)
     np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)
     go_on(api, 6.0)
-    in_world = np.array(api.pilot_of("B").vehicle.state["position"])
+    in_world = np.array(api.scenery.pilot("B").vehicle.state["position"])
     np.testing.assert_allclose(in_world - place(api, "B"), (5.0, -4.0, -0.045), atol=2e-4)
     np.testing.assert_allclose(place(api, "B"), (2.0, 0.0, -4.0), atol=0.7)  # held in its own frame
     gps = [call(api, "getMultirotorState", name)["gps_location"] for name in ("A", "B")]
@@ -124,7 +132,10 @@ def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
     call(api, "enableApiControl", False, "A")
     assert call(api, "isApiControlEnabled", "B") is True
     assert (call(api, "armDisarm", False, "A"), call(api, "armDisarm", False, "B")) == (False, True)
-    assert (api.pilot_of("A").vehicle.state["armed"], api.pilot_of("B").vehicle.state["armed"]) == (1, 0)
+    assert (api.scenery.pilot("A").vehicle.state["armed"], api.scenery.pilot("B").vehicle.state["armed"]) == (
+        1,
+        0,
+    )
 
 
 def test_an_unknown_vehicle_is_refused_in_every_call_with_the_known_ones() -> None:
@@ -311,6 +322,155 @@ def test_each_senses_for_itself() -> None:
     for method, params in SENSES.items():
         with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'C' is not available.*there is 'A', 'B'"):
             call(api, method, *params, "C")
+
+
+def test_a_start_faces_as_many_degrees_as_its_settings_say() -> None:
+    api = fleet(A={}, B={"X": 5, "Y": -4, "Yaw": 90}, C={"X": -5, "Yaw": -30})
+    for name, degrees in (("A", 0.0), ("B", 90.0), ("C", -30.0)):
+        turned = call(api, "simGetVehiclePose", name)["orientation"]
+        half = np.radians(degrees) / 2
+        assert list(turned.values()) == pytest.approx([np.cos(half), 0.0, 0.0, np.sin(half)], abs=1e-9)
+
+
+def test_each_takes_off_over_its_own_place() -> None:
+    api = fleet(A={"X": -6, "Y": 2}, B=ASIDE)
+    begun = {name: in_world(api, name) for name in ("A", "B")}
+    call(api, "moveToPosition", 3.0, -2.0, -2.0, 2.0, FOR_EVER, 0, STRAIGHT, -1.0, 1.0, "B")
+    go_on(api, 8.0)
+    call(api, "land", 30.0, "B")
+    go_on(api, 15.0)
+    begun["B"] = in_world(api, "B")
+    assert begun["B"][:2] == pytest.approx((8.0, 3.0), abs=0.7), "not at its origin"
+    for name in ("A", "B"):
+        fly(api, "takeoff", 20.0, name)
+        go_on(api, 3.0)
+        risen = in_world(api, name) - begun[name]
+        assert risen == pytest.approx((0.0, 0.0, -2.0), abs=0.55)
+        assert np.hypot(*risen[:2]) < 0.1
+
+
+def test_take_off_goes_up_from_where_the_vehicle_is() -> None:
+    api = hovering()
+    fly(api, "takeoff", 20.0)
+    go_on(api, 3.0)
+    assert place(api) == pytest.approx((START_M[0], START_M[1], START_M[2] - 2.0), abs=0.55)
+
+
+def in_world(api: Api, name: str) -> NDArray[np.float64]:
+    return np.array(api.scenery.pilot(name).vehicle.state["position"])
+
+
+@pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])
+def test_a_lidar_scans_around_its_own_vehicle_in_the_frame_that_is_asked_for(frame: str) -> None:
+    """All of a scan: as many azimuths for each channel, the upmost channel first; the ground where it is."""
+    lidar = {
+        "SensorType": 6, "NumberOfChannels": 4, "PointsPerSecond": 4_000, "HorizontalFOVEnd": 360, "DataFrame": frame,
+        "VerticalFOVUpper": -20, "VerticalFOVLower": -50, "X": 0.5, "Yaw": 90,
+    }  # fmt: skip
+    api = fleet(A={}, B={"X": -20, "Y": 10, "Z": -1, "Sensors": {"eye": lidar}})
+    call(api, "simSetVehiclePose", pose(2.0, 1.0, -4.0), True, "B")
+    told = call(api, "getLidarData", "eye", "B")
+    points = np.reshape(told["point_cloud"], (-1, 3)).astype(float)
+    assert list(told["pose"]["position"].values()) == pytest.approx([2.5, 1.0, -4.0])
+    eye = [2.5, 1.0, -4.0] if frame == "VehicleInertialFrame" else [0.0, 0.0, 0.0]
+    assert points.shape == (400, 3)
+    rays = points - eye
+    down = np.degrees(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
+    np.testing.assert_allclose(down, np.repeat([20.0, 30.0, 40.0, 50.0], 100), atol=1e-3)
+    bearing = np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) - (
+        90.0 if frame == "VehicleInertialFrame" else 0.0
+    )
+    turned = (bearing - np.tile(np.arange(100) * 3.6, 4) + 180) % 360 - 180
+    np.testing.assert_allclose(turned, 0.0, atol=1e-3)
+    np.testing.assert_allclose(
+        rays[:, 2], 1.045 + 4.0, atol=1e-4
+    )  # its frame begins 1.045 m above the ground
+
+
+def test_a_lidar_sees_other_vehicles_and_not_the_one_that_carries_it() -> None:
+    """From 0.3 m above its middle, straight down: A on the ground, B on A, 4 m above it."""
+    lidar = {
+        "SensorType": 6,
+        "NumberOfChannels": 1,
+        "Z": -0.3,
+        "VerticalFOVUpper": -89.9,
+        "VerticalFOVLower": -89.9,
+    }
+    sensors = {"Sensors": {"eye": lidar | {"DataFrame": "SensorLocalFrame"}}}
+    api = fleet(A={"X": 0, "Y": 0} | sensors, B=ASIDE | sensors)
+    call(api, "simSetVehiclePose", pose(-5.0, -5.0, -4.0), True, "B")
+    down = {}
+    for name in ("A", "B"):
+        points = np.reshape(call(api, "getLidarData", "eye", name)["point_cloud"], (-1, 3))
+        down[name] = float(np.median(points[:, 2]))
+    assert down["A"] == pytest.approx(0.345, abs=1e-3)
+    assert down["B"] == pytest.approx(4.3, abs=0.1), "A's upper side"
+    assert down["B"] < 4.3
+
+
+def test_noise_is_each_vehicles_own_and_each_axis_own() -> None:
+    biased = {"Sensors": {"field": {"SensorType": 4, "NoiseSigma": 0.0, "NoiseBias": 0.3}}}
+    quiet = {"Sensors": {"field": {"SensorType": 4, "NoiseSigma": 0.0}}}
+    errors = []
+    for kind in (biased, quiet):
+        api = fleet(A=kind, B=ASIDE | kind)
+        told = [call(api, "getMagnetometerData", "", name)["magnetic_field_body"] for name in ("A", "B")]
+        errors.append(np.array([list(each.values()) for each in told]))
+    bias = errors[0] - errors[1]
+    assert len(np.unique(bias.round(6))) == 6
+    assert 0.01 < np.abs(bias).max() <= 0.3
+    api = fleet(A={}, B=ASIDE)
+    call(api, "takeoff", 20.0, "A")
+    for method, field in (("getImuData", "angular_velocity"), ("getBarometerData", "pressure")):
+        told = [call(api, method, "", name)[field] for name in ("A", "B")]
+        assert told[0] != told[1]
+
+
+def test_a_receiver_tells_where_its_vehicle_is_now() -> None:
+    api = fleet(A={}, B={"X": 20, "Y": 10})
+    call(api, "simSetVehiclePose", pose(0.0, 0.0, -30.0), True, "B")
+    go_on(api, 5.0)
+    before = call(api, "getGpsData", "", "B")
+    call(api, "simSetVehiclePose", pose(100.0, -50.0, -30.0), True, "B")
+    go_on(api, 0.5)
+    after = call(api, "getGpsData", "", "B")
+    begun, ended = (each["gnss"]["geo_point"] for each in (before, after))
+    degree_m = np.pi * 6_378_137 / 180
+    assert (ended["latitude"] - begun["latitude"]) * degree_m == pytest.approx(100.0, rel=0.01)
+    east_m = (ended["longitude"] - begun["longitude"]) * degree_m * np.cos(np.radians(begun["latitude"]))
+    assert east_m == pytest.approx(-50.0, rel=0.01)
+    assert after["time_stamp"] - before["time_stamp"] == 500_000_000
+    there = call(api, "simGetGroundTruthEnvironment", "B")["geo_point"]
+    assert ended["latitude"] == pytest.approx(there["latitude"], abs=1e-6)
+
+
+def test_ids_that_were_given_stay_when_a_vehicle_is_added() -> None:
+    api = fleet(A={}, B=ASIDE)
+    given = {"block_north": 200, "B": 201}
+    for name, number in given.items():
+        assert call(api, "simSetSegmentationObjectID", name, number, False) is True
+    call(api, "simAddVehicle", "C", "simpleflight", pose(-9.0, 9.0, 0.0), "")
+    assert {name: call(api, "simGetSegmentationObjectID", name) for name in given} == given
+    call(api, "simSetSegmentationObjectID", "C", 7, False)
+    assert [call(api, "simGetSegmentationObjectID", name) for name in ("A", "B", "C")][1:] == [201, 7]
+
+
+@pytest.mark.opengl
+def test_each_sees_through_its_own_cameras() -> None:
+    """Downwards, from different heights; and ahead, where one looks at the other's back."""
+    settings = Settings.model_validate(
+        {"Vehicles": {"A": {"X": 0, "Y": 0}, "B": {"X": -30, "Y": -30, "Yaw": 180}}}
+    )
+    api = Api(Simulation(World("blocks", NATIVE)), settings)
+    heights = {"A": 10.0, "B": 25.0}
+    for name, height_m in heights.items():
+        call(api, "simSetVehiclePose", pose(0.0, 0.0, 0.045 - height_m), True, name)
+        request = {"camera_name": "3", "image_type": 1, "pixels_as_float": True, "compress": False}
+        (picture,) = call(api, "simGetImages", [request], name)
+        depth_m = np.reshape(picture["image_data_float"], (144, 256))
+        np.testing.assert_allclose(depth_m[70:74, 120:136], height_m - 0.12, rtol=2e-3)
+        told = list(picture["camera_position"].values())
+        assert told == pytest.approx([0.0, 0.0, 0.045 - height_m + 0.12], abs=1e-6)
 
 
 SENSES: dict[str, list[Any]] = {

@@ -49,24 +49,41 @@ def apply_overrides(mapping: Mapping[str, Any], overrides: Iterable[str]) -> dic
     """
     result = copy.deepcopy(dict(mapping))
     for override in overrides:
-        dotted, equals, text = override.partition("=")
-        parts = dotted.split(".")
-        if not equals or not all(parts):
-            raise UsageError(f"--set {override}: must be dotted.key=value")
-        _assign(result, parts, parse_yaml(text, source=f"--set {override}"), override)
+        dotted, value = parse_override(override)
+        assign(result, dotted, value, f"--set {override}")
     return result
 
 
-def _assign(target: Any, parts: list[str], value: Any, override: str) -> None:
+def parse_override(override: str) -> tuple[str, Any]:
+    """Dotted key and YAML value of a "dotted.key=value". Raises UsageError or UserError, as `apply_overrides`."""
+    dotted, equals, text = override.partition("=")
+    if not equals or not all(dotted.split(".")):
+        raise UsageError(f"--set {override}: must be dotted.key=value")
+    return dotted, parse_yaml(text, source=f"--set {override}")
+
+
+def dotted_keys(value: Any, key: str = "") -> dict[str, Any]:
+    """The values in nested mappings by dotted key; an empty mapping is a value."""
+    if not isinstance(value, Mapping) or not value:
+        return {key: value}
+    leaves: dict[str, Any] = {}
+    for name, inner in value.items():
+        leaves |= dotted_keys(inner, f"{key}.{name}" if key else str(name))
+    return leaves
+
+
+def assign(target: Any, dotted: str, value: Any, source: str) -> None:
+    """Put a value into nested mappings and lists, making mappings on the way. Raises UserError, naming `source`."""
+    parts = dotted.split(".")
     for depth in range(1, len(parts)):
-        position = _position(target, parts[:depth], override)
+        position = _position(target, parts[:depth], source)
         if isinstance(target, dict) and target.get(position) is None:
             target[position] = {}
         target = target[position]
-    target[_position(target, parts, override)] = value
+    target[_position(target, parts, source)] = value
 
 
-def _position(container: Any, parts: list[str], override: str) -> str | int:
+def _position(container: Any, parts: list[str], source: str) -> str | int:
     """The last of `parts` as a key or index of `container`."""
     part = parts[-1]
     if isinstance(container, dict):
@@ -74,7 +91,7 @@ def _position(container: Any, parts: list[str], override: str) -> str | int:
     if isinstance(container, list) and part.isdecimal() and int(part) < len(container):
         return int(part)
     held = f"elements 0 to {len(container) - 1}" if isinstance(container, list) else reprlib.repr(container)
-    raise UserError(f"--set {override}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
+    raise UserError(f"{source}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
 
 
 def validate(cls: type[ConfigType], mapping: Mapping[str, Any], source: str) -> ConfigType:

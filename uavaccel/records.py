@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.config import Config, to_yaml, validate
+from uavaccel.config import Config, dotted_keys, to_yaml, validate
 from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
@@ -240,8 +240,13 @@ def _write_config(path: Path, config: Config) -> None:
 
 def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
     """The keys that have grown."""
-    there = _leaves(_as_of_today(load_yaml(path / "config.yaml"), type(config)))
-    here = _leaves(parse_yaml(to_yaml(config), source="configuration"))
+    there, here = (
+        {key: json.dumps(value) for key, value in dotted_keys(mapping).items()}
+        for mapping in (
+            _as_of_today(load_yaml(path / "config.yaml"), type(config)),
+            parse_yaml(to_yaml(config), source="configuration"),
+        )
+    )
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
     differing = [
@@ -260,13 +265,3 @@ def _as_of_today(mapping: dict[str, Any], cls: type[Config]) -> dict[str, Any]:
         return parse_yaml(to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml")
     except UserError:
         return mapping
-
-
-def _leaves(value: Any, key: str = "") -> dict[str, str]:
-    """Dotted keys of a configuration and the JSON of their values."""
-    if not isinstance(value, dict) or not value:
-        return {key: json.dumps(value)}
-    leaves: dict[str, str] = {}
-    for name, inner in value.items():
-        leaves |= _leaves(inner, f"{key}.{name}" if key else name)
-    return leaves

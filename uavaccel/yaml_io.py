@@ -6,6 +6,8 @@ that stands twice in one mapping is refused.
 
 import re
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +85,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 def parse_yaml(text: str, source: str) -> Any:
     """The value of a YAML text; `source` names it in the UserError raised if it is none."""
     try:
-        return _bounded(yaml.load(text, Loader=_Loader), source)
+        return deepcopy(_bounded(_read(text), source))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}:" if mark else ""
@@ -92,6 +94,12 @@ def parse_yaml(text: str, source: str) -> Any:
         raise UserError(f"{source}: not YAML: nested too deep") from None
     except (yaml.YAMLError, ValueError) as error:
         raise UserError(f"{source}: not YAML: {str(error).splitlines()[0]}") from error
+
+
+@lru_cache(maxsize=8)
+def _read(text: str) -> Any:
+    """The value of a text. A report asks for its run's configuration a dozen times."""
+    return yaml.load(text, Loader=_Loader)
 
 
 def _bounded(value: Any, source: str) -> Any:

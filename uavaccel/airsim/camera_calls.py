@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated
 
-from uavaccel.airsim.calls import Calls
+from uavaccel.airsim.calls import Calls, CameraName, remote
 from uavaccel.airsim.types import CameraInfo, DetectionInfo, ImageRequest, ImageResponse, Pose
 from uavaccel.airsim.vectors import Quaternionr, Vector3r
 
@@ -19,12 +19,14 @@ from uavaccel.airsim.vectors import Quaternionr, Vector3r
 class CameraCalls(Calls):
     # --- images -----------------------------------------------------------------------------------
 
+    @remote
     def simGetImages(
-        self, requests: Sequence[ImageRequest], vehicle_name: str = "", external: bool = False
+        self,
+        requests: Annotated[Sequence[ImageRequest], list],
+        vehicle_name: str = "",
+        external: bool = False,
     ) -> list[ImageResponse]:
         """Images of one moment, in the order of the requests."""
-        responses = self.client.call("simGetImages", list(requests), vehicle_name, external)
-        return [ImageResponse.from_msgpack(response) for response in responses]
 
     def simGetImage(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
@@ -33,18 +35,16 @@ class CameraCalls(Calls):
         image = self.client.call("simGetImage", str(camera_name), image_type, vehicle_name, external)
         return None if image in ("", "\0", b"", b"\0") else image
 
+    @remote
     def simGetCameraInfo(
-        self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> CameraInfo:
-        return CameraInfo.from_msgpack(
-            self.client.call("simGetCameraInfo", str(camera_name), vehicle_name, external)
-        )
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> CameraInfo: ...
 
+    @remote
     def simSetCameraPose(
-        self, camera_name: str | int, pose: Pose, vehicle_name: str = "", external: bool = False
+        self, camera_name: CameraName, pose: Pose, vehicle_name: str = "", external: bool = False
     ) -> None:
         """The pose in the frame of the vehicle."""
-        self.client.call("simSetCameraPose", str(camera_name), pose, vehicle_name, external)
 
     def simSetCameraOrientation(
         self, camera_name: str | int, orientation: Quaternionr, vehicle_name: str = "", external: bool = False
@@ -53,16 +53,16 @@ class CameraCalls(Calls):
         nowhere = Vector3r(math.nan, math.nan, math.nan)
         self.simSetCameraPose(camera_name, Pose(nowhere, orientation), vehicle_name, external)
 
+    @remote
     def simSetCameraFov(
-        self, camera_name: str | int, fov_degrees: float, vehicle_name: str = "", external: bool = False
+        self, camera_name: CameraName, fov_degrees: float, vehicle_name: str = "", external: bool = False
     ) -> None:
         """The horizontal field of view in degrees."""
-        self.client.call("simSetCameraFov", str(camera_name), fov_degrees, vehicle_name, external)
 
+    @remote
     def simGetDistortionParams(
-        self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> list[float]:
-        return list(self.client.call("simGetDistortionParams", str(camera_name), vehicle_name, external))
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> list[float]: ...
 
     def simSetDistortionParams(
         self,
@@ -75,18 +75,19 @@ class CameraCalls(Calls):
         for name, value in distortion_params.items():
             self.simSetDistortionParam(camera_name, name, value, vehicle_name, external)
 
+    @remote
     def simSetDistortionParam(
         self,
-        camera_name: str | int,
+        camera_name: CameraName,
         param_name: str,
         value: float,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
-        self.client.call("simSetDistortionParam", str(camera_name), param_name, value, vehicle_name, external)
+    ) -> None: ...
 
     # --- detections -------------------------------------------------------------------------------
 
+    @remote
     def simAddDetectionFilterMeshName(
         self,
         camera_name: str | int,
@@ -96,10 +97,8 @@ class CameraCalls(Calls):
         external: bool = False,
     ) -> None:
         """Detect objects of this name, which may end in an asterisk."""
-        self.client.call(
-            "simAddDetectionFilterMeshName", camera_name, image_type, mesh_name, vehicle_name, external
-        )
 
+    @remote
     def simSetDetectionFilterRadius(
         self,
         camera_name: str | int,
@@ -107,66 +106,59 @@ class CameraCalls(Calls):
         radius_cm: float,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
-        self.client.call(
-            "simSetDetectionFilterRadius", camera_name, image_type, radius_cm, vehicle_name, external
-        )
+    ) -> None: ...
 
+    @remote
     def simClearDetectionMeshNames(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simClearDetectionMeshNames", camera_name, image_type, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simGetDetections(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
-    ) -> list[DetectionInfo]:
-        detections = self.client.call("simGetDetections", camera_name, image_type, vehicle_name, external)
-        return [DetectionInfo.from_msgpack(detection) for detection in detections]
+    ) -> list[DetectionInfo]: ...
 
     # --- lenses -----------------------------------------------------------------------------------
 
+    @remote
     def simGetPresetLensSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetPresetLensSettings", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simGetLensSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetLensSettings", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetPresetLensSettings(
         self,
         preset_lens_settings: str,
         camera_name: str | int,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
-        self.client.call(
-            "simSetPresetLensSettings", preset_lens_settings, camera_name, vehicle_name, external
-        )
+    ) -> None: ...
 
+    @remote
     def simGetPresetFilmbackSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetPresetFilmbackSettings", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetPresetFilmbackSettings(
         self,
         preset_filmback_settings: str,
         camera_name: str | int,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
-        self.client.call(
-            "simSetPresetFilmbackSettings", preset_filmback_settings, camera_name, vehicle_name, external
-        )
+    ) -> None: ...
 
+    @remote
     def simGetFilmbackSettings(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetFilmbackSettings", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetFilmbackSettings(
         self,
         sensor_width: float,
@@ -174,52 +166,49 @@ class CameraCalls(Calls):
         camera_name: str | int,
         vehicle_name: str = "",
         external: bool = False,
-    ) -> Any:
-        return self.client.call(
-            "simSetFilmbackSettings", sensor_width, sensor_height, camera_name, vehicle_name, external
-        )
+    ) -> object: ...
 
+    @remote
     def simGetFocalLength(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetFocalLength", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetFocalLength(
         self, focal_length: float, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simSetFocalLength", focal_length, camera_name, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simEnableManualFocus(
         self, enable: bool, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simEnableManualFocus", enable, camera_name, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simGetFocusDistance(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetFocusDistance", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetFocusDistance(
         self, focus_distance: float, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simSetFocusDistance", focus_distance, camera_name, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simGetFocusAperture(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetFocusAperture", camera_name, vehicle_name, external)
+    ) -> object: ...
 
+    @remote
     def simSetFocusAperture(
         self, focus_aperture: float, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simSetFocusAperture", focus_aperture, camera_name, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simEnableFocusPlane(
         self, enable: bool, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> None:
-        self.client.call("simEnableFocusPlane", enable, camera_name, vehicle_name, external)
+    ) -> None: ...
 
+    @remote
     def simGetCurrentFieldOfView(
         self, camera_name: str | int, vehicle_name: str = "", external: bool = False
-    ) -> Any:
-        return self.client.call("simGetCurrentFieldOfView", camera_name, vehicle_name, external)
+    ) -> object: ...

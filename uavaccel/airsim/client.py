@@ -8,8 +8,8 @@ Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airs
 from __future__ import annotations
 
 import sys
-from typing import Any
 
+from uavaccel.airsim.calls import remote
 from uavaccel.airsim.camera_calls import CameraCalls
 from uavaccel.airsim.connection import Connection, connect
 from uavaccel.airsim.multirotor_calls import MultirotorCalls
@@ -35,20 +35,20 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     # --- connection -------------------------------------------------------------------------------
 
-    def ping(self) -> bool:
-        return bool(self.client.call("ping"))
+    @remote
+    def ping(self) -> bool: ...
 
     def getClientVersion(self) -> int:
         return CLIENT_VERSION
 
-    def getServerVersion(self) -> int:
-        return int(self.client.call("getServerVersion"))
+    @remote
+    def getServerVersion(self) -> int: ...
 
     def getMinRequiredServerVersion(self) -> int:
         return MIN_SERVER_VERSION
 
-    def getMinRequiredClientVersion(self) -> int:
-        return int(self.client.call("getMinRequiredClientVersion"))
+    @remote
+    def getMinRequiredClientVersion(self) -> int: ...
 
     def confirmConnection(self) -> None:
         """Ping the server, and print whether the versions fit."""
@@ -62,93 +62,95 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
             print(f"{'AirSim server' if server < min_server else 'This client'} is too old. Please upgrade!")
         print()
 
+    @remote
     def getSettingsString(self) -> str:
         """settings.json, as it holds."""
-        return str(self.client.call("getSettingsString"))
 
     # --- control ----------------------------------------------------------------------------------
 
+    @remote
     def reset(self) -> None:
         """Every vehicle to its start; API control and arming have to be asked for again."""
-        self.client.call("reset")
 
+    @remote
     def enableApiControl(self, is_enabled: bool, vehicle_name: str = "") -> None:
         """Without API control commands have no effect."""
-        self.client.call("enableApiControl", is_enabled, vehicle_name)
 
-    def isApiControlEnabled(self, vehicle_name: str = "") -> bool:
-        return bool(self.client.call("isApiControlEnabled", vehicle_name))
+    @remote
+    def isApiControlEnabled(self, vehicle_name: str = "") -> bool: ...
 
-    def armDisarm(self, arm: bool, vehicle_name: str = "") -> bool:
-        return bool(self.client.call("armDisarm", arm, vehicle_name))
+    @remote
+    def armDisarm(self, arm: bool, vehicle_name: str = "") -> bool: ...
 
+    @remote
     def cancelLastTask(self, vehicle_name: str = "") -> None:
         """End the running command."""
-        self.client.call("cancelLastTask", vehicle_name)
 
-    def simAddVehicle(self, vehicle_name: str, vehicle_type: str, pose: Pose, pawn_path: str = "") -> bool:
-        return bool(self.client.call("simAddVehicle", vehicle_name, vehicle_type, pose, pawn_path))
+    @remote
+    def simAddVehicle(
+        self, vehicle_name: str, vehicle_type: str, pose: Pose, pawn_path: str = ""
+    ) -> bool: ...
 
-    def listVehicles(self) -> list[str]:
-        return list(self.client.call("listVehicles"))
+    @remote
+    def listVehicles(self) -> list[str]: ...
 
     # --- clock ------------------------------------------------------------------------------------
 
-    def simPause(self, is_paused: bool) -> None:
-        self.client.call("simPause", is_paused)
+    @remote
+    def simPause(self, is_paused: bool) -> None: ...
 
     def simIsPause(self) -> bool:
         return bool(self.client.call("simIsPaused"))
 
+    @remote
     def simContinueForTime(self, seconds: float) -> None:
         """Run for `seconds` of wall time, so times ClockSpeed of simulated time, then pause."""
-        self.client.call("simContinueForTime", seconds)
 
+    @remote
     def simContinueForFrames(self, frames: int) -> None:
         """Run for so many rendered frames, then pause."""
-        self.client.call("simContinueForFrames", frames)
 
     # --- state ------------------------------------------------------------------------------------
 
-    def getHomeGeoPoint(self, vehicle_name: str = "") -> GeoPoint:
-        return GeoPoint.from_msgpack(self.client.call("getHomeGeoPoint", vehicle_name))
+    @remote
+    def getHomeGeoPoint(self, vehicle_name: str = "") -> GeoPoint: ...
 
+    @remote
     def simGetCollisionInfo(self, vehicle_name: str = "") -> CollisionInfo:
         """What was touched; reading it sets has_collided back."""
-        return CollisionInfo.from_msgpack(self.client.call("simGetCollisionInfo", vehicle_name))
 
-    def simGetVehiclePose(self, vehicle_name: str = "") -> Pose:
-        return Pose.from_msgpack(self.client.call("simGetVehiclePose", vehicle_name))
+    @remote
+    def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
 
+    @remote
     def simSetVehiclePose(self, pose: Pose, ignore_collision: bool, vehicle_name: str = "") -> None:
         """NaN leaves a part of the pose as it is."""
-        self.client.call("simSetVehiclePose", pose, ignore_collision, vehicle_name)
 
-    def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState:
-        return KinematicsState.from_msgpack(self.client.call("simGetGroundTruthKinematics", vehicle_name))
+    @remote
+    def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState: ...
 
+    @remote
     def simSetKinematics(
         self, state: KinematicsState, ignore_collision: bool, vehicle_name: str = ""
-    ) -> None:
-        self.client.call("simSetKinematics", state, ignore_collision, vehicle_name)
+    ) -> None: ...
 
-    def simGetGroundTruthEnvironment(self, vehicle_name: str = "") -> EnvironmentState:
-        return EnvironmentState.from_msgpack(self.client.call("simGetGroundTruthEnvironment", vehicle_name))
+    @remote
+    def simGetGroundTruthEnvironment(self, vehicle_name: str = "") -> EnvironmentState: ...
 
+    @remote
     def simSetWind(self, wind: Vector3r) -> None:
         """Metres per second, NED."""
-        self.client.call("simSetWind", wind)
 
     # --- recording --------------------------------------------------------------------------------
 
-    def startRecording(self) -> None:
-        self.client.call("startRecording")
+    @remote
+    def startRecording(self) -> None: ...
 
-    def stopRecording(self) -> None:
-        self.client.call("stopRecording")
+    @remote
+    def stopRecording(self) -> None: ...
 
-    def isRecording(self) -> bool:
-        return bool(self.client.call("isRecording"))
+    @remote
+    def isRecording(self) -> bool: ...
 
 
 class MultirotorClient(VehicleClient, MultirotorCalls):
@@ -158,5 +160,5 @@ class MultirotorClient(VehicleClient, MultirotorCalls):
 class CarClient(VehicleClient):
     """For scripts that import it. Raises NotImplementedError: no car drives here."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments: object, **options: object) -> None:
         raise NotImplementedError("uavaccel simulates multirotors; there is no car")

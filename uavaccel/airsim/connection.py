@@ -46,7 +46,7 @@ class Future:
             raise rpc.RpcError(self.error)
         return self.result
 
-    def answer(self, error: str | None, result: Any) -> None:
+    def answer(self, error: str | None, result: object) -> None:
         """What the server said."""
         self.error, self.result, self.done = error, result, True
 
@@ -54,11 +54,11 @@ class Future:
 class Connection(Protocol):
     """What AirSim's clients need: calls by name, with values that msgpack knows or that `plain` makes such."""
 
-    def call(self, method: str, *params: Any) -> Any:
+    def call(self, method: str, *params: object) -> Any:
         """Call and wait. Raises rpc.RpcError with the server's text."""
         ...
 
-    def call_async(self, method: str, *params: Any) -> Future:
+    def call_async(self, method: str, *params: object) -> Future:
         """Call, and go on."""
         ...
 
@@ -72,7 +72,7 @@ def tell_once(method: str, error: str) -> None:
         print(f"airsim: {method} failed: {error}", file=sys.stderr, flush=True)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """What msgpack packs in place of AirSim's types (by their fields) and of NumPy's (by their values).
 
     Raises TypeError for anything else.
@@ -115,18 +115,18 @@ class SocketConnection:
         self._next_id = 0
         self._read_by_somebody = False
 
-    def call(self, method: str, *params: Any) -> Any:
+    def call(self, method: str, *params: object) -> Any:
         future = self._send(method, params, self._wait)
         self._wait(future)
         return future.get()
 
-    def call_async(self, method: str, *params: Any) -> Future:
+    def call_async(self, method: str, *params: object) -> Future:
         return self._send(method, params, self._join)
 
     def close(self) -> None:
         self._close()
 
-    def _send(self, method: str, params: tuple[Any, ...], wait: Callable[[Future], None]) -> Future:
+    def _send(self, method: str, params: tuple[object, ...], wait: Callable[[Future], None]) -> Future:
         future = Future(method, wait)
         with self._state:
             self._next_id = message_id = (self._next_id + 1) & 0xFFFFFFFF

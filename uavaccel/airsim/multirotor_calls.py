@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from uavaccel.airsim.calls import Calls
+from uavaccel.airsim.calls import Calls, Mirrored, remote
 from uavaccel.airsim.connection import Future
 from uavaccel.airsim.types import (
     AngleLevelControllerGains,
@@ -35,20 +35,21 @@ NO_TURN = YawMode()
 class MultirotorCalls(Calls):
     # --- take-off and landing ---------------------------------------------------------------------
 
-    def takeoffAsync(self, timeout_sec: float = 20, vehicle_name: str = "") -> Future:
-        return self.client.call_async("takeoff", timeout_sec, vehicle_name)
+    @remote
+    def takeoffAsync(self, timeout_sec: float = 20, vehicle_name: str = "") -> Future: ...
 
-    def landAsync(self, timeout_sec: float = 60, vehicle_name: str = "") -> Future:
-        return self.client.call_async("land", timeout_sec, vehicle_name)
+    @remote
+    def landAsync(self, timeout_sec: float = 60, vehicle_name: str = "") -> Future: ...
 
-    def goHomeAsync(self, timeout_sec: float = FOR_EVER, vehicle_name: str = "") -> Future:
-        return self.client.call_async("goHome", timeout_sec, vehicle_name)
+    @remote
+    def goHomeAsync(self, timeout_sec: float = FOR_EVER, vehicle_name: str = "") -> Future: ...
 
-    def hoverAsync(self, vehicle_name: str = "") -> Future:
-        return self.client.call_async("hover", vehicle_name)
+    @remote
+    def hoverAsync(self, vehicle_name: str = "") -> Future: ...
 
     # --- velocities -----------------------------------------------------------------------------
 
+    @remote
     def moveByVelocityAsync(
         self,
         vx: float,
@@ -58,11 +59,9 @@ class MultirotorCalls(Calls):
         drivetrain: int = TURN_FREELY,
         yaw_mode: YawMode = NO_TURN,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByVelocity", vx, vy, vz, duration, drivetrain, yaw_mode, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByVelocityZAsync(
         self,
         vx: float,
@@ -72,11 +71,9 @@ class MultirotorCalls(Calls):
         drivetrain: int = TURN_FREELY,
         yaw_mode: YawMode = NO_TURN,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByVelocityZ", vx, vy, z, duration, drivetrain, yaw_mode, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByVelocityBodyFrameAsync(
         self,
         vx: float,
@@ -86,11 +83,9 @@ class MultirotorCalls(Calls):
         drivetrain: int = TURN_FREELY,
         yaw_mode: YawMode = NO_TURN,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByVelocityBodyFrame", vx, vy, vz, duration, drivetrain, yaw_mode, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByVelocityZBodyFrameAsync(
         self,
         vx: float,
@@ -100,11 +95,9 @@ class MultirotorCalls(Calls):
         drivetrain: int = TURN_FREELY,
         yaw_mode: YawMode = NO_TURN,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByVelocityZBodyFrame", vx, vy, z, duration, drivetrain, yaw_mode, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByManualAsync(
         self,
         vx_max: float,
@@ -114,13 +107,11 @@ class MultirotorCalls(Calls):
         drivetrain: int = TURN_FREELY,
         yaw_mode: YawMode = NO_TURN,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByManual", vx_max, vy_max, z_min, duration, drivetrain, yaw_mode, vehicle_name
-        )
+    ) -> Future: ...
 
     # --- places ---------------------------------------------------------------------------------
 
+    @remote
     def moveToPositionAsync(
         self,
         x: float,
@@ -133,21 +124,9 @@ class MultirotorCalls(Calls):
         lookahead: float = -1,
         adaptive_lookahead: float = 1,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveToPosition",
-            x,
-            y,
-            z,
-            velocity,
-            timeout_sec,
-            drivetrain,
-            yaw_mode,
-            lookahead,
-            adaptive_lookahead,
-            vehicle_name,
-        )
+    ) -> Future: ...
 
+    @remote
     def moveOnPathAsync(
         self,
         path: Sequence[Vector3r],
@@ -158,19 +137,9 @@ class MultirotorCalls(Calls):
         lookahead: float = -1,
         adaptive_lookahead: float = 1,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveOnPath",
-            path,
-            velocity,
-            timeout_sec,
-            drivetrain,
-            yaw_mode,
-            lookahead,
-            adaptive_lookahead,
-            vehicle_name,
-        )
+    ) -> Future: ...
 
+    @remote
     def moveToZAsync(
         self,
         z: float,
@@ -180,11 +149,9 @@ class MultirotorCalls(Calls):
         lookahead: float = -1,
         adaptive_lookahead: float = 1,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveToZ", z, velocity, timeout_sec, yaw_mode, lookahead, adaptive_lookahead, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveToGPSAsync(
         self,
         latitude: float,
@@ -197,91 +164,81 @@ class MultirotorCalls(Calls):
         lookahead: float = -1,
         adaptive_lookahead: float = 1,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveToGPS",
-            latitude,
-            longitude,
-            altitude,
-            velocity,
-            timeout_sec,
-            drivetrain,
-            yaw_mode,
-            lookahead,
-            adaptive_lookahead,
-            vehicle_name,
-        )
+    ) -> Future: ...
 
+    @remote
     def rotateToYawAsync(
         self, yaw: float, timeout_sec: float = FOR_EVER, margin: float = 5, vehicle_name: str = ""
     ) -> Future:
         """Degrees."""
-        return self.client.call_async("rotateToYaw", yaw, timeout_sec, margin, vehicle_name)
 
+    @remote
     def rotateByYawRateAsync(self, yaw_rate: float, duration: float, vehicle_name: str = "") -> Future:
         """Degrees per second."""
-        return self.client.call_async("rotateByYawRate", yaw_rate, duration, vehicle_name)
 
     # --- attitude, rates, motors ----------------------------------------------------------------
 
+    @remote
     def moveByRollPitchYawZAsync(
-        self, roll: float, pitch: float, yaw: float, z: float, duration: float, vehicle_name: str = ""
-    ) -> Future:
-        return self.client.call_async("moveByRollPitchYawZ", roll, -pitch, -yaw, z, duration, vehicle_name)
+        self, roll: float, pitch: Mirrored, yaw: Mirrored, z: float, duration: float, vehicle_name: str = ""
+    ) -> Future: ...
 
+    @remote
     def moveByRollPitchYawThrottleAsync(
-        self, roll: float, pitch: float, yaw: float, throttle: float, duration: float, vehicle_name: str = ""
-    ) -> Future:
-        return self.client.call_async(
-            "moveByRollPitchYawThrottle", roll, -pitch, -yaw, throttle, duration, vehicle_name
-        )
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
 
+    @remote
     def moveByRollPitchYawrateThrottleAsync(
         self,
         roll: float,
-        pitch: float,
-        yaw_rate: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
         throttle: float,
         duration: float,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByRollPitchYawrateThrottle", roll, -pitch, -yaw_rate, throttle, duration, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByRollPitchYawrateZAsync(
-        self, roll: float, pitch: float, yaw_rate: float, z: float, duration: float, vehicle_name: str = ""
-    ) -> Future:
-        return self.client.call_async(
-            "moveByRollPitchYawrateZ", roll, -pitch, -yaw_rate, z, duration, vehicle_name
-        )
-
-    def moveByAngleRatesZAsync(
         self,
-        roll_rate: float,
-        pitch_rate: float,
-        yaw_rate: float,
+        roll: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
         z: float,
         duration: float,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByAngleRatesZ", roll_rate, -pitch_rate, -yaw_rate, z, duration, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
+    def moveByAngleRatesZAsync(
+        self,
+        roll_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
+        z: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
     def moveByAngleRatesThrottleAsync(
         self,
         roll_rate: float,
-        pitch_rate: float,
-        yaw_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
         throttle: float,
         duration: float,
         vehicle_name: str = "",
-    ) -> Future:
-        return self.client.call_async(
-            "moveByAngleRatesThrottle", roll_rate, -pitch_rate, -yaw_rate, throttle, duration, vehicle_name
-        )
+    ) -> Future: ...
 
+    @remote
     def moveByMotorPWMsAsync(
         self,
         front_right_pwm: float,
@@ -292,15 +249,6 @@ class MultirotorCalls(Calls):
         vehicle_name: str = "",
     ) -> Future:
         """0 to 1."""
-        return self.client.call_async(
-            "moveByMotorPWMs",
-            front_right_pwm,
-            rear_left_pwm,
-            front_left_pwm,
-            rear_right_pwm,
-            duration,
-            vehicle_name,
-        )
 
     def moveByAngleZAsync(
         self, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = ""
@@ -356,8 +304,8 @@ class MultirotorCalls(Calls):
 
     # --- state ----------------------------------------------------------------------------------
 
-    def getMultirotorState(self, vehicle_name: str = "") -> MultirotorState:
-        return MultirotorState.from_msgpack(self.client.call("getMultirotorState", vehicle_name))
+    @remote
+    def getMultirotorState(self, vehicle_name: str = "") -> MultirotorState: ...
 
-    def getRotorStates(self, vehicle_name: str = "") -> RotorStates:
-        return RotorStates.from_msgpack(self.client.call("getRotorStates", vehicle_name))
+    @remote
+    def getRotorStates(self, vehicle_name: str = "") -> RotorStates: ...

@@ -8,7 +8,9 @@ A command with a `duration` returns at once; one with `max_wait_seconds` waits s
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
+from typing import ParamSpec
 
 from uavaccel.airsim import client, utils
 from uavaccel.airsim.connection import Future
@@ -23,6 +25,7 @@ AirSimImageType = ImageType
 
 
 FOR_EVER = 3e38  # seconds
+Arguments = ParamSpec("Arguments")
 
 
 def _waited(command: Callable[[float], Future], max_wait_s: float) -> bool:
@@ -31,9 +34,15 @@ def _waited(command: Callable[[float], Future], max_wait_s: float) -> bool:
     return bool(begun.get()) if max_wait_s > 0 else True
 
 
-def _begun(command: Future) -> bool:
-    """A command with a duration was sent."""
-    return True
+def _begun(command: Callable[Arguments, Future]) -> Callable[Arguments, bool]:
+    """A command with a duration, which is sent and not waited for."""
+
+    @functools.wraps(command)
+    def begin(*arguments: Arguments.args, **named: Arguments.kwargs) -> bool:
+        command(*arguments, **named)
+        return True
+
+    return begin
 
 
 class AirSimClientBase(client.VehicleClient):
@@ -129,42 +138,15 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
 
     def moveByAngle(self, pitch: float, roll: float, z: float, yaw: float, duration: float) -> bool:
         """Angles as they are on the wire, which later clients turn round: a nose that is up, to the right."""
-        return _begun(self.moveByRollPitchYawZAsync(roll, -pitch, -yaw, z, duration))
+        self.moveByRollPitchYawZAsync(roll, -pitch, -yaw, z, duration)
+        return True
 
     moveByAngleZ = moveByAngle
 
-    def moveByVelocity(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-    ) -> bool:
-        return _begun(self.moveByVelocityAsync(vx, vy, vz, duration, drivetrain, yaw_mode))
-
-    def moveByVelocityZ(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-    ) -> bool:
-        return _begun(self.moveByVelocityZAsync(vx, vy, z, duration, drivetrain, yaw_mode))
-
-    def moveByManual(
-        self,
-        vx_max: float,
-        vy_max: float,
-        z_min: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-    ) -> bool:
-        return _begun(self.moveByManualAsync(vx_max, vy_max, z_min, duration, drivetrain, yaw_mode))
+    moveByVelocity = _begun(client.MultirotorClient.moveByVelocityAsync)
+    moveByVelocityZ = _begun(client.MultirotorClient.moveByVelocityZAsync)
+    moveByManual = _begun(client.MultirotorClient.moveByManualAsync)
+    rotateByYawRate = _begun(client.MultirotorClient.rotateByYawRateAsync)
 
     def moveOnPath(
         self,
@@ -210,9 +192,6 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
 
     def rotateToYaw(self, yaw: float, max_wait_seconds: float = 60, margin: float = 5) -> bool:
         return _waited(lambda limit_s: self.rotateToYawAsync(yaw, limit_s, margin), max_wait_seconds)
-
-    def rotateByYawRate(self, yaw_rate: float, duration: float) -> bool:
-        return _begun(self.rotateByYawRateAsync(yaw_rate, duration))
 
 
 CarClient = client.CarClient

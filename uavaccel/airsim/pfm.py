@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ def read_pfm(file: str | Path) -> tuple[NDArray[np.floating], float]:
     return floats.reshape(shape), abs(float(scale))
 
 
-def write_pfm(file: str | Path, image: NDArray[Any], scale: float = 1) -> None:
+def write_pfm(file: str | Path, image: NDArray[np.generic], scale: float = 1) -> None:
     """Write float32 pixels, H x W, H x W x 1 or H x W x 3, in the array's order. Raises ValueError."""
     if image.dtype.name != "float32":
         raise ValueError(f"image must be float32, not {image.dtype.name}")

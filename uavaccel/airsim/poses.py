@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from uavaccel.airsim.vectors import Quaternionr, Vector3r
 from uavaccel.airsim.wire_type import MsgpackMixin
@@ -30,7 +29,7 @@ class Pose(MsgpackMixin):
     def containsNan(self) -> bool:
         return self.position.containsNan() or self.orientation.containsNan()
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[Vector3r | Quaternionr]:
         return iter((self.position, self.orientation))
 
 

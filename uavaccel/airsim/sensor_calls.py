@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
-from uavaccel.airsim.calls import Calls
+from uavaccel.airsim.calls import Calls, remote
 from uavaccel.airsim.types import (
     BarometerData,
     DistanceSensorData,
@@ -19,30 +18,28 @@ from uavaccel.airsim.types import (
 
 
 class SensorCalls(Calls):
-    def getImuData(self, imu_name: str = "", vehicle_name: str = "") -> ImuData:
-        return ImuData.from_msgpack(self.client.call("getImuData", imu_name, vehicle_name))
+    @remote
+    def getImuData(self, imu_name: str = "", vehicle_name: str = "") -> ImuData: ...
 
-    def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData:
-        return BarometerData.from_msgpack(self.client.call("getBarometerData", barometer_name, vehicle_name))
+    @remote
+    def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData: ...
 
-    def getMagnetometerData(self, magnetometer_name: str = "", vehicle_name: str = "") -> MagnetometerData:
-        return MagnetometerData.from_msgpack(
-            self.client.call("getMagnetometerData", magnetometer_name, vehicle_name)
-        )
+    @remote
+    def getMagnetometerData(
+        self, magnetometer_name: str = "", vehicle_name: str = ""
+    ) -> MagnetometerData: ...
 
-    def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData:
-        return GpsData.from_msgpack(self.client.call("getGpsData", gps_name, vehicle_name))
+    @remote
+    def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData: ...
 
+    @remote
     def getDistanceSensorData(
         self, distance_sensor_name: str = "", vehicle_name: str = ""
-    ) -> DistanceSensorData:
-        return DistanceSensorData.from_msgpack(
-            self.client.call("getDistanceSensorData", distance_sensor_name, vehicle_name)
-        )
+    ) -> DistanceSensorData: ...
 
-    def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData:
-        return LidarData.from_msgpack(self.client.call("getLidarData", lidar_name, vehicle_name))
+    @remote
+    def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
 
-    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> Any:
+    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> object:
         logging.warning("simGetLidarSegmentation API is deprecated, use getLidarData() API instead")
         return self.getLidarData(lidar_name, vehicle_name).segmentation

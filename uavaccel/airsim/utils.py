@@ -8,10 +8,9 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.airsim.pfm import read_pfm, write_pfm
 from uavaccel.airsim.types import ImageResponse
@@ -45,7 +44,7 @@ def string_to_float_array(bstr: bytes) -> NDArray[np.float32]:
     return np.frombuffer(bstr, np.float32).copy()
 
 
-def list_to_2d_float_array(flst: Any, width: int, height: int) -> NDArray[np.float32]:
+def list_to_2d_float_array(flst: ArrayLike, width: int, height: int) -> NDArray[np.float32]:
     """(height, width) of a row-major list."""
     return np.reshape(np.asarray(flst, np.float32), (height, width))
 
@@ -55,7 +54,7 @@ def get_pfm_array(response: ImageResponse) -> NDArray[np.float32]:
     return list_to_2d_float_array(response.image_data_float, response.width, response.height)
 
 
-def get_public_fields(obj: Any) -> list[str]:
+def get_public_fields(obj: object) -> list[str]:
     """Names of an object's attributes that are neither private nor functions."""
     return [
         name
@@ -64,11 +63,11 @@ def get_public_fields(obj: Any) -> list[str]:
     ]
 
 
-def to_dict(obj: Any) -> dict[str, Any]:
+def to_dict(obj: object) -> dict[str, object]:
     return {name: getattr(obj, name) for name in get_public_fields(obj)}
 
 
-def to_str(obj: Any) -> str:
+def to_str(obj: object) -> str:
     return str(to_dict(obj))
 
 
@@ -77,7 +76,7 @@ def write_file(filename: str | Path, bstr: bytes) -> None:
     Path(filename).write_bytes(bstr)
 
 
-def write_png(filename: str | Path, image: NDArray[Any]) -> None:
+def write_png(filename: str | Path, image: NDArray[np.integer | np.floating]) -> None:
     """Write an array (height, width, channels), blue first."""
     import cv2
 

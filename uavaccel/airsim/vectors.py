@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,18 +160,18 @@ class Quaternionr(MsgpackMixin):
         return iter((self.x_val, self.y_val, self.z_val, self.w_val))
 
 
-def _number(value: Any, operator: str, left: Any) -> float:
+def _number(value: object, operator: str, left: object) -> float:
     if isinstance(value, Real | np.number):
         return float(value)
     raise _unsupported(operator, left, value)
 
 
-def _alike(right: Any, operator: str, left: Any) -> None:
+def _alike(right: object, operator: str, left: object) -> None:
     if type(right) is not type(left):
         raise _unsupported(operator, left, right)
 
 
-def _unsupported(operator: str, left: Any, right: Any) -> TypeError:
+def _unsupported(operator: str, left: object, right: object) -> TypeError:
     return TypeError(
         f"unsupported operand type(s) for {operator}: {type(left).__name__} and {type(right).__name__}"
     )

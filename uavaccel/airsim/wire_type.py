@@ -14,7 +14,7 @@ class MsgpackMixin:
     def __repr__(self) -> str:
         return f"<{type(self).__name__}> " + pformat(vars(self), indent=4, width=1)
 
-    def to_msgpack(self, *args: Any, **options: Any) -> dict[str, Any]:
+    def to_msgpack(self, *args: object, **options: object) -> dict[str, object]:
         """The fields, nested objects as objects."""
         return self.__dict__
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from uavaccel.airsim.calls import Calls
+from uavaccel.airsim.calls import Calls, remote
 from uavaccel.airsim.types import GeoPoint, MeshPositionVertexBuffersResponse, Pose, Vector3r
 
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -15,23 +15,24 @@ RED = (1.0, 0.0, 0.0, 1.0)
 class WorldCalls(Calls):
     # --- objects ----------------------------------------------------------------------------------
 
+    @remote
     def simListSceneObjects(self, name_regex: str = ".*") -> list[str]:
         """Names of the objects that the regular expression matches."""
-        return list(self.client.call("simListSceneObjects", name_regex))
 
+    @remote
     def simGetObjectPose(self, object_name: str) -> Pose:
         """NaN where there is no such object."""
-        return Pose.from_msgpack(self.client.call("simGetObjectPose", object_name))
 
-    def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool:
-        return bool(self.client.call("simSetObjectPose", object_name, pose, teleport))
+    @remote
+    def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool: ...
 
-    def simGetObjectScale(self, object_name: str) -> Vector3r:
-        return Vector3r.from_msgpack(self.client.call("simGetObjectScale", object_name))
+    @remote
+    def simGetObjectScale(self, object_name: str) -> Vector3r: ...
 
-    def simSetObjectScale(self, object_name: str, scale_vector: Vector3r) -> bool:
-        return bool(self.client.call("simSetObjectScale", object_name, scale_vector))
+    @remote
+    def simSetObjectScale(self, object_name: str, scale_vector: Vector3r) -> bool: ...
 
+    @remote
     def simSpawnObject(
         self,
         object_name: str,
@@ -42,53 +43,46 @@ class WorldCalls(Calls):
         is_blueprint: bool = False,
     ) -> str:
         """Returns the name that the object was given."""
-        return str(
-            self.client.call(
-                "simSpawnObject", object_name, asset_name, pose, scale, physics_enabled, is_blueprint
-            )
-        )
 
-    def simDestroyObject(self, object_name: str) -> bool:
-        return bool(self.client.call("simDestroyObject", object_name))
+    @remote
+    def simDestroyObject(self, object_name: str) -> bool: ...
 
-    def simListAssets(self) -> list[str]:
-        return list(self.client.call("simListAssets"))
+    @remote
+    def simListAssets(self) -> list[str]: ...
 
-    def simLoadLevel(self, level_name: str) -> bool:
-        return bool(self.client.call("simLoadLevel", level_name))
+    @remote
+    def simLoadLevel(self, level_name: str) -> bool: ...
 
+    @remote
     def simSetSegmentationObjectID(self, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
         """IDs are 0 to 255; returns whether an object was found."""
-        return bool(self.client.call("simSetSegmentationObjectID", mesh_name, object_id, is_name_regex))
 
+    @remote
     def simGetSegmentationObjectID(self, mesh_name: str) -> int:
         """-1 where there is no such object."""
-        return int(self.client.call("simGetSegmentationObjectID", mesh_name))
 
+    @remote
     def simSwapTextures(
         self, tags: str, tex_id: int = 0, component_id: int = 0, material_id: int = 0
-    ) -> list[str]:
-        return list(self.client.call("simSwapTextures", tags, tex_id, component_id, material_id))
+    ) -> list[str]: ...
 
-    def simSetObjectMaterial(self, object_name: str, material_name: str, component_id: int = 0) -> bool:
-        return bool(self.client.call("simSetObjectMaterial", object_name, material_name, component_id))
+    @remote
+    def simSetObjectMaterial(self, object_name: str, material_name: str, component_id: int = 0) -> bool: ...
 
+    @remote
     def simSetObjectMaterialFromTexture(
         self, object_name: str, texture_path: str, component_id: int = 0
-    ) -> bool:
-        return bool(
-            self.client.call("simSetObjectMaterialFromTexture", object_name, texture_path, component_id)
-        )
+    ) -> bool: ...
 
-    def simSetLightIntensity(self, light_name: str, intensity: float) -> bool:
-        return bool(self.client.call("simSetLightIntensity", light_name, intensity))
+    @remote
+    def simSetLightIntensity(self, light_name: str, intensity: float) -> bool: ...
 
-    def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]:
-        meshes = self.client.call("simGetMeshPositionVertexBuffers")
-        return [MeshPositionVertexBuffersResponse.from_msgpack(mesh) for mesh in meshes]
+    @remote
+    def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]: ...
 
     # --- sky and weather ------------------------------------------------------------------------
 
+    @remote
     def simSetTimeOfDay(
         self,
         is_enabled: bool,
@@ -97,55 +91,47 @@ class WorldCalls(Calls):
         celestial_clock_speed: float = 1,
         update_interval_secs: float = 60,
         move_sun: bool = True,
-    ) -> None:
-        self.client.call(
-            "simSetTimeOfDay",
-            is_enabled,
-            start_datetime,
-            is_start_datetime_dst,
-            celestial_clock_speed,
-            update_interval_secs,
-            move_sun,
-        )
+    ) -> None: ...
 
-    def simEnableWeather(self, enable: bool) -> None:
-        self.client.call("simEnableWeather", enable)
+    @remote
+    def simEnableWeather(self, enable: bool) -> None: ...
 
+    @remote
     def simSetWeatherParameter(self, param: int, val: float) -> None:
         """A WeatherParameter, and 0 to 1."""
-        self.client.call("simSetWeatherParameter", param, val)
 
     # --- geometry -------------------------------------------------------------------------------
 
-    def simTestLineOfSightToPoint(self, point: GeoPoint, vehicle_name: str = "") -> bool:
-        return bool(self.client.call("simTestLineOfSightToPoint", point, vehicle_name))
+    @remote
+    def simTestLineOfSightToPoint(self, point: GeoPoint, vehicle_name: str = "") -> bool: ...
 
-    def simTestLineOfSightBetweenPoints(self, point1: GeoPoint, point2: GeoPoint) -> bool:
-        return bool(self.client.call("simTestLineOfSightBetweenPoints", point1, point2))
+    @remote
+    def simTestLineOfSightBetweenPoints(self, point1: GeoPoint, point2: GeoPoint) -> bool: ...
 
+    @remote
     def simGetWorldExtents(self) -> list[GeoPoint]:
         """Two opposite corners."""
-        return [GeoPoint.from_msgpack(corner) for corner in self.client.call("simGetWorldExtents")]
 
-    def simCreateVoxelGrid(self, position: Vector3r, x: int, y: int, z: int, res: float, of: str) -> bool:
-        return bool(self.client.call("simCreateVoxelGrid", position, x, y, z, res, of))
+    @remote
+    def simCreateVoxelGrid(self, position: Vector3r, x: int, y: int, z: int, res: float, of: str) -> bool: ...
 
     # --- display --------------------------------------------------------------------------------
 
-    def simRunConsoleCommand(self, command: str) -> bool:
-        return bool(self.client.call("simRunConsoleCommand", command))
+    @remote
+    def simRunConsoleCommand(self, command: str) -> bool: ...
 
-    def simPrintLogMessage(self, message: str, message_param: str = "", severity: int = 0) -> None:
-        self.client.call("simPrintLogMessage", message, message_param, severity)
+    @remote
+    def simPrintLogMessage(self, message: str, message_param: str = "", severity: int = 0) -> None: ...
 
+    @remote
     def simSetTraceLine(
         self, color_rgba: Sequence[float], thickness: float = 1.0, vehicle_name: str = ""
-    ) -> None:
-        self.client.call("simSetTraceLine", color_rgba, thickness, vehicle_name)
+    ) -> None: ...
 
-    def simFlushPersistentMarkers(self) -> None:
-        self.client.call("simFlushPersistentMarkers")
+    @remote
+    def simFlushPersistentMarkers(self) -> None: ...
 
+    @remote
     def simPlotPoints(
         self,
         points: Sequence[Vector3r],
@@ -153,9 +139,9 @@ class WorldCalls(Calls):
         size: float = 10.0,
         duration: float = -1.0,
         is_persistent: bool = False,
-    ) -> None:
-        self.client.call("simPlotPoints", points, color_rgba, size, duration, is_persistent)
+    ) -> None: ...
 
+    @remote
     def simPlotLineStrip(
         self,
         points: Sequence[Vector3r],
@@ -163,9 +149,9 @@ class WorldCalls(Calls):
         thickness: float = 5.0,
         duration: float = -1.0,
         is_persistent: bool = False,
-    ) -> None:
-        self.client.call("simPlotLineStrip", points, color_rgba, thickness, duration, is_persistent)
+    ) -> None: ...
 
+    @remote
     def simPlotLineList(
         self,
         points: Sequence[Vector3r],
@@ -173,9 +159,9 @@ class WorldCalls(Calls):
         thickness: float = 5.0,
         duration: float = -1.0,
         is_persistent: bool = False,
-    ) -> None:
-        self.client.call("simPlotLineList", points, color_rgba, thickness, duration, is_persistent)
+    ) -> None: ...
 
+    @remote
     def simPlotArrows(
         self,
         points_start: Sequence[Vector3r],
@@ -185,18 +171,9 @@ class WorldCalls(Calls):
         arrow_size: float = 2.0,
         duration: float = -1.0,
         is_persistent: bool = False,
-    ) -> None:
-        self.client.call(
-            "simPlotArrows",
-            points_start,
-            points_end,
-            color_rgba,
-            thickness,
-            arrow_size,
-            duration,
-            is_persistent,
-        )
+    ) -> None: ...
 
+    @remote
     def simPlotStrings(
         self,
         strings: Sequence[str],
@@ -204,9 +181,9 @@ class WorldCalls(Calls):
         scale: float = 5,
         color_rgba: Sequence[float] = RED,
         duration: float = -1.0,
-    ) -> None:
-        self.client.call("simPlotStrings", strings, positions, scale, color_rgba, duration)
+    ) -> None: ...
 
+    @remote
     def simPlotTransforms(
         self,
         poses: Sequence[Pose],
@@ -214,9 +191,9 @@ class WorldCalls(Calls):
         thickness: float = 5.0,
         duration: float = -1.0,
         is_persistent: bool = False,
-    ) -> None:
-        self.client.call("simPlotTransforms", poses, scale, thickness, duration, is_persistent)
+    ) -> None: ...
 
+    @remote
     def simPlotTransformsWithNames(
         self,
         poses: Sequence[Pose],
@@ -226,14 +203,4 @@ class WorldCalls(Calls):
         text_scale: float = 10.0,
         text_color_rgba: Sequence[float] = RED,
         duration: float = -1.0,
-    ) -> None:
-        self.client.call(
-            "simPlotTransformsWithNames",
-            poses,
-            names,
-            tf_scale,
-            tf_thickness,
-            text_scale,
-            text_color_rgba,
-            duration,
-        )
+    ) -> None: ...

@@ -22,7 +22,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
+from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.spans import make_desk
 from uavaccel.machine import usable_cores
 from uavaccel.sim.profile import NATIVE
@@ -64,12 +64,12 @@ def one_lane(task: LaneTask) -> Bare:
     maker = GameMaker(task)
     games, now = rows.game_rows(1, maker.surroundings.most), rows.flights(1)
     maker.write(maker.draw(np.random.default_rng(0), 0), games, 0)
-    kind = cpu.DVS if task.observation == "dvs" else cpu.STATE
+    kind = DVS if task.observation == "dvs" else STATE
     sensor = events.sensor_of(draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed))
-    pixels = events.pixels_of(int(kind == cpu.DVS), task.dvs_parameters)
+    pixels = events.pixels_of(int(kind == DVS), task.dvs_parameters)
     view, plan = (
         cpu.View(kind, maker.looks or NO_LOOKS, sensor, pixels),
-        plan_of(task, maker.surroundings.hull, kind != cpu.STATE),
+        plan_of(task, maker.surroundings.hull, kind != STATE),
     )
     first = np.arange(1)
     cpu.CPU.look_at_starts(games, first)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from uavaccel.cli.run import RunRequest, configure, console, run_experiment
+from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.runner import check_jobs
 from uavaccel.suites.sweep.conditions import parse_sweep
-from uavaccel.yaml_io import parse_yaml
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
@@ -49,17 +48,12 @@ def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None)
     options = {
         **of_sweep,
         "sweep": dict(parsed),
-        "evaluation": {"experiment": "evaluate", "keys": {**of_task, **dict(map(_key, request.overrides))}},
+        "evaluation": {
+            "experiment": "evaluate",
+            "keys": {**of_task, **dict(map(parse_override, request.overrides))},
+        },
     }
     run_experiment(replace(request, experiment="sweep", options=options, overrides=(), suite=None))
-
-
-def _key(override: str) -> tuple[str, Any]:
-    """Dotted key and value of a --set. Raises UsageError."""
-    dotted, equals, text = override.partition("=")
-    if not equals or not dotted:
-        raise UsageError(f"--set {override}: must be dotted.key=value")
-    return dotted, parse_yaml(text, source=f"--set {override}")
 
 
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:

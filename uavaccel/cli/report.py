@@ -13,12 +13,12 @@ from uavaccel.suites.registry import suite_of
 
 def report_runs(run_dirs: Sequence[Path]) -> None:
     """Each run's report; then those of one suite side by side. No game is flown. Raises UserError."""
-    together: dict[str, list[RunDirectory]] = defaultdict(list)
+    by_suite: dict[str, list[RunDirectory]] = defaultdict(list)
     for run_dir in run_dirs:
         run = RunDirectory(run_dir)
         report_run(run)
-        together[str(run.config()["suite"])].append(run)
-    for runs in together.values():
+        by_suite[str(run.config()["suite"])].append(run)
+    for runs in by_suite.values():
         if len(runs) > 1:
             for path in suite_of(runs[0]).compare(runs):
                 console.print(str(path), markup=False)

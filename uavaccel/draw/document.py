@@ -11,6 +11,8 @@ from typing import TypeVar
 
 from uavaccel.draw.page_look import SCRIPT, STYLE
 
+Entry = TypeVar("Entry")
+
 
 @dataclass(frozen=True)
 class Heading:
@@ -33,6 +35,12 @@ class Table:
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     folded: str = ""
+
+    @classmethod
+    def of(cls, entries: Sequence[Entry], *columns: tuple[str, Callable[[Entry], str]]) -> Table:
+        """A row for each entry: each column is its header and the text that it has of an entry."""
+        header = [name for name, _ in columns]
+        return cls(header, [[text(entry) for _, text in columns] for entry in entries])
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ The ranges may widen with the games flown, a curriculum from the task as it is c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -23,49 +23,42 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Range = Annotated[tuple[float, float], AfterValidator(_rising)]
 
-OF_DIFFICULTY = (
-    "wind_m_s",
-    "light",
-    "texture_variation",
-    "row_spacing_m",
-    "min_gap_m",
-    "mass_ratio",
-    "thrust_ratio",
-)
-OF_SENSOR = (
-    "dvs_threshold_ratio",
-    "dvs_spread_ratio",
-    "dvs_shot_noise_hz",
-    "dvs_leak_hz",
-    "dvs_hot_pixels",
-    "image_noise",
-)
-OF_TASK = ("speed_m_s", "altitude_m", *OF_SENSOR)
-LATENCY = "latency_scale"
+
+class Condition(NamedTuple):
+    """What a lane is flown under: its short name in a sweep, its key in the task, and its unit."""
+
+    short: str
+    key: str
+    unit: str = ""
 
 
 class Ranges(Config):
     """Ranges [least, most] of what is drawn for each game; what has none stays as the task has it.
 
-    Names and units are those of the task's keys, of its difficulty and of its latency model.
+    Names and units are those of the task's keys, of its difficulty and of its latency model. The fields are the table
+    of conditions: a sweep, a robustness map and the documentation take names, keys and units from here.
     """
 
-    wind_m_s: Range | None = None
-    light: Range | None = None
-    texture_variation: Range | None = None
-    row_spacing_m: Range | None = None
-    min_gap_m: Range | None = None
-    mass_ratio: Range | None = None
-    thrust_ratio: Range | None = None
-    speed_m_s: Range | None = None
-    altitude_m: Range | None = None
-    dvs_threshold_ratio: Range | None = None
-    dvs_spread_ratio: Range | None = None
-    dvs_shot_noise_hz: Range | None = None
-    dvs_leak_hz: Range | None = None
-    dvs_hot_pixels: Range | None = None
-    image_noise: Range | None = None
-    latency_scale: Range | None = None
+    wind_m_s: Annotated[Range | None, Condition("wind", "difficulty.wind_m_s", "m/s")] = None
+    light: Annotated[Range | None, Condition("light", "difficulty.light", "of daylight")] = None
+    texture_variation: Annotated[Range | None, Condition("textures", "difficulty.texture_variation")] = None
+    row_spacing_m: Annotated[Range | None, Condition("spacing", "difficulty.row_spacing_m", "m")] = None
+    min_gap_m: Annotated[Range | None, Condition("gap", "difficulty.min_gap_m", "m")] = None
+    mass_ratio: Annotated[Range | None, Condition("mass", "difficulty.mass_ratio", "× AirSim's")] = None
+    thrust_ratio: Annotated[Range | None, Condition("thrust", "difficulty.thrust_ratio", "× AirSim's")] = None
+    speed_m_s: Annotated[Range | None, Condition("speed", "speed_m_s", "m/s")] = None
+    altitude_m: Annotated[Range | None, Condition("height", "altitude_m", "m")] = None
+    dvs_threshold_ratio: Annotated[
+        Range | None, Condition("threshold", "dvs_threshold_ratio", "× the preset's")
+    ] = None
+    dvs_spread_ratio: Annotated[Range | None, Condition("spread", "dvs_spread_ratio", "× the preset's")] = (
+        None
+    )
+    dvs_shot_noise_hz: Annotated[Range | None, Condition("shot_noise", "dvs_shot_noise_hz", "Hz")] = None
+    dvs_leak_hz: Annotated[Range | None, Condition("leak", "dvs_leak_hz", "Hz")] = None
+    dvs_hot_pixels: Annotated[Range | None, Condition("hot_pixels", "dvs_hot_pixels", "of all")] = None
+    image_noise: Annotated[Range | None, Condition("image_noise", "image_noise", "of 255")] = None
+    latency_scale: Annotated[Range | None, Condition("latency", "latency.scale", "× the model's")] = None
     """Of timing virtual alone."""
     share: Share = 1.0
     """Probability of each condition to be drawn for a game; else it stays as the task has it."""
@@ -100,7 +93,7 @@ class Ranges(Config):
 
     def given(self) -> dict[str, tuple[float, float]]:
         """The ranges that there are, in the order in which they are drawn."""
-        ranges = {name: getattr(self, name) for name in (*OF_DIFFICULTY, *OF_TASK, LATENCY)}
+        ranges = {name: getattr(self, name) for name in DRAWN}
         return {name: ends for name, ends in ranges.items() if ends is not None}
 
     def widened(self, games: int, usual: Mapping[str, tuple[float, float]]) -> Self:
@@ -120,6 +113,28 @@ class Ranges(Config):
         if self.all_drawn:
             return drawn
         return {name: value for name, value in drawn.items() if random.random() < self._share_of(name)}
+
+
+DRAWN = {
+    name: each
+    for name, field in Ranges.model_fields.items()
+    for each in field.metadata
+    if isinstance(each, Condition)
+}
+"""The conditions that can be drawn, by their field of `Ranges`."""
+NOT_DRAWN = (
+    Condition("scenery", "difficulty.scenery"),
+    Condition("sensor", "dvs_preset"),
+    Condition("clock", "clock_speed", "x"),
+    Condition("command", "command"),
+    Condition("profile", "profile"),
+)
+CONDITIONS = {each.short: each for each in (*DRAWN.values(), *NOT_DRAWN)}
+"""All conditions by their short name."""
+OF_DIFFICULTY = tuple(name for name, each in DRAWN.items() if each.key == f"difficulty.{name}")
+OF_TASK = tuple(name for name, each in DRAWN.items() if each.key == name)
+OF_SENSOR = tuple(name for name in OF_TASK if name not in ("speed_m_s", "altitude_m"))
+LATENCY = "latency_scale"
 
 
 def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:

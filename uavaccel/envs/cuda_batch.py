@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from uavaccel.envs.checks import ROUNDING, make_task, seeds_of
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.kernel_plan import check_flyable_on_gpu
+from uavaccel.envs.flyable import check_flyable_on_gpu
 from uavaccel.errors import UserError
 
 DEVICE = "cuda"

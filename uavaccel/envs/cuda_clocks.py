@@ -17,7 +17,7 @@ from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import timeline
-from uavaccel.kernels.cpu import STATE
+from uavaccel.kernels.fields import STATE
 from uavaccel.units import NS_PER_S
 
 Advance = Callable[[th.Tensor, th.Tensor], None]

@@ -16,16 +16,16 @@ from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_courses import copied, put, taken, tensors
 from uavaccel.envs.cuda_games import GamesAhead
 from uavaccel.envs.cuda_view import LaneView
+from uavaccel.envs.flyable import check_flyable_on_gpu, passes_together
 from uavaccel.envs.judged import judge
 from uavaccel.envs.kernel_games import one_course
-from uavaccel.envs.kernel_plan import check_flyable_on_gpu, passes_together, slices_of
+from uavaccel.envs.kernel_plan import slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import age_levels
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
-from uavaccel.kernels.cpu import DVS, STATE
-from uavaccel.kernels.fields import COLUMNS
+from uavaccel.kernels.fields import COLUMNS, DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.profile import PROFILES

@@ -6,13 +6,12 @@ from typing import Any
 
 import torch as th
 
+from uavaccel.envs.flyable import kind_of
 from uavaccel.envs.kernel_games import GameMaker
-from uavaccel.envs.kernel_plan import kind_of
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events
-from uavaccel.kernels.cpu import DEPTH, DVS, STATE
-from uavaccel.kernels.fields import COLUMNS, FIELDS, NO_LOOKS, ROWS
+from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, NO_LOOKS, ROWS, STATE
 from uavaccel.vision.dvs_sensor import draw_pixels
 
 

@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.checks import make_task, seeds_of, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
+from uavaccel.envs.flyable import check_flyable, kind_of
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
-from uavaccel.envs.kernel_plan import check_flyable, kind_of, plan_of
+from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.told import NO_ACTION, age_levels
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, NO_LOOKS, ROWS
+from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.machine import usable_cores
@@ -66,7 +67,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
         self._allocate()
-        self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != cpu.STATE)
+        self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != STATE)
         self._threads = min(threads or usable_cores(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
@@ -83,7 +84,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         blank = task.sensor().blank
         draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
         kind = kind_of(task)
-        pixels = events.pixels_of(count if kind == cpu.DVS else 0, task.dvs_parameters)
+        pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters)
         self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.kernel_plan import profile_of
+from uavaccel.envs.flyable import profile_of
 from uavaccel.envs.task import Course, Task
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row

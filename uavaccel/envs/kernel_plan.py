@@ -1,79 +1,24 @@
-"""How lanes over arrays fly a task's commands, and what they cannot fly."""
+"""How lanes over arrays fly a task's commands."""
 
 from __future__ import annotations
 
-from fractions import Fraction
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.commands.slices import samples_due
+from uavaccel.envs.flyable import latency_of, profile_of, speed_of
 from uavaccel.envs.task import Task
-from uavaccel.errors import UserError
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels import timeline
-from uavaccel.kernels.cpu import COLOUR, DEPTH, DVS, STATE, Command
 from uavaccel.kernels.latencies import Latencies
-from uavaccel.kernels.timeline import Timing
-from uavaccel.sim.profile import PROFILES, Profile
+from uavaccel.kernels.timeline import Command, Timing
+from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S, ceil_div, exact
-from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, ZERO_LATENCY, LatencyConfig
+from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, LatencyConfig
 from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
-
-MOST_DIGITS = 1_000_000  # of a clock's speed as a fraction: its products have to fit 64 bits for hours
-
-KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
-
-Simulator = Literal["mujoco", "kernels"]
-"""Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
-
-
-def check_flyable(task: Task, lanes: int) -> None:
-    """Raise UserError, one line, for what only the exact simulator flies."""
-    if lanes < 1:
-        raise UserError(f"num_envs = {lanes}: must be at least 1")
-    if why := _why_not(task) or _why_no_clock(task):
-        raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
-
-
-def check_flyable_on_gpu(task: Task, lanes: int) -> None:
-    """The same for one GPU, where lanes pass a command's samples together."""
-    check_flyable(task, lanes)
-    if passes_together(task):
-        return
-    if task.dvs_ticks:
-        raise UserError("device = cuda: dvs_rate_hz is flown by TCSC in lockstep there; use device = cpu")
-    if kind_of(task) == DEPTH and task.timing == "virtual":
-        raise UserError(
-            "device = cuda: the guard of depth pictures is the CPU's in virtual; use device = cpu"
-        )
-
-
-def kind_of(task: Task) -> int:
-    """What lanes observe: STATE, DVS, COLOUR or DEPTH."""
-    return STATE if task.blank_images else KINDS[task.observation]
-
-
-def passes_together(task: Task) -> bool:
-    """Whether the same ticks pass in all lanes, whatever messages cost."""
-    return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
-
-
-def _why_not(task: Task) -> str:
-    if task.timing == "wall":
-        return "timing wall needs a server of its own"
-    if task.list_events:
-        return "list_events keeps no events one by one there"
-    if task.scenery != "plain":
-        return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
-    if task.scene != "lane" and task.observation != "state":
-        return f"observation {task.observation} is drawn in the lane alone"
-    for name in ("goal", "features"):
-        if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
-            return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
-    return ""
 
 
 def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -84,28 +29,6 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     speed = exact(task.clock_speed)
     wall_ns = [ceil_div(each * profile.tick_ns * speed.denominator, speed.numerator) for each in ticks]
     return np.array(ticks), np.array(wall_ns)
-
-
-def _why_no_clock(task: Task) -> str:
-    speeds = _speed(task), exact(task.clock_speed)
-    if any(max(speed.as_integer_ratio()) > MOST_DIGITS for speed in speeds):
-        return f"clock_speed = {task.clock_speed} has more digits than lanes' clocks"
-    return ""
-
-
-def _latency(task: Task) -> LatencyConfig:
-    """What messages and ticks cost: nothing in lockstep."""
-    return task.latency if task.timing == "virtual" else ZERO_LATENCY
-
-
-def profile_of(task: Task) -> Profile:
-    """How the task's simulation steps."""
-    return _latency(task).platform.profile(task.profile, task.clock_speed)
-
-
-def _speed(task: Task) -> Fraction:
-    """Simulated seconds per wall second."""
-    return _latency(task).platform.executor().speed(exact(task.clock_speed), profile_of(task).tick_ns)
 
 
 def plan_of(task: Task, hull: Any, pictures: bool) -> Command:
@@ -121,12 +44,14 @@ def timing_of(task: Task, pictures: bool) -> Timing:
     due_ns = samples_due(task.t_move_s, task.t_sample_s)
     slices_ns = [later - earlier for earlier, later in pairwise([0, *due_ns])]
     offsets_ns = [round(each / float(task.clock_speed)) for each in due_ns]
-    return Timing(_rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(_latency(task)))
+    return Timing(
+        _rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(latency_of(task))
+    )
 
 
 def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
-    profile, speed, asked = profile_of(task), _speed(task), exact(task.clock_speed)
-    latency, rules = _latency(task), np.zeros(timeline.RULES, np.int64)
+    profile, speed, asked = profile_of(task), speed_of(task), exact(task.clock_speed)
+    latency, rules = latency_of(task), np.zeros(timeline.RULES, np.int64)
     platform, virtual = latency.platform, task.timing == "virtual"
     rules[timeline.IS_ADSC] = task.command == "adsc"
     rules[timeline.EXACT_PAUSES], rules[timeline.TICK_NS] = profile.exact_pauses, profile.tick_ns

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from gymnasium.vector import VectorEnv
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.kernel_plan import Simulator
+from uavaccel.envs.flyable import Simulator
 from uavaccel.errors import UserError
 
 Device = Literal["cpu", "cuda"]

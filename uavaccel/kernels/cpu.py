@@ -9,7 +9,7 @@ from numba import njit, types
 from numba.extending import overload
 
 from uavaccel.kernels import events, timeline
-from uavaccel.kernels.fields import COLUMNS, ROWS, Looks
+from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Looks
 from uavaccel.kernels.lane_clocks import DARKEST, MOST_CHANGE, keep_shown, turn_to_shown
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
@@ -24,7 +24,7 @@ from uavaccel.kernels.lanes import (
 )
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
-from uavaccel.kernels.timeline import Clocks, Timing
+from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
@@ -33,10 +33,7 @@ from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 from uavaccel.vision.observation import BLOCK_SIDE
 
-STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
 SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
-NS = 1e-9
-SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
 
 
 @part
@@ -243,21 +240,6 @@ def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, f
             frame[0, y, x] = int(np.rint(total / np.float32(BLOCK_SIDE**2) * np.float32(255.0 / 50.0)))
 
 
-class Command(NamedTuple):
-    """How a command is flown and seen, the same for all lanes."""
-
-    slices: Any
-    """Ticks (S,) of its samples."""
-    event_ticks: int
-    """Ticks from one of the event camera's frames to the next; 0: it sees the samples alone."""
-    tick_ns: int
-    hull: Any
-    """(3,) (kernels/flight)."""
-    hold_ticks: int
-    """After which position hold sets in unless another command came."""
-    timing: Timing
-
-
 class View(NamedTuple):
     """What lanes are seen with."""
 
@@ -274,7 +256,7 @@ def look_at_events(
     """A lane's event camera sees what is in front of it."""
     game = now.game[lane]
     draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
-    time_s = moment_ns(lane, now, plan.tick_ns) * NS
+    time_s = moment_ns(lane, now, plan.tick_ns) * events.NS
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 

@@ -21,7 +21,6 @@ from numba.np.numpy_support import from_dtype
 from uavaccel.kernels import events, lanes
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
-from uavaccel.kernels.cpu import DEPTH, NS, SEEN_FAR_M
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.flight import TOUCHED, fly_ticks
@@ -371,7 +370,7 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
         return
     base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    dt_s, noise = moment_ns * NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
+    dt_s, noise = moment_ns * events.NS - pixels.time_s[lane], (seeds[EVENT_SEED], pixels.clock[lane] + 1)
     for half in range(2):
         top = np.int32(y + 2 * half)
         first = lane * PIXELS_A_LANE + np.uintp(top * at.COLUMNS + x)
@@ -388,7 +387,7 @@ def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
         pixels.clock[lane] += 1
-        pixels.time_s[lane] = now.state[lane].tick * tick_ns * NS
+        pixels.time_s[lane] = now.state[lane].tick * tick_ns * events.NS
 
 
 def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type: ignore[no-untyped-def]
@@ -404,13 +403,13 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
     for pixel in range(16):
         y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
         face = np.int32(shown[lane, y, x])
-        if kind == DEPTH:
+        if kind == at.DEPTH:
             w = (
                 linear(faces[lane], face, at.W, np.float32(x), np.float32(y))
                 if face
                 else faces[lane, 0, at.FAR_W]
             )
-            depth_sum += min(np.float32(1.0) / w, SEEN_FAR_M)
+            depth_sum += min(np.float32(1.0) / w, at.SEEN_FAR_M)
         else:
             red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
             if camera[events.READ] > 0.0:
@@ -419,7 +418,7 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
                 green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
                 blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
             red_sum, green_sum, blue_sum = red_sum + red, green_sum + green, blue_sum + blue
-    if kind == DEPTH:
+    if kind == at.DEPTH:
         shade = round(depth_sum / np.float32(number) * np.float32(255.0 / 50.0))
         frames[lane, 0, down, across] = shade if free else 0
         return

@@ -27,6 +27,8 @@ from uavaccel.vision.rounding import times
 POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
 CAMERA_FIELDS = 10
 
+NS = 1e-9
+
 ON_AND_OFF = 2
 
 Four = tuple[Any, Any, Any, Any]

@@ -36,6 +36,8 @@ class Scenes(NamedTuple):
     """(L, 9): AMBIENT, DIFFUSE, and the direction TOWARDS the sun, MuJoCo's axes."""
 
 
+STATE, DVS, COLOUR, DEPTH = range(4)  # what is observed
+SEEN_FAR_M = np.float32(50.0)  # depth that is shown as 255
 ROWS, COLUMNS = 144, 256  # of a picture; the top row is row 0
 SLICES = 8  # sides of what MuJoCo draws for a cylinder, by the models' visual/quality/numslices
 

@@ -55,6 +55,21 @@ class Timing(NamedTuple):
     latencies: Latencies
 
 
+class Command(NamedTuple):
+    """How a command is flown and seen, the same for all lanes."""
+
+    slices: Any
+    """Ticks (S,) of its samples."""
+    event_ticks: int
+    """Ticks from one of the event camera's frames to the next; 0: it sees the samples alone."""
+    tick_ns: int
+    hull: Any
+    """(3,) (kernels/flight)."""
+    hold_ticks: int
+    """After which position hold sets in unless another command came."""
+    timing: Timing
+
+
 class Clocks(NamedTuple):
     """The clocks of L lanes."""
 

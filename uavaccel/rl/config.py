@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
-from uavaccel.envs.kernel_plan import Simulator, check_flyable, check_flyable_on_gpu
+from uavaccel.envs.flyable import Simulator, check_flyable, check_flyable_on_gpu
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Count
 from uavaccel.limits import Cost, Games, Processes, Seed

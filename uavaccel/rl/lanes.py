@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch as th
@@ -12,9 +12,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from uavaccel.envs.batch import EnvironmentBatch
-from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.kernel_plan import Simulator
+from uavaccel.envs.flyable import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+
+if TYPE_CHECKING:
+    from uavaccel.envs.kernel_batch import KernelBatch
 
 
 class BatchVecEnv(VecEnv):
@@ -52,7 +54,8 @@ class BatchVecEnv(VecEnv):
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        if isinstance(self.batch, KernelBatch):  # all lanes are the batch
+        if not isinstance(self.batch, EnvironmentBatch) or attr_name == "render_mode":
+            # What is asked for first: lanes that are still starting need not answer before a learner is made.
             return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
         return self.env_method(attr_name, indices=indices)
 
@@ -95,6 +98,8 @@ def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", devi
     if simulator == "mujoco":
         return BatchVecEnv(EnvironmentBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
     if not device.startswith("cuda"):
+        from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
+
         return BatchVecEnv(KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
     from uavaccel.envs.cuda_lanes import CudaLanes  # needs numba-cuda and a GPU
 

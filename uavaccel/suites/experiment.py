@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator
 
-from uavaccel.config import Config, apply_overrides, load_yaml, validate
+from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.limits import CLOCK_SPEEDS, Cost, Seed
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
@@ -97,9 +98,9 @@ def merged(
     mapping: Mapping[str, Any], options: Mapping[str, Any], overrides: Iterable[str] = ()
 ) -> dict[str, Any]:
     """A YAML's mapping with options by dotted key in it, then each "dotted.key=value" of --set. Raises UserError."""
-    result = dict(mapping)
+    result = copy.deepcopy(dict(mapping))
     for key, value in options.items():
-        _put(result, key.split("."), value)
+        assign(result, key, value, key)
     return apply_overrides(result, overrides)
 
 
@@ -112,10 +113,3 @@ def resolve(
 ) -> ExperimentType:
     """The configuration: YAML, then options by dotted key, then --set. Raises UserError."""
     return validate(cls, merged(mapping, options or {}, overrides), source)
-
-
-def _put(mapping: dict[str, Any], parts: list[str], value: Any) -> None:
-    for part in parts[:-1]:
-        mapping[part] = dict(mapping.get(part) or {})
-        mapping = mapping[part]
-    mapping[parts[-1]] = value

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
+
+from numpy.typing import NDArray
 
 from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, to_html, to_markdown
 from uavaccel.errors import UserError
@@ -16,6 +18,9 @@ Row = Mapping[str, Any]
 Summary = Mapping[str, Any]
 SummaryCell = Mapping[str, Any]
 """An entry of a summary: the games of one setting, in numbers."""
+Arrays = Mapping[str, NDArray[Any]]
+LoadArrays = Callable[[Row], Arrays]
+"""Gives the arrays of a row, as `RunDirectory.load_arrays`."""
 
 
 class Report(ABC):

@@ -25,7 +25,7 @@ from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
-from uavaccel.suites.suite import AnySuite, Case, Flown, OnFlown
+from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame
 from uavaccel.wire.server_watch import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in one game
@@ -55,11 +55,11 @@ def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
         seen.add(name)
 
 
-def _check_flown(suite: AnySuite, case: Case, game: Any) -> None:
+def _check_result(suite: AnySuite, case: Case, game: Any) -> None:
     """Raises UserError for what a suite of one's own flew, where that is no game's result."""
     where = f"{suite.name}: fly of {case.id}"
-    if not isinstance(game, Flown):
-        raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.Flown")
+    if not isinstance(game, GameResult):
+        raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
     if not isinstance(game.row, dict) or game.row.get("case") != case.id:
         raise UserError(f"{where}: its row has to be a mapping with the key case: {case.id!r}")
     try:
@@ -84,7 +84,7 @@ def run_suite(
     config: Experiment,
     run: RunDirectory,
     jobs: int = 1,
-    on_flown: OnFlown = lambda case, row: None,
+    on_flown: OnGame = lambda case, row: None,
     engine: str = LOKY,
 ) -> None:
     """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
@@ -122,7 +122,7 @@ def _fly(
     cases: Sequence[Case],
     run: RunDirectory,
     jobs: int,
-    on_flown: OnFlown,
+    on_flown: OnGame,
     restarts: Mapping[str, int],
     engine: str,
 ) -> None:
@@ -153,7 +153,7 @@ def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
 
 def _fly_one_by_one(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[Flown]:
+) -> Iterator[GameResult]:
     try:
         with suite.open(config, cases[0].timing, run) as opened:
             for case in cases:
@@ -164,7 +164,7 @@ def _fly_one_by_one(
 
 def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[Flown]:
+) -> Iterator[GameResult]:
     # bound to this process before they import what takes them seconds
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
@@ -181,13 +181,13 @@ def _fly_in_parallel(
 
 def _fly_on_cluster(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[Flown]:
+) -> Iterator[GameResult]:
     folder = run.path.resolve()  # workers may have another working directory
     calls = [delayed(_fly_in_worker)(config, case, folder) for case in cases]
     yield from on_cluster(engine, jobs, suite.batch, calls)
 
 
-def _told_of_dead_workers(games: Iterator[Flown]) -> Iterator[Flown]:
+def _told_of_dead_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
     try:
         for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
             yield game
@@ -200,7 +200,7 @@ def _told_of_dead_workers(games: Iterator[Flown]) -> Iterator[Flown]:
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Any]] = {}
 
 
-def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
+def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
     """Fly a case in this worker process, which keeps what it opened; Ctrl-C is the parent's to handle."""
     key = (str(folder), case.timing)
     if key not in _OPENED:
@@ -215,8 +215,8 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> Flown:
     return fly_case(suite, config, case, opened)
 
 
-def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> Flown:
+def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> GameResult:
     """Fly one case and note the host's time and load, which are never the same twice."""
     game, host = timed(lambda: suite.fly(config, case, opened))
-    _check_flown(suite, case, game)
-    return Flown(game.row, game.arrays, {**host, **game.host})
+    _check_result(suite, case, game)
+    return GameResult(game.row, game.arrays, {**host, **game.host})

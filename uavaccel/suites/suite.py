@@ -43,7 +43,7 @@ class Case(Protocol):
 
 
 @dataclass(frozen=True)
-class Flown:
+class GameResult:
     """A finished game: its row, its raw samples, and what is never the same twice, for timing.jsonl."""
 
     row: dict[str, Any]
@@ -86,7 +86,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """What games of that timing are flown in, one process at a time; closed when they are done."""
 
     @abstractmethod
-    def fly(self, config: ConfigType, case: CaseType, opened: Any) -> Flown:
+    def fly(self, config: ConfigType, case: CaseType, opened: Any) -> GameResult:
         """Fly one game. Its row has the keys `suite` and `case`; the runner adds the arrays' path."""
 
     def report(self, run: RunDirectory) -> Report:
@@ -144,7 +144,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
 
 AnySuite = Suite[Any, Any]
-OnFlown = Callable[[Case, Row], None]
+OnGame = Callable[[Case, Row], None]
 
 VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
 ROW_BYTES = 1_000

@@ -8,18 +8,21 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.records import RunDirectory
+from uavaccel.suites.report import Arrays, Row
 
 Columns = dict[str, list[Any] | NDArray[Any]]
+WriteTable = Callable[[Columns, IO[bytes]], None]
 MISSING = "Parquet needs the package pyarrow: pip install 'uavaccel[parquet]'; CSV needs nothing more"
 WIDEST = 64  # numbers per line of an array that becomes columns; images stay in the run
 
@@ -46,9 +49,16 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
         raise UserError(f"{folder}: {error.strerror}") from error
 
 
-def row_table(rows: Sequence[Mapping[str, Any]]) -> Columns:
+def row_table(rows: Sequence[Row]) -> Columns:
     """A column per dotted key; lists, and what one row has and another lacks, as JSON and None."""
-    flat = [dict(_leaves(row)) for row in rows]
+    flat = [
+        {
+            key: json.dumps(value) if isinstance(value, list) else value
+            for key, value in dotted_keys(row).items()
+            if value != {}
+        }
+        for row in rows
+    ]
     names = list(dict.fromkeys(name for line in flat for name in line))
     return {name: _of_one_kind([line.get(name) for line in flat]) for name in names}
 
@@ -61,7 +71,7 @@ def _of_one_kind(values: list[Any]) -> list[Any]:
     return [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
 
 
-def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Columns]]:
+def sample_tables(arrays: Arrays) -> Iterator[tuple[int, Columns]]:
     """By their length, the arrays (n, ...) of a game: a column for each number of a line, as position_m.0.
 
     Pictures, whose lines have more than 64 numbers, are left where they are.
@@ -78,21 +88,13 @@ def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Col
             yield length, table
 
 
-def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _leaves(inner, f"{key}.{name}" if key else str(name))
-    else:
-        yield key, json.dumps(value) if isinstance(value, list) else value
-
-
-def _written(path: Path, table: Columns, write: Any) -> Path:
+def _written(path: Path, table: Columns, write: WriteTable) -> Path:
     with replacing(path) as file:
         write(table, file)
     return path
 
 
-def _writer(kind: str) -> Any:
+def _writer(kind: str) -> WriteTable:
     if kind == "csv":
         return _write_csv
     try:
@@ -101,13 +103,13 @@ def _writer(kind: str) -> Any:
     except ImportError:
         raise UserError(MISSING) from None
 
-    def write(table: Columns, file: Any) -> None:
+    def write(table: Columns, file: IO[bytes]) -> None:
         parquet.write_table(arrow.table({name: arrow.array(column) for name, column in table.items()}), file)
 
     return write
 
 
-def _write_csv(table: Columns, file: Any) -> None:
+def _write_csv(table: Columns, file: IO[bytes]) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     writer = csv.writer(text)
     writer.writerow(table)

@@ -6,126 +6,132 @@ from 0 to 1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from uavaccel.sim.flight.pilot import Pilot
+from uavaccel.kinematics import Vector
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
 from uavaccel.sim.vehicle.goal import Goal, Yaw
 from uavaccel.sim.vehicle.sticks import RATE_MODE, STICKS, VALID, Sticks
-from uavaccel.wire import types
-from uavaccel.wire.flight_api import Answer, fly_for
-from uavaccel.wire.method import Method
+from uavaccel.wire.arguments import VehicleName, flag, number
+from uavaccel.wire.calls import Calls, call, command
+from uavaccel.wire.flight_api import Answer, Seconds, fly_for
 
-TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
-MAX_SPEED_RAD_S = 669.857
 LARGEST_GAIN = 1e3  # thousands of times SimpleFlight's own
 STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
 
-class AttitudeApi:
-    """The low-level calls of the vehicles that `pilot_of` finds by name; `wall_ns` is when a call is handled."""
+def gains(value: object, name: str) -> Vector:
+    """Of three axes."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(f"{name} must be a list of three gains")
+    a, b, c = (number(each, name) for each in value)
+    if max(abs(a), abs(b), abs(c)) > LARGEST_GAIN:
+        raise ValueError(f"{name} must be within {LARGEST_GAIN:g}, not {value}")
+    return a, b, c
 
-    def __init__(self, pilot_of: Callable[[Any], Pilot], wall_ns: Callable[[], int]) -> None:
-        self._pilot_of, self._wall_ns = pilot_of, wall_ns
 
-    def methods(self) -> dict[str, Method]:
-        """The calls, AirSim's names; the last argument of each is the vehicle's name."""
-        return {
-            "moveByRollPitchYawZ": self._tilt(False, POSITION),
-            "moveByRollPitchYawThrottle": self._tilt(False, THROTTLE),
-            "moveByRollPitchYawrateZ": self._tilt(True, POSITION),
-            "moveByRollPitchYawrateThrottle": self._tilt(True, THROTTLE),
-            "moveByAngleRatesZ": self._rates(POSITION),
-            "moveByAngleRatesThrottle": self._rates(THROTTLE),
-            "moveByMotorPWMs": Method(self.move_by_motor_pwms, 5, 1),
-            "moveByRC": Method(self.move_by_rc, 1, 1),
-            "getRotorStates": Method(self.rotor_states, 0, 1),
-            "setAngleRateControllerGains": self._gains("rate"),
-            "setAngleLevelControllerGains": self._gains("angle"),
-            "setVelocityControllerGains": self._gains("velocity"),
-            "setPositionControllerGains": self._gains("position"),
-        }
+def sticks(value: object, name: str) -> Sticks:
+    """RCData."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a map, not {type(value).__name__}")
+    positions = np.zeros(STICKS)
+    for index, stick in enumerate(STICK_NAMES):
+        positions[index] = number(value.get(stick, 0.0), stick)
+    positions[RATE_MODE] = int(number(value.get("switches", 0), "switches")) & 1
+    positions[VALID] = flag(value.get("is_valid", False), "is_valid")
+    return positions
 
-    def _tilt(self, yaw_is_rate: bool, z_mode: int) -> Method:
-        def move(roll: Any, pitch: Any, yaw: Any, z: Any, duration: Any, vehicle: Any = "") -> Answer:
-            r, p, y, height = _four(roll=roll, pitch=pitch, yaw=yaw, z=z)
-            return self._fly(goals.attitude(r, p, Yaw(y, yaw_is_rate), height, z_mode), duration, vehicle)
 
-        return Method(move, 5, 1)
+Gains = Annotated[Vector, gains]
 
-    def _rates(self, z_mode: int) -> Method:
-        def move(roll: Any, pitch: Any, yaw: Any, z: Any, duration: Any, vehicle: Any = "") -> Answer:
-            numbers = _four(roll_rate=roll, pitch_rate=pitch, yaw_rate=yaw, z=z)
-            return self._fly(goals.body_rates(*numbers, z_mode), duration, vehicle)
 
-        return Method(move, 5, 1)
+def _fly(calls: Calls, goal: Goal, duration_s: float, vehicle: str) -> Answer:
+    return fly_for(calls.scenery.flying_pilot(vehicle), goal, duration_s, calls.wall_ns)
 
-    def move_by_motor_pwms(
-        self, right: Any, rear_left: Any, left: Any, rear_right: Any, duration: Any, vehicle: Any = ""
+
+def _by_angles(name: str, yaw_is_rate: bool, z_mode: int) -> Callable[..., Answer]:
+    """A command for an attitude, whose yaw may be a rate and whose z a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll: float,
+        pitch: float,
+        yaw: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
     ) -> Answer:
-        """Front right, rear left, front left, rear right."""
-        numbers = _four(
-            front_right_pwm=right, rear_left_pwm=rear_left, front_left_pwm=left, rear_right_pwm=rear_right
-        )
-        return self._fly(goals.motors(*numbers), duration, vehicle)
+        return _fly(self, goals.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
 
-    def _fly(self, goal: Goal, duration: Any, vehicle: Any) -> Answer:
-        return fly_for(self._pilot_of(vehicle), goal, duration, self._wall_ns())
+    return move
 
-    def move_by_rc(self, data: Any, vehicle: Any = "") -> None:
+
+def _by_rates(name: str, z_mode: int) -> Callable[..., Answer]:
+    """A command for body rates, whose z may be a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll_rate: float,
+        pitch_rate: float,
+        yaw_rate: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        return _fly(self, goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
+
+    return move
+
+
+def _set_gains(name: str, level: str) -> Callable[..., None]:
+    """A call that sets the gains of one level of the cascade."""
+
+    @call(name)
+    def set_gains(self: Calls, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
+        self.scenery.flying_pilot(vehicle).vehicle.set_gains(level, kp, ki, kd)
+
+    return set_gains
+
+
+class AttitudeApi(Calls, title="Flight"):
+    move_by_angles_z = _by_angles("moveByRollPitchYawZ", False, POSITION)
+    move_by_angles_throttle = _by_angles("moveByRollPitchYawThrottle", False, THROTTLE)
+    move_by_yaw_rate_z = _by_angles("moveByRollPitchYawrateZ", True, POSITION)
+    move_by_yaw_rate_throttle = _by_angles("moveByRollPitchYawrateThrottle", True, THROTTLE)
+    move_by_rates_z = _by_rates("moveByAngleRatesZ", POSITION)
+    move_by_rates_throttle = _by_rates("moveByAngleRatesThrottle", THROTTLE)
+    set_rate_gains = _set_gains("setAngleRateControllerGains", "rate")
+    set_angle_gains = _set_gains("setAngleLevelControllerGains", "angle")
+    set_velocity_gains = _set_gains("setVelocityControllerGains", "velocity")
+    set_position_gains = _set_gains("setPositionControllerGains", "position")
+
+    @command("moveByMotorPWMs")
+    def move_by_motor_pwms(
+        self,
+        front_right_pwm: float,
+        rear_left_pwm: float,
+        front_left_pwm: float,
+        rear_right_pwm: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        goal = goals.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
+        return _fly(self, goal, duration, vehicle)
+
+    @call("moveByRC")
+    def move_by_rc(self, rcdata: Annotated[Sticks, sticks], vehicle: VehicleName = "") -> None:
         """The sticks of a remote control: they fly the vehicle while no program has control, and moveByManual."""
-        if not isinstance(data, Mapping):
-            raise ValueError(f"rcdata must be a map, not {type(data).__name__}")
-        sticks = np.zeros(STICKS)
-        for index, name in enumerate(STICK_NAMES):
-            sticks[index] = types.number(data.get(name, 0.0), name)
-        sticks[RATE_MODE] = int(types.number(data.get("switches", 0), "switches")) & 1
-        sticks[VALID] = types.flag(data.get("is_valid", False), "is_valid")
-        self._pilot_of(vehicle).move_sticks(sticks)
-
-    def rotor_states(self, vehicle: Any = "") -> dict[str, Any]:
-        """RotorStates: N and N m at sea level's air, rad/s (RotorActuator.hpp)."""
-        pilot = self._pilot_of(vehicle)
-        parameters, outputs = pilot.vehicle.parameters, pilot.vehicle.state["rotor_output"].tolist()
-        rotors = [
-            {
-                "thrust": float(parameters["max_thrust_n"]) * output,
-                "torque_scaler": float(parameters["max_torque_n_m"]) * output * sign,
-                "speed": MAX_SPEED_RAD_S * math.sqrt(output),
-            }
-            for output, sign in zip(outputs, TURNS, strict=True)
-        ]
-        return {"rotors": rotors, "timestamp": types.stamp(pilot.kinematics().time_ns)}
-
-    def _gains(self, level: str) -> Method:
-        def set_gains(kp: Any, ki: Any, kd: Any, vehicle: Any = "") -> None:
-            gains = [_three(numbers, name) for numbers, name in ((kp, "kp"), (ki, "ki"), (kd, "kd"))]
-            self._pilot_of(vehicle).vehicle.set_gains(level, *gains)
-
-        return Method(set_gains, 3, 1)
+        self.scenery.flying_pilot(vehicle).move_sticks(rcdata)
 
 
-def stick_map(sticks: Sticks) -> dict[str, Any]:
+def stick_map(sticks: Sticks) -> dict[str, object]:
     """What of RCData the sticks are."""
     valid = bool(sticks[VALID])
     names = zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True)
     return {**dict(names), "switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}
-
-
-def _four(**numbers: Any) -> tuple[float, float, float, float]:
-    a, b, c, d = (types.number(value, name) for name, value in numbers.items())
-    return a, b, c, d
-
-
-def _three(numbers: Any, name: str) -> tuple[float, float, float]:
-    if not isinstance(numbers, list) or len(numbers) != 3:
-        raise ValueError(f"{name} must be a list of three gains")
-    a, b, c = (types.number(number, name) for number in numbers)
-    if max(abs(a), abs(b), abs(c)) > LARGEST_GAIN:
-        raise ValueError(f"{name} must be within {LARGEST_GAIN:g}, not {numbers}")
-    return a, b, c

@@ -3,11 +3,11 @@
 Sources: AirSim v1.8.1, PIPCamera.cpp (projection, field of view, distortion), CommonStructs.hpp (CameraInfo).
 """
 
+# ruff: noqa: N815  the names are AirSim's
+
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,79 +15,92 @@ from numpy.typing import NDArray
 from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
+from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName
+from uavaccel.wire.calls import Calls, WithoutEffect, call
 from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, MountedAs
-from uavaccel.wire.method import Method
-from uavaccel.wire.notices import Notices
-from uavaccel.wire.scenery import Scenery
 
 NEAR_CM = 10.0  # GNearClippingPlane
+NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
 
 
-class CameraApi:
-    """The camera calls of one simulation."""
-
-    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None], notices: Notices) -> None:
-        self._scenery = scenery
-        self._check_vehicle = check_vehicle
-        self._notices = notices
-
-    def methods(self) -> dict[str, Method]:
-        """By wire name."""
-        return {
-            "simGetCameraInfo": Method(self.info, 1, 2),
-            "simSetCameraPose": Method(self.set_pose, 2, 2),
-            "simSetCameraFov": Method(self.set_fov, 2, 2),
-            "simGetDistortionParams": Method(self.distortion, 1, 2),
-            "simSetDistortionParam": Method(self.set_distortion, 3, 2),
-        }
-
-    def _named(self, camera: Any, vehicle: Any, external: Any) -> MountedAs:
-        self._check_vehicle(vehicle)
-        return self._scenery.cameras(vehicle, external).named(camera)
-
-    def info(self, camera: Any, vehicle: Any = "", external: Any = False) -> dict[str, Any]:
-        """simGetCameraInfo: pose NED, degrees, and the projection of NED centimetres from the camera."""
-        mounted = self._named(camera, vehicle, external)
-        kinematics = self._scenery.truth(vehicle)
+class CameraApi(Calls, title="Cameras and images"):
+    @call("simGetCameraInfo")
+    def info(
+        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
+    ) -> dict[str, object]:
+        """Pose NED, degrees, and the projection of NED centimetres from the camera."""
+        mounted = self._named(camera_name, vehicle, external)
+        kinematics, lens = self.scenery.truth(vehicle), mounted.lens(SCENE)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
-        pose = {
-            "position": types.vector_map(self._scenery.vehicle(vehicle).local(eye.position_m)),
-            "orientation": types.quaternion_map(eye.orientation_wxyz),
-        }
-        lens = mounted.lens(SCENE)
-        return {"pose": pose, "fov": lens.fov_deg, "proj_mat": {"matrix": projection(lens).tolist()}}
+        local = eye._replace(position_m=self.scenery.vehicle(vehicle).local(eye.position_m))
+        matrix = {"matrix": projection(lens).tolist()}
+        return {"pose": types.pose_map(local), "fov": lens.fov_deg, "proj_mat": matrix}
 
-    def set_pose(self, camera: Any, pose: Any, vehicle: Any = "", external: Any = False) -> None:
-        """simSetCameraPose: relative to the vehicle, FRD; NaN leaves a part as it is."""
-        mounted = self._named(camera, vehicle, external)
-        position, orientation = types.pose(pose)
+    @call("simSetCameraPose")
+    def set_pose(
+        self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False
+    ) -> None:
+        """Relative to the vehicle, FRD; NaN leaves a part as it is."""
+        mounted = self._named(camera_name, vehicle, external)
+        position, orientation = pose
         keep = [any(map(math.isnan, part)) for part in (position, orientation)]
         mounted.mount = Pose(
             mounted.mount.position_m if keep[0] else position,
             mounted.mount.orientation_wxyz if keep[1] else orientation,
         )
 
-    def set_fov(self, camera: Any, degrees: Any, vehicle: Any = "", external: Any = False) -> None:
-        """simSetCameraFov: from the left to the right edge, of all types of image."""
-        mounted = self._named(camera, vehicle, external)
-        fov_deg = types.number(degrees, "fov_degrees")
-        if not NARROWEST_DEG <= fov_deg <= WIDEST_DEG:
-            raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_deg:g}")
-        mounted.set_fov(fov_deg)
-
-    def distortion(self, camera: Any, vehicle: Any = "", external: Any = False) -> list[float]:
-        """simGetDistortionParams: K1, K2, K3, P1, P2."""
-        return list(self._named(camera, vehicle, external).distortion.values())
-
-    def set_distortion(
-        self, camera: Any, name: Any, value: Any, vehicle: Any = "", external: Any = False
+    @call("simSetCameraFov")
+    def set_fov(
+        self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """simSetDistortionParam: kept and told; pictures stay undistorted."""
-        known = self._named(camera, vehicle, external).distortion
-        if not isinstance(name, str) or name not in known:
-            raise ValueError(f"no distortion parameter {name!r}; there are {', '.join(known)}")
-        known[name] = types.number(value, "value")
-        self._notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
+        """From the left to the right edge, of all types of image."""
+        mounted = self._named(camera_name, vehicle, external)
+        if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
+            raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
+        mounted.set_fov(fov_degrees)
+
+    @call("simGetDistortionParams")
+    def distortion(
+        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
+    ) -> list[float]:
+        """K1, K2, K3, P1, P2."""
+        return list(self._named(camera_name, vehicle, external).distortion.values())
+
+    @call("simSetDistortionParam")
+    def set_distortion(
+        self,
+        camera_name: object,
+        param_name: object,
+        value: float,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> None:
+        """Kept and told; pictures stay undistorted."""
+        known = self._named(camera_name, vehicle, external).distortion
+        if not isinstance(param_name, str) or param_name not in known:
+            raise ValueError(f"no distortion parameter {param_name!r}; there are {', '.join(known)}")
+        known[param_name] = value
+        self.notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
+
+    def _named(self, camera: object, vehicle: str, external: bool) -> MountedAs:
+        return self.scenery.cameras(vehicle, external).named(camera)
+
+    simGetPresetLensSettings = WithoutEffect(refused=NO_LENS)
+    simGetLensSettings = WithoutEffect(refused=NO_LENS)
+    simSetPresetLensSettings = WithoutEffect(refused=NO_LENS)
+    simGetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simSetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simGetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simSetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simGetFocalLength = WithoutEffect(refused=NO_LENS)
+    simSetFocalLength = WithoutEffect(refused=NO_LENS)
+    simEnableManualFocus = WithoutEffect(refused=NO_LENS)
+    simGetFocusDistance = WithoutEffect(refused=NO_LENS)
+    simSetFocusDistance = WithoutEffect(refused=NO_LENS)
+    simGetFocusAperture = WithoutEffect(refused=NO_LENS)
+    simSetFocusAperture = WithoutEffect(refused=NO_LENS)
+    simEnableFocusPlane = WithoutEffect(refused=NO_LENS)
+    simGetCurrentFieldOfView = WithoutEffect(refused=NO_LENS)
 
 
 def projection(lens: Lens) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ class Client:
         self.transport = transport
         self.clock_speed = float(clock_speed)
 
-    def call(self, method: str, *params: Any) -> Any:
+    def call(self, method: str, *params: object) -> Any:
         """Call any method of the wire and wait for its result."""
         call = self.transport.send(method, params, blocking=True)
         self.transport.wait(call)
@@ -80,7 +80,7 @@ class Client:
     def kinematics(self) -> Kinematics:
         return self.transport.known.state or decode_state(self.call("uavaccelState"))
 
-    def gather(self, state: Kinematics) -> Any:
+    def gather(self, state: Kinematics) -> Kinematics:
         return state
 
     # --- games ------------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ class Client:
         self.clock_speed = float(clock_speed)
         return decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
 
-    def set_lane(self, lane: Any) -> None:
+    def set_lane(self, lane: object) -> None:
         """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
         self.call("uavaccelSetLane", lane)
 
@@ -106,13 +106,11 @@ class Client:
 
         A known state stays known.
         """
-        collision: dict[str, Any] = self.call("uavaccelCollision")
-        return collision
+        return dict(self.call("uavaccelCollision"))
 
     def speed(self) -> dict[str, Any]:
         """Requested and achieved speed since the game's start."""
-        speed: dict[str, Any] = self.call("uavaccelSpeed")
-        return speed
+        return dict(self.call("uavaccelSpeed"))
 
     def recording(self) -> Recording:
         """The game's samples and command log so far."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire import rpc
@@ -70,7 +70,7 @@ class Answer(NamedTuple):
     connection: Connection
     message_id: int
     error: str | None
-    result: Any
+    result: object
 
     def pack(self) -> bytes:
         """What cannot be packed, or is too long, costs the caller its call and nobody else."""

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +18,10 @@ from uavaccel.sim.scene.bounds import LONGEST_NAME
 from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
+from uavaccel.wire.arguments import Truthy, VehicleName
+from uavaccel.wire.calls import CallContext, Calls, call
 from uavaccel.wire.cameras import MountedAs
-from uavaccel.wire.method import Method
 from uavaccel.wire.pictures import known_type
-from uavaccel.wire.scenery import Scenery
-from uavaccel.wire.sensor_api import pose_map
 
 DEFAULT_RADIUS_M = 200.0
 MOST_NAMES = 256  # that a camera looks for
@@ -42,59 +39,64 @@ class Filter:
         return any(fnmatch.fnmatchcase(name.lower(), pattern.lower()) for pattern in self.patterns)
 
 
-class DetectionApi:
-    """The detection calls of one simulation."""
-
-    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None]) -> None:
-        self._scenery = scenery
-        self._check_vehicle = check_vehicle
+class DetectionApi(Calls, title="Objects"):
+    def __init__(self, context: CallContext) -> None:
+        super().__init__(context)
         self._filters: dict[tuple[str, bool, int, int], Filter] = defaultdict(Filter)
 
-    def methods(self) -> dict[str, Method]:
-        """By wire name."""
-        return {
-            "simAddDetectionFilterMeshName": Method(self.add_name, 3, 2),
-            "simSetDetectionFilterRadius": Method(self.set_radius, 3, 2),
-            "simClearDetectionMeshNames": Method(self.clear, 2, 2),
-            "simGetDetections": Method(self.detections, 2, 2),
-        }
-
-    def add_name(self, camera: Any, kind: Any, name: Any, vehicle: Any = "", external: Any = False) -> None:
-        """simAddDetectionFilterMeshName."""
-        found = self._filter(camera, kind, vehicle, external)[1]
-        if len(found.patterns) >= MOST_NAMES or len(str(name)) > LONGEST_NAME:
-            raise ValueError(f"there may be {MOST_NAMES} names of {LONGEST_NAME} characters, not more")
-        if str(name) not in found.patterns:
-            found.patterns.append(str(name))
-
-    def set_radius(
-        self, camera: Any, kind: Any, centimetres: Any, vehicle: Any = "", external: Any = False
+    @call("simAddDetectionFilterMeshName")
+    def add_name(
+        self,
+        camera_name: object,
+        image_type: int,
+        mesh_name: object,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
     ) -> None:
-        """simSetDetectionFilterRadius."""
-        found = self._filter(camera, kind, vehicle, external)[1]
-        found.radius_m = types.number(centimetres, "radius_cm") / 100
+        found = self._filter(camera_name, image_type, vehicle, external)[1]
+        name = str(mesh_name)
+        if len(found.patterns) >= MOST_NAMES or len(name) > LONGEST_NAME:
+            raise ValueError(f"there may be {MOST_NAMES} names of {LONGEST_NAME} characters, not more")
+        if name not in found.patterns:
+            found.patterns.append(name)
 
-    def clear(self, camera: Any, kind: Any, vehicle: Any = "", external: Any = False) -> None:
-        """simClearDetectionMeshNames."""
-        self._filter(camera, kind, vehicle, external)[1].patterns.clear()
+    @call("simSetDetectionFilterRadius")
+    def set_radius(
+        self,
+        camera_name: object,
+        image_type: int,
+        radius_cm: float,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> None:
+        self._filter(camera_name, image_type, vehicle, external)[1].radius_m = radius_cm / 100
 
-    def detections(self, camera: Any, kind: Any, vehicle: Any = "", external: Any = False) -> list[Any]:
-        """simGetDetections."""
-        mounted, found = self._filter(camera, kind, vehicle, external)
-        kinematics = self._scenery.truth(vehicle)
+    @call("simClearDetectionMeshNames")
+    def clear(
+        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
+    ) -> None:
+        self._filter(camera_name, image_type, vehicle, external)[1].patterns.clear()
+
+    @call("simGetDetections")
+    def detections(
+        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
+    ) -> list[dict[str, object]]:
+        mounted, found = self._filter(camera_name, image_type, vehicle, external)
+        kinematics = self.scenery.truth(vehicle)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
-        names = [name for name in self._scenery.objects.names() if found.matches(name)]
-        seen = (self._detection(name, eye, mounted.lens(int(kind)), found.radius_m) for name in names)
+        names = [name for name in self.scenery.objects.names() if found.matches(name)]
+        seen = (self._detection(name, eye, mounted.lens(image_type), found.radius_m) for name in names)
         return [one for one in seen if one is not None]
 
-    def _filter(self, camera: Any, kind: Any, vehicle: Any, external: Any) -> tuple[MountedAs, Filter]:
-        self._check_vehicle(vehicle)
-        mounted = self._scenery.cameras(vehicle, external).named(camera)
-        image_type = known_type(types.whole(kind, "image_type"))
-        return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, image_type]
+    def _filter(
+        self, camera: object, image_type: int, vehicle: str, external: bool
+    ) -> tuple[MountedAs, Filter]:
+        mounted = self.scenery.cameras(vehicle, external).named(camera)
+        kind = known_type(image_type)
+        return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, kind]
 
-    def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, Any] | None:
-        objects = self._scenery.objects
+    def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, object] | None:
+        objects = self.scenery.objects
         pose = objects.pose(name) or Pose()
         corners = objects.corners(name)
         if np.linalg.norm(np.array(pose.position_m) - eye.position_m) > radius_m:
@@ -107,17 +109,17 @@ class DetectionApi:
         low, high = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
         return {
             "name": name,
-            "geo_point": types.geo_map(geographic(pose.position_m, self._scenery.settings.home)),
+            "geo_point": types.geo_map(geographic(pose.position_m, self.scenery.settings.home)),
             "box2D": {
                 "min": {"x_val": left, "y_val": top},
                 "max": {"x_val": right, "y_val": bottom},
             },
             "box3D": {"min": types.vector_map(low), "max": types.vector_map(high)},
-            "relative_pose": pose_map(eye.inwards_pose(pose)),
+            "relative_pose": types.pose_map(eye.inwards_pose(pose)),
         }
 
     def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose) -> bool:
-        world = self._scenery.simulation.world
+        world = self.simulation.world
         middle = corners.mean(axis=0)
         points = np.vstack(
             [middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)]
@@ -126,7 +128,7 @@ class DetectionApi:
         lengths = np.linalg.norm(ways, axis=1)
         far = lengths > 0
         hits = cast(world.model, world.data, eye.position_m, ways[far] / lengths[far, None])
-        return bool((hits.geoms == self._scenery.objects.geom(name)).any())
+        return bool((hits.geoms == self.scenery.objects.geom(name)).any())
 
 
 def picture_box(corners: NDArray[np.float64], lens: Lens) -> tuple[list[float], list[float]] | None:

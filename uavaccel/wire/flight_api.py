@@ -7,8 +7,7 @@ A command that is interrupted answers False; one for a time answers True at its 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
@@ -23,9 +22,9 @@ from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.goal import Goal, Yaw
 from uavaccel.units import euler_from_quaternion
-from uavaccel.wire import types
+from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, number, place
+from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.geodesy import ned_of
-from uavaccel.wire.method import Method
 
 FORWARD_ONLY = 1
 LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
@@ -35,140 +34,254 @@ AUTO_LOOKAHEAD, ADAPTIVE = -1.0, 1.0
 Answer = DeferredReply | bool
 
 
-class FlightApi:
-    """The flight commands of the vehicles that `pilot_of` finds by name; `wall_ns` is when a call is handled."""
+def seconds(value: object, name: str) -> float:
+    """A duration, as long as LONGEST_S at most."""
+    return min(number(value, name), LONGEST_S)
 
-    def __init__(self, pilot_of: Callable[[Any], Pilot], wall_ns: Callable[[], int], home: GeoPoint) -> None:
-        """`home` is where the world's NED begins."""
-        self._pilot_of, self._wall_ns, self._home = pilot_of, wall_ns, home
 
-    def methods(self) -> dict[str, Method]:
-        """The calls, AirSim's names; the last argument of each is the vehicle's name."""
-        return {
-            "takeoff": Method(self.takeoff, 1, 1),
-            "land": Method(self.land, 1, 1),
-            "goHome": Method(self.go_home, 1, 1),
-            "hover": Method(self.hover, 0, 1),
-            "cancelLastTask": Method(self.cancel, 0, 1),
-            "moveToPosition": Method(self.move_to_position, 9, 1),
-            "moveToZ": Method(self.move_to_z, 6, 1),
-            "moveToGPS": Method(self.move_to_gps, 9, 1),
-            "moveOnPath": Method(self.move_on_path, 7, 1),
-            "rotateToYaw": Method(self.rotate_to_yaw, 3, 1),
-            "rotateByYawRate": Method(self.rotate_by_yaw_rate, 2, 1),
-            "moveByVelocity": Method(self.move_by_velocity, 6, 2),
-            "moveByVelocityZ": Method(self.move_by_velocity_z, 6, 2),
-            "moveByVelocityBodyFrame": Method(self.move_by_velocity_body_frame, 6, 1),
-            "moveByVelocityZBodyFrame": Method(self.move_by_velocity_z_body_frame, 6, 1),
-            "moveByManual": Method(self.move_by_manual, 6, 1),
-        }
+def places(value: object, name: str) -> list[Vector]:
+    """A list of Vector3r in metres."""
+    if not isinstance(value, list):
+        raise ValueError(f"{name} must be a list of Vector3r")
+    return [place(point, name) for point in value]
+
+
+Seconds = Annotated[float, seconds]
+
+
+class FlightApi(Calls, title="Flight"):
+    """Speeds are metres per second, time-outs simulated seconds."""
 
     # --- to a place -------------------------------------------------------------------------------
 
-    def takeoff(self, timeout: Any, vehicle: Any = "") -> Answer:
+    @command("takeoff")
+    def takeoff(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """2 m up from where the vehicle is. Raises ValueError while it moves."""
-        pilot, timeout_s = self._taken(vehicle), types.number(timeout, "timeout_sec")
+        pilot = self._taken(vehicle)
         now = pilot.kinematics()
         if (speed := math.hypot(*now.linear_velocity_m_s)) > AT_REST_M_S:
             raise ValueError(
                 f"Cannot perform takeoff because vehicle is already moving with velocity {speed:f} m/s"
             )
         north, east, down = now.position_m
-        return self._fly_to(pilot, (north, east, down - TAKEOFF_M), TAKEOFF_M_S, timeout_s)
+        return self._fly_to(pilot, (north, east, down - TAKEOFF_M), TAKEOFF_M_S, timeout_sec)
 
-    def land(self, timeout: Any, vehicle: Any = "") -> Answer:
+    @command("land")
+    def land(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Down at .2 m/s until the vehicle sinks no more."""
-        return self._start(self._taken(vehicle), Land(types.number(timeout, "timeout_sec")))
+        return self._start(self._taken(vehicle), Land(timeout_sec))
 
-    def go_home(self, timeout: Any, vehicle: Any = "") -> Answer:
+    @command("goHome")
+    def go_home(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """To the origin of the vehicle's frame, at .5 m/s."""
-        timeout_s = types.number(timeout, "timeout_sec")
-        return self._fly_to(self._taken(vehicle), (0.0, 0.0, 0.0), TAKEOFF_M_S, timeout_s)
+        return self._fly_to(self._taken(vehicle), (0.0, 0.0, 0.0), TAKEOFF_M_S, timeout_sec)
 
-    def hover(self, vehicle: Any = "") -> Answer:
+    @call("hover", joined=True)
+    def hover(self, vehicle: VehicleName = "") -> Answer:
         """End the running command; the goal timeout brings position hold. AirSim's, a path of no length, is False."""
         self._taken(vehicle)
         return False
 
-    def cancel(self, vehicle: Any = "") -> None:
-        """cancelLastTask."""
+    @call("cancelLastTask")
+    def cancel(self, vehicle: VehicleName = "") -> None:
         self._taken(vehicle)
 
+    @command("moveToPosition")
     def move_to_position(
-        self, x: Any, y: Any, z: Any, velocity: Any, timeout: Any, drivetrain: Any, yaw: Any, *rest: Any
+        self,
+        x: Coordinate,
+        y: Coordinate,
+        z: Coordinate,
+        velocity: float,
+        timeout_sec: float,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        lookahead: float,
+        adaptive_lookahead: float,
+        vehicle: VehicleName = "",
     ) -> Answer:
-        """`rest`: lookahead, adaptive lookahead and the vehicle, as in every command for a place."""
-        place = (types.coordinate(x, "x"), types.coordinate(y, "y"), types.coordinate(z, "z"))
-        return self._on_path([place], velocity, timeout, drivetrain, yaw, *rest)
+        how = (velocity, timeout_sec, drivetrain, yaw_mode, lookahead, adaptive_lookahead, vehicle)
+        return self.move_on_path([(x, y, z)], *how)
 
+    @command("moveToZ")
     def move_to_z(
         self,
-        z: Any,
-        velocity: Any,
-        timeout: Any,
-        yaw: Any,
-        lookahead: Any,
-        adaptive: Any,
-        vehicle: Any = "",
+        z: Coordinate,
+        velocity: float,
+        timeout_sec: float,
+        yaw_mode: YawMode,
+        lookahead: float,
+        adaptive_lookahead: float,
+        vehicle: VehicleName = "",
     ) -> Answer:
-        north, east, _ = self._pilot_of(vehicle).kinematics().position_m
-        place = (north, east, types.coordinate(z, "z"))
-        return self._on_path([place], velocity, timeout, 0, yaw, lookahead, adaptive, vehicle)
+        north, east, _ = self.scenery.flying_pilot(vehicle).kinematics().position_m
+        how = (velocity, timeout_sec, 0, yaw_mode, lookahead, adaptive_lookahead, vehicle)
+        return self.move_on_path([(north, east, z)], *how)
 
+    @command("moveToGPS")
     def move_to_gps(
         self,
-        latitude: Any,
-        longitude: Any,
-        altitude: Any,
-        velocity: Any,
-        timeout: Any,
-        drivetrain: Any,
-        yaw: Any,
-        lookahead: Any,
-        adaptive: Any,
-        vehicle: Any = "",
+        latitude: float,
+        longitude: float,
+        altitude: float,
+        velocity: float,
+        timeout_sec: float,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        lookahead: float,
+        adaptive_lookahead: float,
+        vehicle: VehicleName = "",
     ) -> Answer:
         """Degrees, and metres over the sea."""
-        goal = GeoPoint(
-            types.number(latitude, "latitude"),
-            types.number(longitude, "longitude"),
-            types.number(altitude, "altitude"),
-        )
-        home = geographic(self._pilot_of(vehicle).vehicle.origin_m, self._home)
-        north, east, down = ned_of(goal, home)
-        rest = (timeout, drivetrain, yaw, lookahead, adaptive, vehicle)
-        return self.move_to_position(north, east, down, velocity, *rest)
+        origin_m = self.scenery.flying_pilot(vehicle).vehicle.origin_m
+        home = geographic(origin_m, self.scenery.settings.home)
+        north, east, down = ned_of(GeoPoint(latitude, longitude, altitude), home)
+        goal = (coordinate(north, "x"), coordinate(east, "y"), coordinate(down, "z"))
+        how = (velocity, timeout_sec, drivetrain, yaw_mode, lookahead, adaptive_lookahead, vehicle)
+        return self.move_on_path([goal], *how)
 
-    def move_on_path(self, path: Any, *rest: Any) -> Answer:
-        """`path`: Vector3r; `rest` as in move_to_position from the velocity on."""
-        if not isinstance(path, list):
-            raise ValueError("path must be a list of Vector3r")
-        return self._on_path([types.place(point, "path") for point in path], *rest)
-
-    def _on_path(
+    @command("moveOnPath")
+    def move_on_path(
         self,
-        path: list[Vector],
-        velocity: Any,
-        timeout: Any,
-        drivetrain: Any,
-        yaw: Any,
-        lookahead: Any,
-        adaptive: Any,
-        vehicle: Any = "",
+        path: Annotated[list[Vector], places],
+        velocity: float,
+        timeout_sec: float,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        lookahead: float,
+        adaptive_lookahead: float,
+        vehicle: VehicleName = "",
     ) -> Answer:
-        speed, timeout_s = types.number(velocity, "velocity"), types.number(timeout, "timeout_sec")
-        forward_only, mode = types.number(drivetrain, "drivetrain") == FORWARD_ONLY, yaw_of(yaw)
-        adaptive = types.number(adaptive, "adaptive_lookahead")
-        ahead = types.number(lookahead, "lookahead")
-        pilot = self._taken(vehicle)
+        pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
         if not path:
             return True
-        if forward_only and mode.is_rate:
+        if forward_only and yaw_mode.is_rate:
             raise ValueError("Yaw cannot be specified as rate if drivetrain is ForwardOnly")
-        ahead = check_lookahead(ahead, speed, adaptive)
+        ahead = check_lookahead(lookahead, velocity, adaptive_lookahead)
         points = np.array([pilot.kinematics().position_m, *path])
-        follow = FollowPath(points, speed, timeout_s, forward_only, mode.value, mode.is_rate, ahead, adaptive)
+        turn = (yaw_mode.value, yaw_mode.is_rate)
+        follow = FollowPath(points, velocity, timeout_sec, forward_only, *turn, ahead, adaptive_lookahead)
         return self._start(pilot, follow)
+
+    # --- to a heading -----------------------------------------------------------------------------
+
+    @command("rotateToYaw")
+    def rotate_to_yaw(
+        self, yaw: float, timeout_sec: float, margin: float, vehicle: VehicleName = ""
+    ) -> Answer:
+        """Degrees; where the vehicle is."""
+        pilot = self._taken(vehicle)
+        if timeout_sec <= 0:
+            return True
+        heading = math.remainder(math.radians(yaw), 2 * math.pi)
+        place_m = pilot.kinematics().position_m
+        return self._start(pilot, RotateToYaw(place_m, heading, math.radians(margin), timeout_sec))
+
+    @command("rotateByYawRate")
+    def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
+        """Degrees per second; where the vehicle is."""
+        pilot = self.scenery.flying_pilot(vehicle)
+        goal = goals.position(pilot.kinematics().position_m, Yaw(math.radians(yaw_rate)))
+        return fly_for(pilot, goal, duration, self.wall_ns)
+
+    # --- by velocity ------------------------------------------------------------------------------
+
+    @command("moveByVelocity", leaves_state=True)
+    def move_by_velocity(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: Seconds,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        vehicle: VehicleName = "",
+        exact: bool = False,
+    ) -> Answer:
+        """`exact`, of our own client, refuses a duration that an exact profile's tick does not divide."""
+        goal = goals.velocity((vx, vy, vz), facing(vx, vy, drivetrain, yaw_mode))
+        return fly_for(self.scenery.flying_pilot(vehicle), goal, duration, self.wall_ns, exact=exact)
+
+    @command("moveByVelocityZ", leaves_state=True)
+    def move_by_velocity_z(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: Seconds,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        vehicle: VehicleName = "",
+        exact: bool = False,
+    ) -> Answer:
+        """Alone of all, it answers False to a duration of 0."""
+        goal = goals.velocity_z(vx, vy, z, facing(vx, vy, drivetrain, yaw_mode))
+        pilot = self.scenery.flying_pilot(vehicle)
+        return fly_for(pilot, goal, duration, self.wall_ns, at_once=False, exact=exact)
+
+    @command("moveByVelocityBodyFrame")
+    def move_by_velocity_body_frame(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: Seconds,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        """The vehicle's heading at the beginning counts, and stays."""
+        pilot = self.scenery.flying_pilot(vehicle)
+        north, east = turned(pilot.kinematics(), vx, vy)
+        goal = goals.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
+        return fly_for(pilot, goal, duration, self.wall_ns)
+
+    @command("moveByVelocityZBodyFrame")
+    def move_by_velocity_z_body_frame(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: Seconds,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        """As move_by_velocity_body_frame, at a height."""
+        pilot = self.scenery.flying_pilot(vehicle)
+        north, east = turned(pilot.kinematics(), vx, vy)
+        goal = goals.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
+        return fly_for(pilot, goal, duration, self.wall_ns)
+
+    @command("moveByManual")
+    def move_by_manual(
+        self,
+        vx_max: float,
+        vy_max: float,
+        z_min: float,
+        duration: float,
+        drivetrain: float,
+        yaw_mode: YawMode,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        """As the sticks of moveByRC say."""
+        pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
+        if duration <= 0:
+            return True
+        turn = (yaw_mode.value, yaw_mode.is_rate, pilot.kinematics().orientation_wxyz)
+        task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, *turn)
+        return self._start(pilot, task)
+
+    # --- in common --------------------------------------------------------------------------------
+
+    def _taken(self, vehicle: str) -> Pilot:
+        """The vehicle's pilot; the command that ran is over."""
+        pilot = self.scenery.flying_pilot(vehicle)
+        pilot.cancel(self.wall_ns)
+        return pilot
+
+    def _start(self, pilot: Pilot, task: Task) -> Answer:
+        return pilot.start(task, self.wall_ns)
 
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:
         points = np.array([pilot.kinematics().position_m, place])
@@ -176,142 +289,25 @@ class FlightApi:
         follow = FollowPath(points, velocity_m_s, timeout_s, False, 0.0, True, ahead, ADAPTIVE)
         return self._start(pilot, follow)
 
-    # --- to a heading -----------------------------------------------------------------------------
-
-    def rotate_to_yaw(self, yaw: Any, timeout: Any, margin: Any, vehicle: Any = "") -> Answer:
-        """Degrees; where the vehicle is."""
-        heading = math.remainder(math.radians(types.number(yaw, "yaw")), 2 * math.pi)
-        timeout_s = types.number(timeout, "timeout_sec")
-        margin_rad = math.radians(types.number(margin, "margin"))
-        pilot = self._taken(vehicle)
-        if timeout_s <= 0:
-            return True
-        place = pilot.kinematics().position_m
-        return self._start(pilot, RotateToYaw(place, heading, margin_rad, timeout_s))
-
-    def rotate_by_yaw_rate(self, yaw_rate: Any, duration: Any, vehicle: Any = "") -> Answer:
-        """Degrees per second; where the vehicle is."""
-        rate = math.radians(types.number(yaw_rate, "yaw_rate"))
-        pilot = self._pilot_of(vehicle)
-        return self._for_time(pilot, goals.position(pilot.kinematics().position_m, Yaw(rate)), duration)
-
-    # --- by velocity ------------------------------------------------------------------------------
-
-    def move_by_velocity(
-        self,
-        vx: Any,
-        vy: Any,
-        vz: Any,
-        duration: Any,
-        drivetrain: Any,
-        yaw: Any,
-        vehicle: Any = "",
-        exact: Any = False,
-    ) -> Answer:
-        """`exact`, of our own client, refuses a duration that an exact profile's tick does not divide."""
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), types.number(vz, "vz"))
-        goal = goals.velocity(velocity, facing(velocity, drivetrain, yaw))
-        return self._for_time(self._pilot_of(vehicle), goal, duration, exact=exact)
-
-    def move_by_velocity_z(
-        self,
-        vx: Any,
-        vy: Any,
-        z: Any,
-        duration: Any,
-        drivetrain: Any,
-        yaw: Any,
-        vehicle: Any = "",
-        exact: Any = False,
-    ) -> Answer:
-        """Alone of all, it answers False to a duration of 0."""
-        velocity = (types.number(vx, "vx"), types.number(vy, "vy"), 0.0)
-        goal = goals.velocity_z(*velocity[:2], types.number(z, "z"), facing(velocity, drivetrain, yaw))
-        return self._for_time(self._pilot_of(vehicle), goal, duration, at_once=False, exact=exact)
-
-    def move_by_velocity_body_frame(
-        self, vx: Any, vy: Any, vz: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Answer:
-        """The vehicle's heading at the beginning counts, and stays."""
-        pilot, down = self._pilot_of(vehicle), types.number(vz, "vz")
-        north, east = turned(pilot.kinematics(), types.number(vx, "vx"), types.number(vy, "vy"))
-        goal = goals.velocity((north, east, down), facing((north, east, 0.0), drivetrain, yaw))
-        return self._for_time(pilot, goal, duration)
-
-    def move_by_velocity_z_body_frame(
-        self, vx: Any, vy: Any, z: Any, duration: Any, drivetrain: Any, yaw: Any, vehicle: Any = ""
-    ) -> Answer:
-        """As move_by_velocity_body_frame, at a height."""
-        pilot, height = self._pilot_of(vehicle), types.number(z, "z")
-        north, east = turned(pilot.kinematics(), types.number(vx, "vx"), types.number(vy, "vy"))
-        goal = goals.velocity_z(north, east, height, facing((north, east, 0.0), drivetrain, yaw))
-        return self._for_time(pilot, goal, duration)
-
-    def move_by_manual(
-        self,
-        vx_max: Any,
-        vy_max: Any,
-        z_min: Any,
-        duration: Any,
-        drivetrain: Any,
-        yaw: Any,
-        vehicle: Any = "",
-    ) -> Answer:
-        """As the sticks of moveByRC say."""
-        north, east = types.number(vx_max, "vx_max"), types.number(vy_max, "vy_max")
-        climb = types.number(z_min, "z_min")
-        seconds, mode = types.number(duration, "duration"), yaw_of(yaw)
-        forward_only = types.number(drivetrain, "drivetrain") == FORWARD_ONLY
-        pilot = self._taken(vehicle)
-        if seconds <= 0:
-            return True
-        begun_at = pilot.kinematics().orientation_wxyz
-        task = MoveByManual(
-            pilot.sticks, north, east, climb, seconds, forward_only, mode.value, mode.is_rate, begun_at
-        )
-        return self._start(pilot, task)
-
-    # --- in common --------------------------------------------------------------------------------
-
-    def _taken(self, vehicle: Any) -> Pilot:
-        """The vehicle's pilot; the command that ran is over."""
-        pilot = self._pilot_of(vehicle)
-        pilot.cancel(self._wall_ns())
-        return pilot
-
-    def _start(self, pilot: Pilot, task: Task) -> Answer:
-        return pilot.start(task, self._wall_ns())
-
-    def _for_time(
-        self, pilot: Pilot, goal: Goal, duration: Any, at_once: bool = True, exact: Any = False
-    ) -> Answer:
-        """Fly towards a goal; `at_once` is what a duration of 0 or less answers."""
-        return fly_for(pilot, goal, duration, self._wall_ns(), at_once, exact)
-
 
 def fly_for(
-    pilot: Pilot, goal: Goal, duration: Any, wall_ns: int, at_once: bool = True, exact: Any = False
+    pilot: Pilot, goal: Goal, duration_s: float, wall_ns: int, at_once: bool = True, exact: bool = False
 ) -> Answer:
-    """Fly towards one goal for a time. Raises UserError if an exact one does not fit the profile."""
-    seconds = min(types.number(duration, "duration"), LONGEST_S)
-    if seconds <= 0:
+    """Fly towards one goal for a time; `at_once` is what a duration of 0 or less answers.
+
+    Raises UserError if an exact one does not fit the profile.
+    """
+    if duration_s <= 0:
         pilot.cancel(wall_ns)
         return at_once
     profile = pilot.vehicle.profile
-    ticks = profile.command_ticks(seconds) if exact is True else profile.nearest_ticks(seconds)
+    ticks = profile.command_ticks(duration_s) if exact else profile.nearest_ticks(duration_s)
     return pilot.fly(goal, ticks, wall_ns)
 
 
-def yaw_of(value: Any) -> Yaw:
-    """A YawMode, in radians."""
-    is_rate, yaw = types.yaw_mode(value)
-    return Yaw(yaw, is_rate)
-
-
-def facing(velocity: Vector, drivetrain: Any, yaw_mode: Any) -> Yaw:
+def facing(north: float, east: float, drivetrain: float, yaw_mode: Yaw) -> Yaw:
     """The yaw goal for a horizontal direction of travel (MultirotorApiBase::adjustYaw)."""
-    forward_only = types.number(drivetrain, "drivetrain") == FORWARD_ONLY
-    return facing_along((velocity[0], velocity[1], 0.0), forward_only, yaw_of(yaw_mode))
+    return facing_along((north, east, 0.0), drivetrain == FORWARD_ONLY, yaw_mode)
 
 
 def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:

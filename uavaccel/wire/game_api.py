@@ -1,4 +1,4 @@
-"""Our own calls for games: start one, fly it for simulated time, and read state, speed, recording and trace.
+"""Our own calls for games: start one in a lane, fly it for simulated time, and read what became of it.
 
 A state on the wire is a flat list of numbers (`encode_state`), smaller and packed faster than AirSim's maps.
 """
@@ -6,58 +6,90 @@ A state on the wire is a flat list of numbers (`encode_state`), smaller and pack
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import START_M
-from uavaccel.wire import types
-from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.arguments import Coordinate, number
+from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.image_api import lane_layout
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
 
-class GameApi:
-    """The calls of our client on one simulation; `wall_ns` is when a call is handled."""
+def nanoseconds(value: object, name: str) -> int:
+    """A whole number, however large."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(f"{name} must be a whole number of nanoseconds, 0 or more, not {value!r}")
+    return value
 
-    def __init__(self, simulation: Simulation, recorder: Recorder) -> None:
-        self.simulation = simulation
-        self._recorder = recorder
 
-    def state(self) -> list[float | int]:
+def clock_speed(value: object, name: str) -> float:
+    """At most FASTEST; the simulation refuses what is not above 0."""
+    speed = number(value, name)
+    if speed > FASTEST:
+        raise ValueError(f"{name} must be at most {FASTEST:g}, not {speed:g}")
+    return speed
+
+
+ClockSpeed = Annotated[float, clock_speed]
+
+
+class GameApi(Calls, title="Games"):
+    @call("uavaccelState", "state")
+    def state(self) -> list[float]:
         """The present state (`encode_state`)."""
         return encode_state(self.simulation.kinematics())
 
-    def continue_for(self, duration_ns: Any, wall_ns: int) -> DeferredReply:
+    @call("uavaccelContinueFor", "continue_for")
+    def continue_for(self, duration_ns: Annotated[int, nanoseconds]) -> DeferredReply:
         """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
-        if isinstance(duration_ns, bool) or not isinstance(duration_ns, int) or duration_ns < 0:
-            raise ValueError(
-                f"duration_ns must be a whole number of nanoseconds, 0 or more, not {duration_ns!r}"
-            )
-        reply = self.simulation.continue_for(duration_ns, wall_ns)
+        reply = self.simulation.continue_for(duration_ns, self.wall_ns)
         reply.encode = encode_state
         return reply
 
-    def start(self, wall_ns: int, clock_speed: Any, height_m: Any = START_M[2]) -> list[float | int]:
+    @call("uavaccelStartGame")
+    def start(self, clock_speed: ClockSpeed, height_m: Coordinate = START_M[2]) -> list[float]:
         """A settled hover at a NED z over the origin, paused, API control on, recording; replies the state."""
-        simulation = self.simulation
-        start_m = (START_M[0], START_M[1], types.coordinate(height_m, "height_m"))
-        self.set_clock_speed(clock_speed, wall_ns)
-        self._recorder.keep()
+        simulation, wall_ns = self.simulation, self.wall_ns
+        simulation.set_clock_speed(clock_speed, wall_ns)
+        self.context.recorder.keep()
         simulation.records_game = True
         simulation.pause(wall_ns)
-        simulation.reset(wall_ns, start_m, recording=True)
+        simulation.reset(wall_ns, (START_M[0], START_M[1], height_m), recording=True)
         simulation.lead.api_control = True
         return encode_state(simulation.kinematics())
 
-    def set_clock_speed(self, clock_speed: Any, wall_ns: int) -> None:
-        speed = types.number(clock_speed, "clock_speed")
-        if speed > FASTEST:
-            raise ValueError(f"clock_speed must be at most {FASTEST:g}, not {speed:g}")
-        self.simulation.set_clock_speed(speed, wall_ns)
+    @call("uavaccelSetClockSpeed")
+    def set_clock_speed(self, clock_speed: ClockSpeed) -> None:
+        self.simulation.set_clock_speed(clock_speed, self.wall_ns)
 
-    def speed(self) -> dict[str, Any]:
+    @call("uavaccelSetLane")
+    def set_lane(self, lane: object) -> None:
+        """Lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
+        layout, world = lane_layout(lane), self.simulation.world
+        moves = layout.scenery != world.scenery
+        world.set_lane(layout)
+        if moves:  # what is kept of the model before
+            self.simulation.frames.forget()
+            self.scenery.forget()
+
+    @call("uavaccelCollision", leaves_state=True)
+    def collision(self) -> dict[str, object]:
+        """When, what and where the first touch was, simulated ns and NED; empty without one."""
+        world = self.simulation.world
+        touch = world.lead.touches.first
+        if touch is None:
+            return {}
+        return {
+            "time_ns": self.simulation.time_of(touch.tick),
+            "object": touch.object,
+            "position_m": list(world.lead.local(touch.position_m)),
+        }
+
+    @call("uavaccelSpeed", leaves_state=True)
+    def speed(self) -> dict[str, object]:
         """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
         speed = self.simulation.speed
         return {
@@ -69,7 +101,8 @@ class GameApi:
             "failure": self.simulation.failure,
         }
 
-    def recording(self) -> dict[str, Any]:
+    @call("uavaccelRecording", leaves_state=True)
+    def recording(self) -> dict[str, object]:
         """The game's samples and command log since the last reset, as raw little-endian arrays."""
         recording = self.simulation.recording()
         return {
@@ -80,16 +113,17 @@ class GameApi:
             "commands_dropped": recording.commands_dropped,
         }
 
-    def trace(self, enabled: Any) -> list[list[Any]]:
+    @call("uavaccelTrace", leaves_state=True)
+    def trace(self, enabled: bool) -> list[list[object]]:
         """Switch the trace on or off; replies, and forgets, the events so far: [event, wall ns, simulated ns]."""
         trace = self.simulation.trace
-        trace.enabled = types.flag(enabled, "enabled")
+        trace.enabled = enabled
         events = [list(event) for event in trace.events]
         trace.events.clear()
         return events
 
 
-def encode_state(kinematics: Kinematics) -> list[float | int]:
+def encode_state(kinematics: Kinematics) -> list[float]:
     """Time in ns, position, wxyz, velocity, body rate and both accelerations: 20 numbers."""
     return [
         kinematics.time_ns,

@@ -1,4 +1,4 @@
-"""AirSim's calls about images, poses and collisions, and our own for a lane and for one bare picture.
+"""AirSim's calls about images, and our own for one bare picture.
 
 Image, pose and time stamp belong to the same tick: a picture is of the moment at which the call is handled.
 Sources: AirSim v1.8.1, ImageCaptureBase.hpp, RpcLibAdaptorsBase.hpp, WorldSimApi. Formats: airsim's clients expect
@@ -7,8 +7,8 @@ uncompressed images as blue, green, red bytes, compressed ones as PNG, float ima
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,11 @@ from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
+from uavaccel.wire.arguments import Truthy, VehicleName, whole
+from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
-from uavaccel.wire.image_files import png
-from uavaccel.wire.notices import Notices
+from uavaccel.wire.image_files import Pixels, png
 from uavaccel.wire.pictures import Scene, known_type
-from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.steps import Steps
 
 MOST_IMAGES = 64  # of one call
@@ -44,53 +44,54 @@ class ImageRequest(NamedTuple):
     compress: bool
 
 
-class ImageApi:
-    """The image calls of one simulation."""
+def image_requests(value: object, name: str) -> list[object]:
+    """A list that is not too long."""
+    if not isinstance(value, list) or len(value) > MOST_IMAGES:
+        raise ValueError(f"{name} must be a list of at most {MOST_IMAGES} ImageRequest")
+    return value
 
-    def __init__(self, scenery: Scenery, check_vehicle: Callable[[Any], None], notices: Notices) -> None:
-        self.simulation = scenery.simulation
-        self._scenery = scenery
-        self._check_vehicle = check_vehicle
-        self._notices = notices
 
-    # --- images -----------------------------------------------------------------------------------------------
+class ImageApi(Calls, title="Cameras and images"):
+    @call("uavaccelImage", "image", leaves_state=True)
+    def raw_image(self, kind: object) -> dict[str, object]:
+        """One picture of this moment at AirSim's default size, as bytes, with its shape and NumPy type.
 
-    def picture(self, kind: str) -> NDArray[Any]:
-        """One picture of this moment at AirSim's default size: gray or segmentation (H, W), colour (H, W, 3), depth."""
+        Gray or segmentation (H, W), colour (H, W, 3), or depth.
+        """
         if kind not in PICTURES:
-            raise ValueError(f"no picture {kind!r}; there are {', '.join(PICTURES)}")
-        if not self._scenery.render:
+            raise ValueError(f"no picture {str(kind)!r}; there are {', '.join(PICTURES)}")
+        if not self.scenery.render:
             raise ValueError("rendering is switched off")
-        camera = self.simulation.world.camera(WIDTH, HEIGHT)
-        image: NDArray[Any] = getattr(camera, kind)(self.simulation.frames.scene(self.simulation.world.data))
-        return image
-
-    def raw_image(self, kind: Any) -> dict[str, Any]:
-        """Our own: one picture as bytes, with its shape and NumPy type."""
-        image = self.picture(str(kind))
+        camera, world = self.simulation.world.camera(WIDTH, HEIGHT), self.simulation.world
+        image: NDArray[Any] = getattr(camera, str(kind))(self.simulation.frames.scene(world.data))
         return {"shape": list(image.shape), "dtype": image.dtype.str, "data": image.tobytes()}
 
-    def get_images(self, requests: Any, vehicle: Any = "", external: Any = False) -> list[Any] | Steps:
-        """simGetImages: all of one moment; what cannot be drawn is said in its response alone."""
-        if not isinstance(requests, list) or len(requests) > MOST_IMAGES:
-            raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
-        cameras = self._cameras(vehicle, external)
+    @call("simGetImages", "image")
+    def get_images(
+        self,
+        requests: Annotated[list[object], image_requests],
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> list[dict[str, object]] | Steps:
+        """All of one moment; what cannot be drawn is said in its response alone."""
+        cameras = self.scenery.cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
-            return [self._response(request, self._scenery.truth(vehicle)) for request in asked]
-        scene, kinematics = self._scenery.pictures.kept(), self._scenery.truth(vehicle)
+            return [self._response(request, self.scenery.truth(vehicle)) for request in asked]
+        scene, kinematics = self.scenery.pictures.kept(), self.scenery.truth(vehicle)
         return Steps(self._response(request, kinematics, scene) for request in asked)
 
-    def get_image(self, camera: Any, image_type: Any, vehicle: Any = "", external: Any = False) -> bytes:
-        """simGetImage: one PNG."""
-        mounted = self._cameras(vehicle, external).named(camera)
-        return png(self._scenery.pictures.bgr(mounted, types.whole(image_type, "image_type")))
+    @call("simGetImage", "image")
+    def get_image(
+        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
+    ) -> bytes:
+        """One PNG."""
+        mounted = self.scenery.cameras(vehicle, external).named(camera_name)
+        return png(self.scenery.pictures.bgr(mounted, image_type))
 
-    def _cameras(self, vehicle: Any, external: Any) -> Cameras:
-        self._check_vehicle(vehicle)
-        return self._scenery.cameras(vehicle, external)
-
-    def _response(self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None) -> dict[str, Any]:
+    def _response(
+        self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None
+    ) -> dict[str, object]:
         image, message = self._drawn(request, scene)
         as_float, compress = request.pixels_as_float, request.compress
         data = b"" if as_float or message else png(image) if compress else image.tobytes()
@@ -113,40 +114,17 @@ class ImageApi:
     def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
-    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[NDArray[Any], str]:
+    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
         """The picture; or an empty one, and why."""
         try:
             known_type(request.image_type)
         except ValueError as error:
             if request.image_type in OPTICAL_FLOW:
-                self._notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
+                self.notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
             return np.empty((0, 0), np.float32), str(error)
-        pictures = self._scenery.pictures
+        pictures = self.scenery.pictures
         draw = pictures.floats if request.pixels_as_float else pictures.bgr
         return draw(request.camera, request.image_type, scene), ""
-
-    # --- lanes -------------------------------------------------------------------------------
-
-    def set_lane(self, lane: Any) -> None:
-        """Our own: lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
-        layout, world = lane_layout(lane), self.simulation.world
-        moves = layout.scenery != world.scenery
-        world.set_lane(layout)
-        if moves:  # what is kept of the model before
-            self.simulation.frames.forget()
-            self._scenery.forget()
-
-    def collision(self) -> dict[str, Any]:
-        """Our own: when, what and where the first touch was, simulated ns and NED; empty without one."""
-        world = self.simulation.world
-        touch = world.lead.touches.first
-        if touch is None:
-            return {}
-        return {
-            "time_ns": self.simulation.time_of(touch.tick),
-            "object": touch.object,
-            "position_m": list(world.lead.local(touch.position_m)),
-        }
 
 
 def _pixels(request: ImageRequest) -> int:
@@ -154,17 +132,17 @@ def _pixels(request: ImageRequest) -> int:
     return lens.width * lens.height
 
 
-def image_request(value: Any, cameras: Cameras) -> ImageRequest:
+def image_request(value: object, cameras: Cameras) -> ImageRequest:
     """An ImageRequest of the wire, whose type need not be known. Raises ValueError."""
     if not isinstance(value, Mapping):
         raise ValueError("an ImageRequest must be a map")
     name = str(value.get("camera_name", ""))
-    image_type = types.whole(value.get("image_type", SCENE), "image_type")
+    image_type = whole(value.get("image_type", SCENE), "image_type")
     as_float, compress = bool(value.get("pixels_as_float")), bool(value.get("compress", True))
     return ImageRequest(cameras.named(name), name, image_type, as_float, compress)
 
 
-def lane_layout(lane: Any) -> LaneLayout:
+def lane_layout(lane: object) -> LaneLayout:
     """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")

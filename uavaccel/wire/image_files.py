@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +9,10 @@ from numpy.typing import NDArray
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.settings import RecordedImage
 
+Pixels = NDArray[np.uint8] | NDArray[np.float32]
 
-def png(image: NDArray[np.uint8]) -> bytes:
+
+def png(image: Pixels) -> bytes:
     """Of blue, green, red pixels. Raises ValueError."""
     return _encoded(".png", image)
 
@@ -32,7 +32,7 @@ def image_file(scenery: Scenery, wanted: RecordedImage) -> tuple[str, bytes]:
     return suffix, _encoded(suffix, scenery.pictures.bgr(camera, wanted.image_type))
 
 
-def _encoded(suffix: str, image: NDArray[Any]) -> bytes:
+def _encoded(suffix: str, image: Pixels) -> bytes:
     done, data = cv2.imencode(suffix, image)
     if not done:
         raise ValueError("the image could not be compressed")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -29,20 +29,7 @@ from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 DEFAULT = "call"
-_COMMANDS = """
-    takeoff land goHome moveToPosition moveToZ moveToGPS moveOnPath rotateToYaw rotateByYawRate moveByVelocity
-    moveByVelocityZ moveByVelocityBodyFrame moveByVelocityZBodyFrame moveByManual moveByMotorPWMs moveByAngleRatesZ
-    moveByAngleRatesThrottle moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ
-    moveByRollPitchYawrateThrottle
-"""
-CHANNELS = {
-    **dict.fromkeys(_COMMANDS.split(), "move"),  # their reply is the callback that `join` waits for
-    "uavaccelContinueFor": "continue_for",
-    "uavaccelState": "state",
-    "uavaccelImage": "image",
-    "simGetImages": "image",
-    "simGetImage": "image",
-}
+CHANNELS = (DEFAULT, "pause", "continue", "move", "continue_for", "state", "image")
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
@@ -56,25 +43,12 @@ Numbers = Annotated[
 Tables = dict[str, Numbers]  # microseconds at the quantiles, by channel
 
 
-def channel_of(method: str, params: Sequence[Any]) -> str:
-    """The channel that a call belongs to."""
-    if method == "simPause":
-        return "pause" if params and params[0] else "continue"
-    return CHANNELS.get(method, DEFAULT)
-
-
 def after_wait(channel: str, wait_ns: int) -> str:
     """The channel's name once the last command, or continue-for, has been waited for so long: "pause@10ms"."""
     return f"{channel}@{WAITS_MS[bisect_left(BETWEEN_NS, wait_ns)]}ms"
 
 
-def _known_channels() -> list[str]:
-    """Every name that a call can have, with and without a wait."""
-    channels = [DEFAULT, "pause", "continue", *dict.fromkeys(CHANNELS.values())]
-    return channels + [f"{channel}@{wait}ms" for channel in channels for wait in WAITS_MS]
-
-
-KNOWN_CHANNELS = _known_channels()
+KNOWN_CHANNELS = [*CHANNELS, *(f"{channel}@{wait}ms" for channel in CHANNELS for wait in WAITS_MS)]
 
 
 class LatencyConfig(Config):

@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-# how the names of asynchronous calls begin
-COMMANDS = ("takeoff", "land", "goHome", "hover", "move", "rotate")
 MOST = 200  # kinds that are told apart: names and texts come from clients
 LONGEST = 300  # characters of a text
 
@@ -21,16 +19,8 @@ class Refusals:
         self.tell: Callable[[str], None] = lambda line: None
         self._count: Counter[tuple[str, str]] = Counter()
 
-    def unknown(self, method: str) -> None:
-        """A call of a method that there is not."""
-        self._add(method, "is not known here")
-
-    def command(self, method: str, reason: str) -> None:
-        """An error; it counts if the method is a command, which is joined without a look at its error."""
-        if method.startswith(COMMANDS):
-            self._add(method, f"was refused: {reason}")
-
-    def _add(self, method: str, reason: str) -> None:
+    def add(self, method: str, reason: str) -> None:
+        """The method, whose name may be a client's invention, was refused for this reason."""
         key = printable(method), printable(reason)
         if key not in self._count and len(self._count) >= MOST:
             key = "other calls", "were refused"

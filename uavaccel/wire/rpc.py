@@ -48,7 +48,7 @@ class RpcRequest:
 
     message_id: int | None
     method: str
-    params: Sequence[Any]
+    params: Sequence[object]
 
 
 class Decoder:
@@ -69,7 +69,7 @@ class Decoder:
             raise ProtocolError(f"not msgpack: {error}") from error
 
 
-def _unpacking(max_items: int) -> dict[str, Any]:
+def _unpacking(max_items: int) -> dict[str, object]:
     """How messages are read; clients of msgpack 0.5 send bytes as text."""
     how = {"raw": False, "unicode_errors": "surrogateescape", "strict_map_key": False}
     return {**how, "max_array_len": max_items, "max_map_len": max_items}
@@ -99,7 +99,7 @@ def method_of(message: bytes) -> str:
     return method if isinstance(method, str) else ""
 
 
-def parse_request(message: Any) -> RpcRequest:
+def parse_request(message: object) -> RpcRequest:
     """The request that a message is. Raises ProtocolError if it is none."""
     if not isinstance(message, list):
         raise ProtocolError("not a msgpack-rpc request")
@@ -115,19 +115,19 @@ def parse_request(message: Any) -> RpcRequest:
 
 
 def pack_request(
-    message_id: int, method: str, params: Sequence[Any], default: Callable[[Any], Any] | None = None
+    message_id: int, method: str, params: Sequence[object], default: Callable[[object], object] | None = None
 ) -> bytes:
     """A request's bytes; `default` gives what msgpack packs in place of a value that it does not know."""
     return bytes(msgpack.packb([REQUEST, message_id, method, list(params)], default=default))
 
 
-def pack_response(message_id: int, error: str | None, result: Any) -> bytes:
+def pack_response(message_id: int, error: str | None, result: object) -> bytes:
     if error is not None:  # it may quote bytes that were no text
         error = error.encode("utf-8", "replace").decode()
     return pack([RESPONSE, message_id, error, result])
 
 
-def bulk_bytes(value: Any) -> int:
+def bulk_bytes(value: object) -> int:
     """About how many bytes a result will have for what is large in it: bytes and arrays, as pictures and recordings."""
     if isinstance(value, np.ndarray):
         return _PACKED_FLOAT * value.size
@@ -138,7 +138,7 @@ def bulk_bytes(value: Any) -> int:
     return sum(map(bulk_bytes, value)) if isinstance(value, list) and value and type(value[0]) is dict else 0
 
 
-def pack(value: Any) -> bytes:
+def pack(value: object) -> bytes:
     """MessagePack of what a call returns: of plain values, and of NumPy's arrays as lists of numbers."""
     try:
         return bytes(msgpack.packb(value))
@@ -146,7 +146,7 @@ def pack(value: Any) -> bytes:
         return b"".join(_pieces(msgpack.Packer(), value))
 
 
-def _pieces(packer: msgpack.Packer, value: Any) -> Iterator[bytes]:
+def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
     """MessagePack of a value that may hold arrays of numbers: those as lists of single precision, packed at once."""
     if isinstance(value, np.ndarray):
         yield _packed_floats(value)
@@ -163,7 +163,7 @@ def _pieces(packer: msgpack.Packer, value: Any) -> Iterator[bytes]:
         yield packer.pack(value)
 
 
-def _packed_floats(numbers: NDArray[Any]) -> bytes:
+def _packed_floats(numbers: NDArray[np.generic]) -> bytes:
     """A MessagePack array: its head, then a type's mark and four big-endian bytes per number."""
     packed = np.empty((numbers.size, _PACKED_FLOAT), np.uint8)
     packed[:, 0] = _FLOAT32

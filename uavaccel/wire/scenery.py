@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.scene.name_pattern import NamePattern
 from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
@@ -25,11 +25,11 @@ class Scenery:
         self.render = render
         self._cameras: dict[int, Cameras] = {}
 
-    def cameras(self, vehicle: Any = "", external: Any = False) -> Cameras:
-        """A vehicle's cameras, or those of ExternalCameras."""
+    def cameras(self, vehicle: str = "", external: bool = False) -> Cameras:
+        """A vehicle's cameras, or those of ExternalCameras; ValueError for an unknown vehicle either way."""
+        number = self.number_of(vehicle)
         if external:
             return self._external_cameras
-        number = self.number_of(vehicle)
         if number not in self._cameras:
             name = self.simulation.world.vehicles[number].name
             given = self.settings.vehicles.get(name)
@@ -37,17 +37,40 @@ class Scenery:
             self._cameras[number] = Cameras(self.settings.camera_defaults, cameras, carrier=number)
         return self._cameras[number]
 
-    def number_of(self, vehicle: Any) -> int:
-        """Of the vehicle that has this name, among the world's; 0 for none."""
-        return self._names().index(vehicle) if vehicle else 0
+    def number_of(self, name: str) -> int:
+        """Of the vehicle that has this name, among the world's; "" is the first.
 
-    def truth(self, vehicle: Any = "") -> Kinematics:
-        """A vehicle's state in the world's frame."""
+        Raises ValueError, in AirSim's words, for an unknown name.
+        """
+        for number, vehicle in enumerate(self.simulation.world.vehicles):
+            if name in ("", vehicle.name):
+                return number
+        raise self._not_there(name)
+
+    def vehicle(self, name: str = "") -> Vehicle:
+        """Raises ValueError as number_of does."""
+        return self.simulation.world.vehicles[self.number_of(name)]
+
+    def truth(self, vehicle: str = "") -> Kinematics:
+        """A vehicle's state in the world's frame. Raises ValueError as number_of does."""
         return self.vehicle(vehicle).kinematics(self.simulation.time0_ns, in_world=True)
 
-    def vehicle(self, name: Any = "") -> Vehicle:
-        """The vehicle that has this name; the leading one for none."""
-        return self.simulation.world.vehicles[self.number_of(name)]
+    def pilot(self, name: str = "") -> Pilot:
+        """Who flies a vehicle, or holds it where nothing flies. Raises ValueError as number_of does."""
+        return self.simulation.pilots[self.number_of(name)]
+
+    def flying_pilot(self, name: str) -> Pilot:
+        """Who flies a vehicle. Raises ValueError as number_of does, and where vehicles do not fly."""
+        if self.settings.flightless:
+            raise self._not_there(name)
+        return self.pilot(name)
+
+    def _not_there(self, name: str) -> ValueError:
+        known = ", ".join(f"'{known}'" for known in self._names())
+        return ValueError(
+            f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+            f"-only API or this vehicle does not exist; there is {known}"
+        )
 
     def largest_picture(self) -> tuple[int, int]:
         """Width and height within which all pictures fit that can be drawn."""

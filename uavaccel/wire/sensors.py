@@ -6,22 +6,21 @@ Source: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings); a list 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, TypeVar, Union
 
 from pydantic import Field
 
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
 from uavaccel.sim.sensors.inertial import ImuSettings
 from uavaccel.sim.sensors.registry import sensors
 
 SENSORS = sensors()
 if TYPE_CHECKING:
-    SensorSettings = AirSimKeys
+    SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
 else:
     SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
 Kind = TypeVar("Kind")
-DEFAULTS: dict[str, Any] = {
+DEFAULTS: dict[str, SensorSettings] = {
     "imu": ImuSettings(),
     "magnetometer": MagnetometerSettings(),
     "gps": GpsSettings(),
@@ -33,7 +32,10 @@ class Sensors:
     """A vehicle's sensors by name; `seed` is that of their noise."""
 
     def __init__(
-        self, given: Mapping[str, Any] | None, defaults: Mapping[str, Any] | None, seed: int
+        self,
+        given: Mapping[str, SensorSettings] | None,
+        defaults: Mapping[str, SensorSettings] | None,
+        seed: int,
     ) -> None:
         chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
         self._sensors = {
@@ -42,7 +44,7 @@ class Sensors:
             if settings.enabled
         }
 
-    def named(self, kind: type[Kind], word: str, name: Any) -> Kind:
+    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
         """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")

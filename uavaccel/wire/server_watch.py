@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.standstill import cpu_time_s
@@ -30,7 +29,7 @@ class ServerGoneError(ConnectionError):
 class WatchedServer:
     """A process of uavaccel.wire.server_process, on `port`. Raises ServerGoneError if it does not get to listening."""
 
-    def __init__(self, options: dict[str, Any]) -> None:
+    def __init__(self, options: dict[str, object]) -> None:
         self._clock = MonotonicClock()
         self._process = subprocess.Popen(
             [

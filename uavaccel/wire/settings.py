@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -19,13 +19,13 @@ from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
 from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
 from uavaccel.wire.sensors import SensorSettings
-from uavaccel.wire.types import STRONGEST_WIND_M_S
 
 COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
@@ -177,7 +177,7 @@ def read_settings(path: Path) -> Settings:
     return validate(Settings, mapping, str(path))
 
 
-def _unknown(value: Any, prefix: str) -> Iterator[str]:
+def _unknown(value: object, prefix: str) -> Iterator[str]:
     """Dotted names of the keys that no field of the models takes."""
     if isinstance(value, BaseModel):
         yield from (f"{prefix}{name}" for name in value.model_extra or {})

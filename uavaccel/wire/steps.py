@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from uavaccel.wire.rpc import bulk_bytes
 
@@ -11,9 +10,9 @@ from uavaccel.wire.rpc import bulk_bytes
 class Steps:
     """A list in the making, and about how many bytes its packed pieces have. What makes a piece may raise."""
 
-    def __init__(self, pieces: Iterator[Any]) -> None:
+    def __init__(self, pieces: Iterator[object]) -> None:
         self._pieces = pieces
-        self.made: list[Any] = []
+        self.made: list[object] = []
         self.held_bytes = 0
 
     def advance(self) -> bool:

@@ -16,8 +16,8 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.saved import State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
-from uavaccel.wire.api import Api
-from uavaccel.wire.latency import Latency, channel_of
+from uavaccel.wire.api import CALLS, Api
+from uavaccel.wire.latency import DEFAULT, Latency
 from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
@@ -25,21 +25,13 @@ POLL_NS = 1_000_000
 _READ_BYTES = 1 << 14
 _CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
 _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
-LEAVES_STATE = frozenset(  # a paused simulation; a command acts from the next tick
-    {
-        "moveByVelocity",
-        "moveByVelocityZ",
-        "ping",
-        "uavaccelCollision",
-        "uavaccelImage",
-        "uavaccelRecording",
-        "uavaccelSpeed",
-        "uavaccelTrace",
-    }
-)
-AT_ONCE = frozenset(
-    {"pause", "continue", "state"}
-)  # channels whose calls keep a server busy for microseconds
+AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
+
+
+def channel_of(method: str, params: Sequence[object]) -> str:
+    """The kind of latency that a call has."""
+    called = CALLS.get(method)
+    return DEFAULT if called is None else called.channel_of(params)
 
 
 class Call:
@@ -87,7 +79,8 @@ class KnownState:
 
     def sending(self, method: str) -> None:
         """A call that may change the state is about to be sent."""
-        if method not in LEAVES_STATE:
+        called = CALLS.get(method)
+        if called is None or not called.leaves_state:
             self.state = None
 
 
@@ -102,7 +95,7 @@ class Transport(Protocol):
     Of calls that take no simulated time, and of a continue-for beyond its end, 0.1 s are seen; of others a second.
     """
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         """Issue a call; `blocking` says that the caller waits for it at once.
 
         A `coalesced` one may travel with the next: for a caller who knows that nothing happens before.
@@ -163,7 +156,7 @@ class SocketTransport:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
         call.sent_ns = self.clock.now_ns()
@@ -257,7 +250,7 @@ class VirtualTransport:
         self._handled_ns = clock.now_ns()
         self._unanswered: Call | None = None  # the last command sent without waiting
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         self.known.sending(method)
         call = Call(method, channel_of(method, params))
         arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim.flight.pilot import Pilot
+from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import HERE, Newcomer, Start
@@ -77,6 +79,14 @@ def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
     while any(math.dist((north, east, down + STANDING_M), other) < APART_M for other in taken_m):
         east += APART_M
     return north, east, down
+
+
+def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
+    """Where in the world a pose in the vehicle's own frame is; what of it is NaN is the present one."""
+    now = pilot.kinematics()
+    place_m = now.position_m if math.isnan(sum(pose.position_m)) else pose.position_m
+    attitude = now.orientation_wxyz if math.isnan(sum(pose.orientation_wxyz)) else pose.orientation_wxyz
+    return pilot.vehicle.in_world(place_m), attitude
 
 
 def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:

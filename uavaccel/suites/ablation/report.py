@@ -12,8 +12,8 @@ from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.ablation.variants import curves, plot_variants
+from uavaccel.suites.dp1 import summary as dp1_summary
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.summary import summary_of
 from uavaccel.suites.report import Report, Summary, SummaryCell
 from uavaccel.suites.source_line import source_line
 
@@ -39,7 +39,7 @@ class AblationReport(Report):
             own = [row for row in self.rows if row["variant"] == variant["name"]]
             if own:
                 scores = score_cells(cells_of(own), self.run.load_arrays)
-                entries += summarise(variant["name"], scores, summary_of(own, scores)["cells"])
+                entries += summarise(variant["name"], scores, dp1_summary.summarise(own, scores)["cells"])
         title, seed = self.title(), self.config["seed"]
         return {"suite": "ablation", "title": title, "seed": seed, "entries": entries}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from uavaccel.records import RunDirectory
@@ -12,8 +12,8 @@ from uavaccel.suites.ablation.report import AblationReport
 from uavaccel.suites.dp1 import cases as dp1_cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
-from uavaccel.suites.dp1.suite import CALL_S, CALLS, RECORDER_BYTES_PER_S
-from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
+from uavaccel.suites.dp1.suite import game_cost
+from uavaccel.suites.suite import Cost, GameResult, Suite
 from uavaccel.wire.session import Session, open_session
 
 
@@ -65,25 +65,16 @@ class Ablation(Suite[AblationConfig, Case]):
                 if game.role != "figure2":
                     yield Case(index, game)
 
-    def open(
-        self, config: AblationConfig, timing: str, run: RunDirectory
-    ) -> AbstractContextManager[Sessions]:
-        return _opened(config, timing)
+    @contextmanager
+    def open(self, config: AblationConfig, timing: str, run: RunDirectory) -> Iterator[Sessions]:
+        with ExitStack() as stack:
+            yield Sessions(config, timing, stack)
 
-    def fly(self, config: AblationConfig, case: Case, opened: Sessions) -> Flown:
+    def fly(self, config: AblationConfig, case: Case, opened: Sessions) -> GameResult:
         experiment, session = opened.of(case.variant)
         row, arrays = fly_game(experiment, case.game, session)
         name = config.variants[case.variant].name
-        return Flown(row | {"suite": self.name, "case": case.id, "variant": name}, arrays)
+        return GameResult(row | {"suite": self.name, "case": case.id, "variant": name}, arrays)
 
     def cost(self, config: AblationConfig, case: Case) -> Cost:
-        calls_s = CALLS * CALL_S * case.simulated_s() / case.game.t_move_s
-        return Cost(
-            flying_s(case, case.game.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S
-        )
-
-
-@contextmanager
-def _opened(config: AblationConfig, timing: str) -> Iterator[Sessions]:
-    with ExitStack() as stack:
-        yield Sessions(config, timing, stack)
+        return game_cost(case.game)

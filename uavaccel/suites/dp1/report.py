@@ -14,7 +14,7 @@ from uavaccel.records import arrays_of
 from uavaccel.suites.dp1.accuracy import accuracy_figure
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.speedup import speedup_figure
-from uavaccel.suites.dp1.summary import summary_of
+from uavaccel.suites.dp1.summary import summarise
 from uavaccel.suites.dp1.table import HEADER, OVERVIEW_HEADER, overview, table
 from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
@@ -40,7 +40,7 @@ class Dp1Report(Report):
 
     def summarise(self) -> Summary:
         self.run.write_json("scores.json", [_games(score) for score in self.scores])
-        return summary_of(self.rows, self.scores)
+        return summarise(self.rows, self.scores)
 
     def title(self) -> str:
         return f"DP1, {self.summary['profile']} profile, seed {self.summary['seed']}"

@@ -7,7 +7,7 @@ run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +23,7 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     trajectory,
 )
-from uavaccel.suites.report import Row
-
-Arrays = Mapping[str, np.ndarray]
-LoadArrays = Callable[[Row], Arrays]
+from uavaccel.suites.report import Arrays, LoadArrays, Row
 
 
 @dataclass(frozen=True, order=True)

@@ -12,7 +12,7 @@ from uavaccel.suites.dp1.cases import Case, cases
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.suites.dp1.report import Dp1Report
-from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
+from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 CALL_S = 150e-6  # wall time of a call on a loopback socket, about
@@ -37,9 +37,9 @@ class Dp1(Suite[Dp1Config, Case]):
     def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> Session:
         return open_session(timing, config.profile, SCENE, config.latency)
 
-    def fly(self, config: Dp1Config, case: Case, opened: Session) -> Flown:
+    def fly(self, config: Dp1Config, case: Case, opened: Session) -> GameResult:
         row, arrays = fly_game(config, case, opened)
-        return Flown(row, arrays)
+        return GameResult(row, arrays)
 
     def finish(self, config: Dp1Config, run: RunDirectory) -> None:
         """One trace of each command, for Figure 4."""
@@ -49,5 +49,10 @@ class Dp1(Suite[Dp1Config, Case]):
                 run.write_json(f"traces/{command}.json", trace)
 
     def cost(self, config: Dp1Config, case: Case) -> Cost:
-        calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
-        return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)
+        return game_cost(case)
+
+
+def game_cost(case: Case) -> Cost:
+    """What a game takes, about."""
+    calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
+    return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)

@@ -17,24 +17,20 @@ from uavaccel.metrics.speedup import (
 )
 from uavaccel.metrics.trajectory import duration_error_s, quartiles
 from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.dp1.scores import Cell, CellScores, LoadArrays, cells_of, score_cells
+from uavaccel.suites.dp1.scores import Cell, CellScores
 from uavaccel.suites.report import Row
 
 Values = dict[str, Any]
 
 
-def summarise(rows: Sequence[Row], load_arrays: LoadArrays, jobs: int = 1) -> Values:
-    """The summary of a run's rows; `load_arrays(row)` gives the samples of a row (names as in the npz).
+def summarise(rows: Sequence[Row], scores: Sequence[CellScores]) -> Values:
+    """The summary of a run's rows and the scores of their cells.
 
     Accuracies are medians over games of each game's mean over the references, a reference without itself.
     Durations and wall times are compared with the references' means. Intervals are 95 % bootstrap intervals
-    over games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
+    over games. Numbers that cannot be known (no reference in the run, a lone reference) are None. Raises ValueError
+    without rows.
     """
-    return summary_of(rows, score_cells(cells_of(rows), load_arrays, jobs))
-
-
-def summary_of(rows: Sequence[Row], scores: Sequence[CellScores]) -> Values:
-    """The summary from cells already scored; raises ValueError without rows."""
     if not rows:
         raise ValueError("a summary needs at least one row")
     seed = int(rows[0]["seed"])

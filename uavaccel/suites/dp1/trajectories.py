@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
-from uavaccel.suites.dp1.scores import CellScores, LoadArrays
-from uavaccel.suites.report import Row
+from uavaccel.suites.dp1.scores import CellScores
+from uavaccel.suites.report import LoadArrays, Row
 from uavaccel.suites.source_line import source_line
 
 _COLOURS = (style.BLUE, style.GREEN, style.VERMILION)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,7 @@ from matplotlib.patches import Patch
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.metrics.trajectory import command_gaps_s
-from uavaccel.suites.dp1.scores import LoadArrays
-from uavaccel.suites.report import Row
+from uavaccel.suites.report import Arrays, LoadArrays, Row
 from uavaccel.suites.source_line import source_line
 
 _AXIS_NAMES = ("north", "east", "down")
@@ -52,7 +51,7 @@ def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) ->
     )
 
 
-def _velocity_panel(row: Row, arrays: Mapping[str, np.ndarray]) -> VelocityPanel:
+def _velocity_panel(row: Row, arrays: Arrays) -> VelocityPanel:
     start_s, end_s = arrays["command_start_s"], arrays["command_end_s"]
     gap_ms = float(np.mean(command_gaps_s(start_s, end_s))) * 1e3
     return VelocityPanel(

@@ -6,19 +6,17 @@ for all ClockSpeeds: one map of thresholds, drawn from `sensor_seed` (paper, sec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
-from uavaccel.suites.report import Row
+from uavaccel.suites.report import Arrays, LoadArrays, Row
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 
-Arrays = Mapping[str, np.ndarray]
-LoadArrays = Callable[[Row], Arrays]
 Counts = NDArray[np.unsignedinteger]
 
 

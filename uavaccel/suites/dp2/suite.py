@@ -12,7 +12,7 @@ from uavaccel.suites.dp2.cases import Case, cases
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.flights import SCENE, fly_game
 from uavaccel.suites.dp2.report import Dp2Report
-from uavaccel.suites.suite import Cost, Flown, Suite, flying_s
+from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
 from uavaccel.wire.session import Session, open_session
 
 IMAGE_S = 5e-3  # wall time of an image: drawn in software, sent, deflated and looked at, about
@@ -33,9 +33,9 @@ class Dp2(Suite[Dp2Config, Case]):
     def open(self, config: Dp2Config, timing: str, run: RunDirectory) -> Session:
         return open_session(timing, config.profile, SCENE, config.latency)
 
-    def fly(self, config: Dp2Config, case: Case, opened: Session) -> Flown:
+    def fly(self, config: Dp2Config, case: Case, opened: Session) -> GameResult:
         row, arrays = fly_game(config, case, opened)
-        return Flown(row, arrays)
+        return GameResult(row, arrays)
 
     def renders(self, config: Dp2Config) -> bool:
         return True

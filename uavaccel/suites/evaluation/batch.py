@@ -20,7 +20,7 @@ from uavaccel.rl.agents import Agent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.host_time import timed
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
 FlownOnLane = tuple[dict[str, Any], dict[str, float]]  # row, host times
@@ -61,7 +61,7 @@ class GamesInBatch:
         for environment in range(self._batch.num_envs):
             self._send_off(environment)
 
-    def game(self, lane: int) -> Flown:
+    def game(self, lane: int) -> GameResult:
         """The game on that lane, once it is over. Host times have `wall_s`, since the first game began.
 
         Raises BatchError where a process has ended.
@@ -71,7 +71,7 @@ class GamesInBatch:
             self._send_off(environment)
             self._flown[row["lane"]] = row, host
         row, host = self._flown.pop(lane)
-        return Flown(row, host={**host, "wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S})
+        return GameResult(row, host={**host, "wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S})
 
     def _send_off(self, environment: int) -> None:
         if self._left:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -18,13 +17,14 @@ from uavaccel.suites.dp2.scores import count_events
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.filmed import FilmedAgent, SamplesSeen
 from uavaccel.suites.evaluation.flights import fly_lane
+from uavaccel.suites.report import Row
 from uavaccel.wire.image_api import lane_layout
 
 
-def best_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+def best_first(rows: Iterable[Row]) -> list[Row]:
     """Games from the success in the fewest commands to the one that got least far."""
 
-    def rank(row: dict[str, Any]) -> tuple[bool, float]:
+    def rank(row: Row) -> tuple[bool, float]:
         return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
 
     return sorted(rows, key=rank)

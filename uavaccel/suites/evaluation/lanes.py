@@ -17,14 +17,14 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.kernel_plan import check_flyable, check_flyable_on_gpu
+from uavaccel.envs.flyable import check_flyable, check_flyable_on_gpu
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import game_seed, row_of
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
 MOST_LANES = 1024  # at once: a lane's event camera takes about 300 KB
@@ -60,14 +60,14 @@ class GamesOverArrays:
         self._clock = MonotonicClock()
         self._start_ns: int | None = None
 
-    def game(self, lane: int) -> Flown:
+    def game(self, lane: int) -> GameResult:
         """The game on that lane, once it is over. Host times have `wall_s`, since the first game began."""
         while lane not in self._rows:
             if self._batch is None:
                 self._begin()
             self._fly()
         row, now_ns = self._rows.pop(lane), self._clock.now_ns()
-        return Flown(row, host={"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S})
+        return GameResult(row, host={"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S})
 
     def _begin(self) -> None:
         self._lanes = [self._left.popleft() for _ in range(min(MOST_LANES, len(self._left)))]

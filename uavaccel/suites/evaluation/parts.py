@@ -19,7 +19,7 @@ from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
 from uavaccel.suites.report import Row
-from uavaccel.suites.suite import Cost, Flown, Suite
+from uavaccel.suites.suite import Cost, GameResult, Suite
 
 
 class PolicyExperiment(Experiment):
@@ -95,12 +95,12 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
     ) -> AbstractContextManager[RunDirectory]:
         return on_own_gpu(run)
 
-    def fly(self, config: PolicyConfig, case: EvaluationCase, opened: RunDirectory) -> Flown:
+    def fly(self, config: PolicyConfig, case: EvaluationCase, opened: RunDirectory) -> GameResult:
         """The row has what the evaluation's summary says, the arrays what became of each lane."""
         summary = fly_part(opened, case.id, self.part(config, case), config.seed)
         found = {name: summary[name] for name in self.kept}
         row = {"suite": self.name, "case": case.id, **case.labels, **found}
-        return Flown(row, outcomes(part_run(opened, case.id)))
+        return GameResult(row, outcomes(part_run(opened, case.id)))
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"

@@ -8,7 +8,7 @@ from uavaccel.config import validate
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.summary import how_flown, summarise
 from uavaccel.suites.evaluation.survival import draw_evaluations, evaluations_source
@@ -55,8 +55,8 @@ def _beside_the_papers(summary: Summary) -> Table:
     """Its success, and the best of the paper's trainings with each command (Table I)."""
     own = Proportion.of(summary).text()
     rows: list[tuple[str, ...]] = [(str(summary["agent"]), own, str(summary["games"]), how_flown(summary))]
-    for command, by_clock in published.SUCCESSES.items():
-        theirs = Proportion(max(by_clock.values()), published.GAMES).text()
+    for command, by_clock in paper_results.SUCCESSES.items():
+        theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
         name = f"the paper's best, trained with {command_name(command)}"
-        rows.append((name, theirs, str(published.GAMES), "measured, in AirSim and another lane"))
+        rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
     return Table(("", "success [95 %]", "lanes", "how"), rows)

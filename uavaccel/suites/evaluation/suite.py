@@ -23,9 +23,9 @@ from uavaccel.suites.evaluation.report import EvaluationReport
 from uavaccel.suites.evaluation.side_by_side import write_simulators
 from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
 from uavaccel.suites.report import Row
-from uavaccel.suites.suite import Flown, Suite, choose_row
+from uavaccel.suites.suite import GameResult, Suite, choose_row
 
-Opened = Callable[[int], Flown]
+Opened = Callable[[int], GameResult]
 
 
 class Evaluation(Suite[EvaluateConfig, Case]):
@@ -61,9 +61,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         th.set_num_threads(1)
         with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
             agent = make_agent(config.agent, config.task)
-            yield lambda lane: Flown(fly_game(config, environment, agent, lane))
+            yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
 
-    def fly(self, config: EvaluateConfig, case: Case, opened: Opened) -> Flown:
+    def fly(self, config: EvaluateConfig, case: Case, opened: Opened) -> GameResult:
         return opened(case.lane)
 
     def why_serial(self, config: EvaluateConfig) -> str:

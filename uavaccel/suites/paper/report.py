@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from uavaccel.config import validate
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
@@ -12,7 +11,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.paper.config import PROFILES, PaperConfig
 from uavaccel.suites.paper.verdicts import at_the_papers_n, judge
 from uavaccel.suites.parts import part_run
-from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.report import Report, Summary, SummaryCell
 
 HEADER = ("claim", "place", "the paper's", "under airsim", "", "under native", "", "the paper's n")
 SHORT_HEADER = ("claim", "place", "under airsim", "under native")
@@ -58,7 +57,7 @@ def _both(judged: Mapping[str, str]) -> str:
     return f"{judged['verdict']}  {judged['value']}".rstrip()
 
 
-def _line(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _line(row: SummaryCell) -> tuple[str, ...]:
     found = [row[profile][key] for profile in PROFILES for key in ("verdict", "value")]
     return (row["says"], row["place"], row["paper"], *found, at_the_papers_n(row))
 

@@ -11,7 +11,7 @@ from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.report import PaperReport
 from uavaccel.suites.paper.verdicts import training_run
 from uavaccel.suites.parts import fly_part, part_cost, part_suite
-from uavaccel.suites.suite import Cost, Flown, Suite
+from uavaccel.suites.suite import Cost, GameResult, Suite
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,6 @@ class Paper(Suite[PaperConfig, Case]):
     ) -> AbstractContextManager[RunDirectory]:
         return nullcontext(run)
 
-    def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> Flown:
+    def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> GameResult:
         summary = fly_part(opened, case.name, config.parts[case.name], config.seed)
-        return Flown({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
+        return GameResult({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})

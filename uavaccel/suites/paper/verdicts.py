@@ -8,11 +8,12 @@ from typing import Any
 from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.paper import claims
 from uavaccel.suites.paper.config import PROFILES, Claim, PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.report import SummaryCell
 
 LEVEL = 0.05
 
@@ -68,12 +69,12 @@ def _paper_p(claim: Claim) -> float | None:
     if claim.paper_counts is None:
         return None
     first, second = claim.paper_counts
-    return fisher_exact_p((first, published.GAMES), (second, published.GAMES))
+    return fisher_exact_p((first, paper_results.GAMES), (second, paper_results.GAMES))
 
 
-def at_the_papers_n(row: Mapping[str, Any]) -> str:
+def at_the_papers_n(row: SummaryCell) -> str:
     """What the paper's own games can tell, in words; empty where it compares no counts."""
     if row["paper_p"] is None:
         return ""
     said = "significant" if row["paper_p"] < LEVEL else "undecidable"
-    return f"{said} at n = {published.GAMES} (p = {row['paper_p']:.2g})"
+    return f"{said} at n = {paper_results.GAMES} (p = {row['paper_p']:.2g})"

@@ -15,7 +15,7 @@ from uavaccel.draw.style import command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.report import Row, Summary, SummaryCell, listed
 from uavaccel.suites.rl.distances import plot_distances
 from uavaccel.suites.rl.success import SuccessLine, plot_success
@@ -94,7 +94,7 @@ def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
 
 
 def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:
-    success = [Proportion(cell["paper_successes"], published.GAMES) for cell in cells]
+    success = [Proportion(cell["paper_successes"], paper_results.GAMES) for cell in cells]
     command, clocks = cells[0]["command"], [cell["clock_speed"] for cell in cells]
     return SuccessLine(f"{command_name(command)}, the paper's", command, clocks, success, dashed=True)
 

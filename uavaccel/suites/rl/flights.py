@@ -12,16 +12,16 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.parts import outcomes
 from uavaccel.suites.host_time import wall_s
 from uavaccel.suites.parts import fly_part, part_folder, part_run
-from uavaccel.suites.rl.cells import EVALUATION_SEED, Cell, evaluation_part, flights, training_part
+from uavaccel.suites.rl.cases import EVALUATION_SEED, TrainingCase, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.flights import CHECKPOINTS
 
 LEARNED = ("games", "successes", "commands", "sim_time_s", "phase_s", "weights_sha256")
 FLOWN = ("command", "clock_speed", "timing", "games", "successes")
 
 
-def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
+def train_and_evaluate(config: RlConfig, cell: TrainingCase, run: RunDirectory) -> GameResult:
     """Train and evaluate; the row holds both in numbers, the arrays each evaluation lane's outcome."""
     trained = f"{cell.id}/training"
     learned = fly_part(run, trained, training_part(config, cell), cell.seed)
@@ -44,7 +44,7 @@ def fly_cell(config: RlConfig, cell: Cell, run: RunDirectory) -> Flown:
         "training": {name: learned[name] for name in LEARNED},
         "evaluations": evaluations,
     }
-    return Flown(row, arrays, {"training_s": wall_s(part_run(run, trained))})
+    return GameResult(row, arrays, {"training_s": wall_s(part_run(run, trained))})
 
 
 def _drop_other_agents(place: Path, agent: str) -> None:

@@ -2,46 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.report import Report, Summary, SummaryCell, listed
 from uavaccel.suites.rl.figures import draw_figures, panel_name
 from uavaccel.suites.rl.summary import KEY, summarise
 
-SHORT_HEADER = ("trained with", "ClockSpeed", "seeds", "success [95 %]", "the paper's", "training speed-up")
-TABLE_HEADER = (
-    *("trained with", "ClockSpeed", "seeds", "games", "success [95 % Wilson]", "of each seed"),
-    *("the paper's, of 100", "p against 1x: Fisher", "McNemar"),
-)
-TIME_HEADER = (
-    *("trained with", "ClockSpeed", "trainings", "modelled hours", "the same at 1x, hours"),
-    *(
-        "speed-up of simulation",
-        "the paper's",
-        "of the whole training",
-        "the paper's",
-        "this machine, minutes",
-    ),
-)
-INTERCHANGE_HEADER = (
-    "trained with",
-    "seeds",
-    "flown with",
-    "success [95 % Wilson]",
-    "won with it alone",
-    "McNemar p",
-)
-AS_TRAINED_HEADER = (
-    *("trained with", "ClockSpeed", "seeds", "success in real time", "McNemar p against the plain one"),
-    *("success at the ClockSpeed of the training", "McNemar p against the plain one"),
-)
-WEIGHTS_HEADER = ("trained with", "ClockSpeed", "seed", "training games won", "success", "weights (SHA-256)")
+Column = tuple[str, Callable[[SummaryCell], str]]
+Minutes = Mapping[tuple[Any, ...], float]
+"""Of this machine, by `KEY`."""
 
 
 class RlReport(Report):
@@ -64,18 +39,13 @@ class RlReport(Report):
         )
 
     def overview(self) -> Table:
-        lines = [
-            (
-                panel_name(cell),
-                clock_label(cell["clock_speed"]),
-                listed(cell["seeds"]),
-                success(cell),
-                or_dash(cell["paper_successes"], "{} %".format),
-                or_dash(cell["training_speedup"], "{:.3g}x".format),
-            )
-            for cell in self.summary["pooled"]
-        ]
-        return Table(SHORT_HEADER, lines)
+        return Table.of(
+            self.summary["pooled"],
+            *_TRAINED,
+            ("success [95 %]", success),
+            _number("the paper's", "paper_successes", "{} %"),
+            _number("training speed-up", "training_speedup", "{:.3g}x"),
+        )
 
     def figures(self) -> list[Picture]:
         return draw_figures(self.run, self.summary, self.rows)
@@ -85,25 +55,25 @@ class RlReport(Report):
         blocks: list[Block] = [
             Paragraph(self.headline() + "."),
             Heading("Table I: success by training"),
-            Table(TABLE_HEADER, [_success_line(cell) for cell in pooled]),
+            _success_table(pooled),
             Paragraph(_WHAT_N_TELLS),
             *figures[:2],
         ]
         if summary["interchange"]:
-            blocks += [Heading("Commands interchanged"), Table(INTERCHANGE_HEADER, _interchange(summary))]
+            blocks += [Heading("Commands interchanged"), _interchange_table(summary["interchange"])]
         if summary["as_trained"]:
-            lines = [_as_trained(flown) for flown in summary["as_trained"]]
-            blocks += [Heading("Flown at the ClockSpeed of the training"), Table(AS_TRAINED_HEADER, lines)]
+            table = _as_trained_table(summary["as_trained"])
+            blocks += [Heading("Flown at the ClockSpeed of the training"), table]
         minutes = _machine_minutes(self.run, self.rows)
         return [
             *blocks,
             Heading("Time of the training"),
-            Table(TIME_HEADER, [_time_line(cell, minutes) for cell in pooled]),
+            _time_table(pooled, minutes),
             Paragraph(_saved(pooled, minutes)),
             Paragraph(_HOW_TIME_IS_MODELLED),
             *figures[2:],
             Heading("Each training"),
-            Table(WEIGHTS_HEADER, [_training_line(cell) for cell in summary["cells"]]),
+            _trainings_table(summary["cells"]),
         ]
 
 
@@ -112,69 +82,86 @@ def success(cell: SummaryCell) -> str:
     return f"{cell['successes']} of {cell['games']}: {Proportion.of(cell).text(interval_digits=1)}"
 
 
-def _success_line(cell: SummaryCell) -> tuple[str, ...]:
-    return (
-        panel_name(cell),
-        clock_label(cell["clock_speed"]),
-        listed(cell["seeds"]),
-        str(cell["games"]),
-        success(cell),
-        listed(cell["successes_by_seed"]),
-        or_dash(cell["paper_successes"], "{}".format),
-        or_dash(cell["fisher_p"], "{:.2g}".format),
-        or_dash(cell["mcnemar_p"], "{:.2g}".format),
+def _number(header: str, key: str, form: str) -> Column:
+    return header, lambda cell: or_dash(cell[key], form.format)
+
+
+_CELL: Sequence[Column] = (
+    ("trained with", panel_name),
+    ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"])),
+)
+_TRAINED: Sequence[Column] = (*_CELL, ("seeds", lambda cell: listed(cell["seeds"])))
+
+
+def _success_table(pooled: Sequence[SummaryCell]) -> Table:
+    return Table.of(
+        pooled,
+        *_TRAINED,
+        ("games", lambda cell: str(cell["games"])),
+        ("success [95 % Wilson]", success),
+        ("of each seed", lambda cell: listed(cell["successes_by_seed"])),
+        _number("the paper's, of 100", "paper_successes", "{}"),
+        _number("p against 1x: Fisher", "fisher_p", "{:.2g}"),
+        _number("McNemar", "mcnemar_p", "{:.2g}"),
     )
 
 
-def _as_trained(flown: Mapping[str, Any]) -> tuple[str, ...]:
-    real_time, own = flown["real_time"], flown["as_trained"]
-    return (
-        panel_name(flown),
-        clock_label(flown["clock_speed"]),
-        listed(flown["seeds"]),
-        *(success(real_time), or_dash(real_time["mcnemar_p"], "{:.2g}".format)),
-        *(success(own), or_dash(own["mcnemar_p"], "{:.2g}".format)),
+def _as_trained_table(tests: Sequence[SummaryCell]) -> Table:
+    def flight(header: str, key: str) -> list[Column]:
+        p_value = "McNemar p against the plain one"
+        return [
+            (header, lambda test: success(test[key])),
+            (p_value, lambda test: or_dash(test[key]["mcnemar_p"], "{:.2g}".format)),
+        ]
+
+    return Table.of(
+        tests,
+        *_TRAINED,
+        *flight("success in real time", "real_time"),
+        *flight("success at the ClockSpeed of the training", "as_trained"),
     )
 
 
-def _interchange(summary: Summary) -> list[tuple[str, ...]]:
-    return [
-        (
-            f"{panel_name(test)} {clock_label(test['clock_speed'])}",
-            listed(test["seeds"]),
-            command_name(flown["command"]),
-            success(flown),
-            str(test[alone]),
-            f"{test['mcnemar_p']:.2g}",
-        )
-        for test in summary["interchange"]
-        for flown, alone in zip(test["flown_with"], ("only_first", "only_second"), strict=True)
+def _interchange_table(tests: Sequence[SummaryCell]) -> Table:
+    flown = [
+        {**test, **flight, "with": flight["command"], "command": test["command"], "alone": test[alone]}
+        for test in tests
+        for flight, alone in zip(test["flown_with"], ("only_first", "only_second"), strict=True)
     ]
-
-
-def _time_line(cell: SummaryCell, minutes: Mapping[tuple[Any, ...], float]) -> tuple[str, ...]:
-    return (
-        panel_name(cell),
-        clock_label(cell["clock_speed"]),
-        str(len(cell["seeds"])),
-        f"{cell['training_wall_s'] / 3600:.3g}",
-        or_dash(cell["real_time_s"], lambda s: f"{s / 3600:.3g}"),
-        or_dash(cell["training_speedup"], "{:.3g}x".format),
-        or_dash(cell["paper_training_speedup"], "{:g}x".format),
-        or_dash(cell["whole_training_speedup"], "{:.3g}x".format),
-        or_dash(cell["paper_whole_training_speedup"], "{:g}x".format),
-        or_dash(minutes.get(_key(cell)), "{:.3g}".format),
+    return Table.of(
+        flown,
+        ("trained with", lambda test: f"{panel_name(test)} {clock_label(test['clock_speed'])}"),
+        ("seeds", lambda test: listed(test["seeds"])),
+        ("flown with", lambda test: command_name(test["with"])),
+        ("success [95 % Wilson]", success),
+        ("won with it alone", lambda test: str(test["alone"])),
+        ("McNemar p", lambda test: f"{test['mcnemar_p']:.2g}"),
     )
 
 
-def _training_line(cell: SummaryCell) -> tuple[str, ...]:
-    return (
-        panel_name(cell),
-        clock_label(cell["clock_speed"]),
-        str(cell["seed"]),
-        f"{cell['trained_successes']} of {cell['trained_games']}",
-        success(cell),
-        cell["weights_sha256"] or "-",
+def _time_table(pooled: Sequence[SummaryCell], minutes: Minutes) -> Table:
+    return Table.of(
+        pooled,
+        *_CELL,
+        ("trainings", lambda cell: str(len(cell["seeds"]))),
+        ("modelled hours", lambda cell: f"{cell['training_wall_s'] / 3600:.3g}"),
+        ("the same at 1x, hours", lambda cell: or_dash(cell["real_time_s"], lambda s: f"{s / 3600:.3g}")),
+        _number("speed-up of simulation", "training_speedup", "{:.3g}x"),
+        _number("the paper's", "paper_training_speedup", "{:g}x"),
+        _number("of the whole training", "whole_training_speedup", "{:.3g}x"),
+        _number("the paper's", "paper_whole_training_speedup", "{:g}x"),
+        ("this machine, minutes", lambda cell: or_dash(minutes.get(_key(cell)), "{:.3g}".format)),
+    )
+
+
+def _trainings_table(cells: Sequence[SummaryCell]) -> Table:
+    return Table.of(
+        cells,
+        *_CELL,
+        ("seed", lambda cell: str(cell["seed"])),
+        ("training games won", lambda cell: f"{cell['trained_successes']} of {cell['trained_games']}"),
+        ("success", success),
+        ("weights (SHA-256)", lambda cell: cell["weights_sha256"] or "-"),
     )
 
 
@@ -188,7 +175,7 @@ def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> dict[tup
     return minutes
 
 
-def _saved(pooled: Sequence[SummaryCell], minutes: Mapping[tuple[Any, ...], float]) -> str:
+def _saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
     """Modelled real time against this machine's, of all trainings that have both."""
     both = [cell for cell in pooled if cell["real_time_s"] is not None and _key(cell) in minutes]
     if not both:
@@ -208,7 +195,7 @@ def _key(cell: SummaryCell) -> tuple[Any, ...]:
 
 
 _WHAT_N_TELLS = (
-    f"The paper evaluated one training of each kind in {published.GAMES} games. Of its differences only the "
+    f"The paper evaluated one training of each kind in {paper_results.GAMES} games. Of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = "
     "0.19. 100 games tell ratios 16 points apart, 300 nine points, 1 000 five. Wilson intervals and Fisher's test "
     "here are of pooled games, and so of these very policies: what another training would have given is seen in "

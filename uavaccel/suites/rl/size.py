@@ -10,10 +10,10 @@ from uavaccel.rl.agents import DEFAULT
 from uavaccel.rl.algorithms import OWN
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.suites.parts import Part, part_cost, part_suite
-from uavaccel.suites.rl.cells import (
+from uavaccel.suites.rl.cases import (
     EVALUATION_SEED,
-    Cell,
     Size,
+    TrainingCase,
     evaluation_part,
     flights,
     training_part,
@@ -24,18 +24,18 @@ GPU_RATE = 1_500.0  # simulated seconds per wall second of many lanes on one GPU
 CELL_BYTES = 2e6  # of policy, figures and curves
 
 
-def _parts(config: RlConfig, cell: Cell) -> list[tuple[Part, int]]:
+def _parts(config: RlConfig, cell: TrainingCase) -> list[tuple[Part, int]]:
     """Training and evaluations with their seeds; the policy that ships stands for the cell's own."""
     flown = [evaluation_part(config, cell, flight, DEFAULT) for flight in flights(config, cell)]
     return [(training_part(config, cell), cell.seed), *((part, EVALUATION_SEED) for part in flown)]
 
 
-def part_configs(config: RlConfig, cell: Cell) -> list[Any]:
+def part_configs(config: RlConfig, cell: TrainingCase) -> list[Any]:
     """Configurations of the cell's training and evaluations. Raises UserError for what cannot be."""
     return [part_suite(part, seed)[1] for part, seed in _parts(config, cell)]
 
 
-def size_of(config: RlConfig, cell: Cell) -> Size:
+def size_of(config: RlConfig, cell: TrainingCase) -> Size:
     """Games, simulated and wall seconds, and bytes on disk of a cell, about."""
     configs = part_configs(config, cell)
     costs = [part_cost(part, seed) for part, seed in _parts(config, cell)]
@@ -49,7 +49,7 @@ def size_of(config: RlConfig, cell: Cell) -> Size:
     )
 
 
-def checkpoint_bytes(config: RlConfig, cell: Cell) -> float:
+def checkpoint_bytes(config: RlConfig, cell: TrainingCase) -> float:
     """What a training's checkpoint holds at most: the replay buffer, which each process writes for its own training."""
     training = part_configs(config, cell)[0]
     if getattr(training, "algorithm", "") != OWN or training.games <= training.checkpoint_games:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
-from uavaccel.suites import published
-from uavaccel.suites.report import Row
+from uavaccel.suites import paper_results
+from uavaccel.suites.report import Arrays, LoadArrays, Row
 
-Arrays = Callable[[Row], Mapping[str, NDArray[Any]]]
 KEY = ("variant", "profile", "timing", "command", "clock_speed")
 SIMULATION = ("simulation", "rendering")  # the paper's "simulation": its images come out of it
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: Arrays) -> dict[str, Any]:
+def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: LoadArrays) -> dict[str, Any]:
     """A cell for each training, the same with seeds pooled, the interchange test; nothing of this machine."""
     groups: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in rows:
@@ -47,7 +46,7 @@ def _real_time(row: Row, groups: Mapping[tuple[Any, ...], list[Row]]) -> list[Ro
     return groups.get((*(row[name] for name in KEY[:-1]), 1.0), [])
 
 
-def _cell(row: Row, arrays: Mapping[str, NDArray[Any]], real_time: Sequence[Row]) -> dict[str, Any]:
+def _cell(row: Row, arrays: Arrays, real_time: Sequence[Row]) -> dict[str, Any]:
     flown = row["evaluations"][0]
     return {
         **{name: row[name] for name in (*KEY, "seed")},
@@ -60,11 +59,11 @@ def _cell(row: Row, arrays: Mapping[str, NDArray[Any]], real_time: Sequence[Row]
     }
 
 
-def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> dict[str, Any]:
+def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: LoadArrays) -> dict[str, Any]:
     """All seeds of one training together, against the same at 1x and against the paper."""
     first = members[0]
     key = [first[each] for each in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = published.speedups(*key)
+    simulation, whole = paper_results.speedups(*key)
     other = [] if first["clock_speed"] == 1.0 else real_time
     return {
         **{each: first[each] for each in KEY},
@@ -72,7 +71,7 @@ def _pooled(members: Sequence[Row], real_time: Sequence[Row], load: Arrays) -> d
         "successes_by_seed": [row["evaluations"][0]["successes"] for row in members],
         **pooled_success(members, 0),
         "trained_games": sum(row["training"]["games"] for row in members),
-        "paper_successes": published.successes(*key),
+        "paper_successes": paper_results.successes(*key),
         **against(members, other, 0, load),
         **_times(members, real_time),
         "paper_training_speedup": simulation,
@@ -87,7 +86,7 @@ def pooled_success(members: Sequence[Row], flight: int) -> dict[str, Any]:
     return Proportion(won, games).as_summary()
 
 
-def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: Arrays) -> dict[str, Any]:
+def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: LoadArrays) -> dict[str, Any]:
     """p-values of two groups in a flight: Fisher's of pooled games, McNemar's of the same seeds and lanes."""
     if not others:
         return {"fisher_p": None, "mcnemar_p": None}
@@ -102,7 +101,7 @@ def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: Ar
 
 
 def paired(
-    some: Sequence[Row], others: Sequence[Row], flight: tuple[int, int], load: Arrays
+    some: Sequence[Row], others: Sequence[Row], flight: tuple[int, int], load: LoadArrays
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Outcomes (n,) of two groups of trainings, each in one of its flights, on the same lanes with the same seeds."""
     of_seed = {row["seed"]: row for row in others}
@@ -115,7 +114,7 @@ def paired(
     return first, second
 
 
-def _won(row: Row, flight: int, load: Arrays) -> dict[int, bool]:
+def _won(row: Row, flight: int, load: LoadArrays) -> dict[int, bool]:
     flown, arrays = row["evaluations"][flight], load(row)
     in_real_time = flown["clock_speed"] == row["evaluations"][0]["clock_speed"]
     name = flown["command"] if in_real_time else f"{flown['command']}-{flown['clock_speed']:g}x"
@@ -152,7 +151,7 @@ def per_command(members: Sequence[Row], phases: Sequence[str]) -> float:
     return float(spent_s / sum(row["training"]["commands"] for row in members))
 
 
-def _interchange(members: Sequence[Row], load: Arrays) -> dict[str, Any] | None:
+def _interchange(members: Sequence[Row], load: LoadArrays) -> dict[str, Any] | None:
     """Policies flown with the command that they were not trained with too; None where none was."""
     flown = members[0]["evaluations"]
     other = next((n for n, each in enumerate(flown) if each["command"] != flown[0]["command"]), None)
@@ -172,7 +171,7 @@ def _interchange(members: Sequence[Row], load: Arrays) -> dict[str, Any] | None:
 
 
 def _as_trained(
-    members: Sequence[Row], groups: Mapping[tuple[Any, ...], list[Row]], load: Arrays
+    members: Sequence[Row], groups: Mapping[tuple[Any, ...], list[Row]], load: LoadArrays
 ) -> dict[str, Any] | None:
     """Policies flown at the ClockSpeed of their training, against those without the variant; None where none was."""
     first = members[0]

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
-from uavaccel.suites.training.phases import UNITS
+from uavaccel.suites.training.phases import plot_stacked, unit_of
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,11 @@ def plot_training_time(panels: Mapping[str, Sequence[TrainingTime]], source: str
     with style.project_style():
         figure = style.new_figure(2.0 + 5.0 * len(panels), 4.6, "Time of the training by phase", source)
         row = figure.subplots(1, len(panels), squeeze=False)[0]
-        longest_s = max(sum(each.phase_s.values()) for panel in panels.values() for each in panel)
-        unit, unit_s = next((name, size) for name, size in UNITS if longest_s >= size or size == 1.0)
+        unit = unit_of([each.phase_s for panel in panels.values() for each in panel])
         handles: dict[str, Artist] = {}
         for axes, (title, panel) in zip(row, panels.items(), strict=True):
             axes.set_title(title, loc="center")
-            for drawn in (_bars(axes, panel, unit, unit_s), _points(axes, panel)):
+            for drawn in (_bars(axes, panel, unit), _points(axes, panel)):
                 handles |= {
                     name: handle for handle, name in zip(*drawn.get_legend_handles_labels(), strict=True)
                 }
@@ -44,12 +43,8 @@ def plot_training_time(panels: Mapping[str, Sequence[TrainingTime]], source: str
         return figure
 
 
-def _bars(axes: Axes, panel: Sequence[TrainingTime], unit: str, unit_s: float) -> Axes:
-    places, below = np.arange(len(panel)), np.zeros(len(panel))
-    for phase, colour in zip(panel[0].phase_s, style.CYCLE, strict=False):
-        spent = np.array([each.phase_s[phase] for each in panel]) / unit_s
-        axes.bar(places, spent, 0.55, below, color=colour, label=phase)
-        below += spent
+def _bars(axes: Axes, panel: Sequence[TrainingTime], unit: str) -> Axes:
+    places = plot_stacked(axes, [each.phase_s for each in panel], unit)
     axes.set_xticks(places, [style.clock_label(each.clock_speed) for each in panel])
     axes.set(xlabel="ClockSpeed", ylabel=f"{unit} of the training", xlim=(-0.6, len(panel) - 0.4))
     return axes

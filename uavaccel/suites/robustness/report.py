@@ -65,7 +65,7 @@ class RobustnessReport(Report):
         ]
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> Summary:
     """Every cell with its interval, and for each command and ClockSpeed between which latencies it collapses."""
     kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
     cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
@@ -80,7 +80,7 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> dict[str, Any]:
+def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> Summary:
     """Between which latencies success falls below half of the command's own in real time at the fitted latency.
 
     `above` is the largest latency below which it never does, `below` the next that was flown; None where there is

@@ -10,6 +10,7 @@ from uavaccel.suites.evaluation.parts import EvaluationCase, PolicySuite
 from uavaccel.suites.parts import part_cost
 from uavaccel.suites.robustness.config import RobustnessConfig
 from uavaccel.suites.robustness.report import RobustnessReport
+from uavaccel.suites.sweep.conditions import key_of
 
 
 class Robustness(PolicySuite[RobustnessConfig]):
@@ -22,15 +23,16 @@ class Robustness(PolicySuite[RobustnessConfig]):
     def evaluations(self, config: RobustnessConfig) -> Iterator[EvaluationCase]:
         """Latency by latency, so that a run that is stopped has whole rows of the map."""
         for scale, clock_speed, command in product(config.latency_scale, config.clock_speed, config.command):
-            point = {"command": command, "clock_speed": clock_speed}
-            keys = {
-                "task.profile": config.profile,
-                "task.timing": "virtual",
-                **{f"task.{name}": value for name, value in point.items()},
-                "task.latency.scale": scale,
+            point = {
+                "profile": config.profile,
+                "command": command,
+                "clock": clock_speed,
+                "latency": scale,
             }
+            keys = {key_of(name): value for name, value in point.items()}
+            labels = {"command": command, "clock_speed": clock_speed, "latency_scale": scale}
             case_id = f"latency{scale:g}-{command}-{clock_speed:g}x"
-            yield EvaluationCase(case_id, keys, {**point, "latency_scale": scale})
+            yield EvaluationCase(case_id, {**keys, "task.timing": "virtual"}, labels)
 
     def cases(self, config: RobustnessConfig) -> Iterator[EvaluationCase]:
         evaluations = list(self.evaluations(config))

@@ -15,7 +15,7 @@ class SweepConfig(PolicyExperiment):
 
     suite: Literal["sweep"]
     sweep: dict[str, tuple[Any, ...]]
-    """By short name (suites/sweep/conditions.py) or dotted key, the values: one at a time, all else as trained."""
+    """By short name (envs/conditions.py) or dotted key, the values: one at a time, all else as trained."""
 
     @field_validator("sweep")
     @classmethod

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import agent_name
 from uavaccel.suites.report import Report, Row, Summary
-from uavaccel.suites.sweep.conditions import UNITS, value_text
+from uavaccel.suites.sweep.conditions import value_text
 from uavaccel.suites.sweep.figure import plot_sweeps
 
 FIGURE = "figures/sweep.png"
@@ -62,7 +63,7 @@ class SweepReport(Report):
         return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> dict[str, Any]:
+def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> Summary:
     """Every condition with its interval, and McNemar's exact test against the flights as trained.
 
     `won` has the successes lane by lane, by case.
@@ -95,7 +96,7 @@ def case_id(condition: str, value: Any) -> str:
     return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
 
 
-def _cell(name: str, value: Any, row: Row, won: Won) -> dict[str, Any]:
+def _cell(name: str, value: Any, row: Row, won: Won) -> Summary:
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
@@ -140,7 +141,8 @@ def table(summary: Summary) -> list[tuple[str, ...]]:
 
 
 def _name(condition: str) -> str:
-    return f"{condition}, {UNITS[condition]}" if condition in UNITS else condition
+    unit = CONDITIONS[condition].unit if condition in CONDITIONS else ""
+    return f"{condition}, {unit}" if unit else condition
 
 
 _READING = (

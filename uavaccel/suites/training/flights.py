@@ -18,7 +18,7 @@ from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, s
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.policy import export_policy, weights_sha256
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.evaluations import Evaluations, drop_evaluations_after
 from uavaccel.suites.training.rows import GameRows
@@ -55,7 +55,7 @@ class Trainer:
         th.set_num_threads(config.torch_threads)
         self._config, self._run = config, run
         self._interrupted = False
-        self._finished: deque[Flown] = deque()
+        self._finished: deque[GameResult] = deque()
         self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device)
         try:
             self._learner = make_learner(config, self._lanes)
@@ -69,7 +69,7 @@ class Trainer:
             raise
         self._saved = self._learner.games
 
-    def next_game(self) -> Flown:
+    def next_game(self) -> GameResult:
         """Fly and learn until another game is over. Raises KeyboardInterrupt, after a checkpoint, on Ctrl-C."""
         learner = self._learner
         while not self._finished:

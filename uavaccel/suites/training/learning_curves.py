@@ -20,14 +20,14 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import running_s
 from uavaccel.suites.report import listed
 from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.rows import RECENT
 
 PAPER_S = {
-    "paper: 5 000 games in real time, 182 h": published.REAL_TIME_S
+    "paper: 5 000 games in real time, 182 h": paper_results.REAL_TIME_S
 }  # section IV-D: one week and 14 hours
 TICKS_S = {
     "1 s": 1.0,

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.style import clock_label, command_name
@@ -18,7 +20,7 @@ from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.host_time import over_all_starts, wall_s
 from uavaccel.suites.report import listed
 
-UNITS = (("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0))
+UNITS_S = {"hours": 3600.0, "minutes": 60.0, "seconds": 1.0}
 LETTER_IN = 0.085  # width of a label's letter
 
 
@@ -87,13 +89,9 @@ def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
         bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
         figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
         axes = figure.subplots()
-        longest_s = max(sum(training.phase_s.values()) for training in trainings)
-        unit, unit_s = next((name, size) for name, size in UNITS if longest_s >= size or size == 1.0)
-        places, below = np.arange(len(trainings)), np.zeros(len(trainings))
-        for phase, colour in zip(trainings[0].phase_s, style.CYCLE, strict=False):
-            spent = np.array([training.phase_s[phase] for training in trainings]) / unit_s
-            axes.bar(places, spent, 0.55, below, color=colour, label=phase.replace("_", " "))
-            below += spent
+        phase_s = [training.phase_s for training in trainings]
+        unit = unit_of(phase_s)
+        places = plot_stacked(axes, phase_s, unit)
         axes.set_xticks(places, [training.label for training in trainings])
         axes.set(ylabel=unit, xlim=(-0.6, len(trainings) - 0.4))
         speed = axes.twinx()
@@ -103,3 +101,19 @@ def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
         speed.grid(visible=False)
         figure.legend(loc="outside right upper")
         return figure
+
+
+def unit_of(phase_s: Sequence[Mapping[str, float]]) -> str:
+    """The largest unit in which the longest of several trainings is 1 or more."""
+    longest_s = max(sum(spent.values()) for spent in phase_s)
+    return next((unit for unit, unit_s in UNITS_S.items() if longest_s >= unit_s), "seconds")
+
+
+def plot_stacked(axes: Axes, phase_s: Sequence[Mapping[str, float]], unit: str) -> NDArray[np.int64]:
+    """A bar for each training, its phases on top of each other; the bars' places (n,)."""
+    places, below = np.arange(len(phase_s)), np.zeros(len(phase_s))
+    for phase, colour in zip(phase_s[0], style.CYCLE, strict=False):
+        spent = np.array([each[phase] for each in phase_s]) / UNITS_S[unit]
+        axes.bar(places, spent, 0.55, below, color=colour, label=phase.replace("_", " "))
+        below += spent
+    return places

@@ -11,7 +11,7 @@ from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites import published
+from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import in_words, pace, wall_s
 from uavaccel.suites.report import Report, Summary, summary_table
 from uavaccel.suites.training.config import TrainConfig
@@ -116,12 +116,12 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
     """Games and time of the training, and of the paper's (III-C3, IV-D)."""
     real_time_s = summary.get("modelled_real_time_s")
     rows = [
-        ("games", str(summary["games"]), str(published.TRAINING_GAMES), "counted"),
+        ("games", str(summary["games"]), str(paper_results.TRAINING_GAMES), "counted"),
         ("wall clock", or_dash(wall_s(run) or None, in_words), "-", "measured, start-up not counted"),
         (
             "in real time",
             or_dash(real_time_s, in_words),
-            in_words(published.REAL_TIME_S),
+            in_words(paper_results.REAL_TIME_S),
             "ours modelled, the paper's measured",
         ),
     ]

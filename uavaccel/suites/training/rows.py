@@ -16,7 +16,7 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.rl.learner import Game
 from uavaccel.suites.disturbed import measured_disturbances
 from uavaccel.suites.report import Row
-from uavaccel.suites.suite import Flown
+from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.units import NS_PER_S
 
@@ -48,7 +48,7 @@ class GameRows:
         finally:
             self._start_ns += self._clock.now_ns() - begun_ns
 
-    def flown(self, game: Game, learning: Stopwatch) -> Flown:
+    def flown(self, game: Game, learning: Stopwatch) -> GameResult:
         """A game's row, and host times since this start of the training: wall, the lane's own, the learner's."""
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
         row: dict[str, Any] = {
@@ -69,7 +69,7 @@ class GameRows:
             "host_phase_s": game.info["host_phase_s"],
             "learner_s": learning.spent_s(),
         }
-        return Flown(row, host=host)
+        return GameResult(row, host=host)
 
     def _draw(self, row: Row, wall_s: float) -> None:
         self._simulated_s += row["sim_time_s"]

@@ -16,7 +16,7 @@ from uavaccel.rl.algorithms import check_algorithm
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, Flown, Suite, flying_s
+from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import (
     CHECKPOINTS,
@@ -61,7 +61,7 @@ class Training(Suite[TrainConfig, Case]):
     def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
         return open_trainer(config, run)
 
-    def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> Flown:
+    def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> GameResult:
         return opened.next_game()
 
     def finish(self, config: TrainConfig, run: RunDirectory) -> None:

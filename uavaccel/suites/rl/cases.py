@@ -26,7 +26,7 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cell:
+class TrainingCase:
     """One training of a command at a ClockSpeed, by its seed, and what is flown with it."""
 
     variant: str
@@ -48,13 +48,13 @@ class Cell:
         return self.size.simulated_s
 
 
-def cells(config: RlConfig) -> Iterator[Cell]:
+def cases(config: RlConfig) -> Iterator[TrainingCase]:
     """Seed by seed, so that a run that is stopped has whole tables; in each the blocks in order, slow clocks first."""
     for seed in range(config.seed, config.seed + config.seeds):
         for block in config.cells:
             for clock_speed, command in pairs(block):
                 if config.selects(block, (clock_speed, command)):
-                    yield Cell(
+                    yield TrainingCase(
                         block.variant,
                         block.profile,
                         block.timing,
@@ -65,7 +65,7 @@ def cells(config: RlConfig) -> Iterator[Cell]:
                     )
 
 
-def training_part(config: RlConfig, cell: Cell) -> Part:
+def training_part(config: RlConfig, cell: TrainingCase) -> Part:
     """The cell's training."""
     keys = {
         **config.training.keys,
@@ -88,7 +88,7 @@ class Flight(NamedTuple):
     """Of its folder, and before the names of its arrays."""
 
 
-def flights(config: RlConfig, cell: Cell) -> list[Flight]:
+def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
     """In real time with the cell's own command first; of the interchange test with the other; as it was trained."""
     real_time = config.evaluation_clock_speed
     flown = [Flight(cell.command, real_time, cell.command)]
@@ -99,7 +99,7 @@ def flights(config: RlConfig, cell: Cell) -> list[Flight]:
     return flown
 
 
-def evaluation_part(config: RlConfig, cell: Cell, flight: Flight, agent: str | Path) -> Part:
+def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent: str | Path) -> Part:
     """A flight of the cell's policy, on the clock that it was trained by; what it sees is the policy's own affair."""
     own = {key: value for key, value in cell.task.items() if key.split(".")[1] not in SENSES + FLIGHT}
     keys = {

@@ -1,4 +1,4 @@
-"""Runs of the RL experiment on several machines, or of several parts of it, put together into one run directory."""
+"""Runs of the RL experiment on several machines, or of several parts of it, merged into one run directory."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.rl.config import RlConfig
 
-FOLDER = "together"
+FOLDER = "merged"
 MAY_DIFFER = ("cells", "command", "clock_speed", "profile", "timing", "seed", "seeds")
 
 
-def put_together(runs: Sequence[RunDirectory]) -> RunDirectory:
-    """The finished cells of all runs, in the first one's folder `together`, made anew: `paper --with` takes it too.
+def merge_runs(runs: Sequence[RunDirectory]) -> RunDirectory:
+    """The finished cells of all runs, in the first one's folder `merged`, made anew: `paper --with` takes it too.
 
     Raises UserError where two runs hold the same cell, or were not trained and evaluated alike.
     """
@@ -26,14 +26,14 @@ def put_together(runs: Sequence[RunDirectory]) -> RunDirectory:
     shutil.rmtree(place, ignore_errors=True)
     config = validate(RlConfig, _of_all(runs), str(first.path / "config.yaml"))
     made_of = {str(run.path): run.manifest() for run in runs}
-    together = RunDirectory.create(place, config, {**first.manifest(), "together": made_of})
+    merged = RunDirectory.create(place, config, {**first.manifest(), "merged_from": made_of})
     for run in runs:
         host = {entry["case"]: entry for entry in run.timings()}
         for row in run.rows():
-            together.append_row(row | together.save_arrays(row["case"], run.load_arrays(row)))
+            merged.append_row(row | merged.save_arrays(row["case"], run.load_arrays(row)))
             if row["case"] in host:
-                together.append_timing(host[row["case"]])
-    return together
+                merged.append_timing(host[row["case"]])
+    return merged
 
 
 def _of_all(runs: Sequence[RunDirectory]) -> dict[str, Any]:

@@ -1,0 +1,88 @@
+"""What lanes over arrays fly of a task, on the CPU and on a GPU, and what only the exact simulator does."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Literal
+
+from uavaccel.envs.task import Task
+from uavaccel.errors import UserError
+from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
+from uavaccel.sim.profile import Profile
+from uavaccel.units import exact
+from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
+
+MOST_DIGITS = 1_000_000  # of a clock's speed as a fraction: its products have to fit 64 bits for hours
+
+KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
+
+Simulator = Literal["mujoco", "kernels"]
+"""Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
+
+
+def check_flyable(task: Task, lanes: int) -> None:
+    """Raise UserError, one line, for what only the exact simulator flies."""
+    if lanes < 1:
+        raise UserError(f"num_envs = {lanes}: must be at least 1")
+    if why := _why_not(task) or _why_no_clock(task):
+        raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
+
+
+def check_flyable_on_gpu(task: Task, lanes: int) -> None:
+    """The same for one GPU, where lanes pass a command's samples together."""
+    check_flyable(task, lanes)
+    if passes_together(task):
+        return
+    if task.dvs_ticks:
+        raise UserError("device = cuda: dvs_rate_hz is flown by TCSC in lockstep there; use device = cpu")
+    if kind_of(task) == DEPTH and task.timing == "virtual":
+        raise UserError(
+            "device = cuda: the guard of depth pictures is the CPU's in virtual; use device = cpu"
+        )
+
+
+def kind_of(task: Task) -> int:
+    """What lanes observe: STATE, DVS, COLOUR or DEPTH."""
+    return STATE if task.blank_images else KINDS[task.observation]
+
+
+def passes_together(task: Task) -> bool:
+    """Whether the same ticks pass in all lanes, whatever messages cost."""
+    return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
+
+
+def _why_not(task: Task) -> str:
+    if task.timing == "wall":
+        return "timing wall needs a server of its own"
+    if task.list_events:
+        return "list_events keeps no events one by one there"
+    if task.scenery != "plain":
+        return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
+    if task.scene != "lane" and task.observation != "state":
+        return f"observation {task.observation} is drawn in the lane alone"
+    for name in ("goal", "features"):
+        if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
+            return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
+    return ""
+
+
+def _why_no_clock(task: Task) -> str:
+    speeds = speed_of(task), exact(task.clock_speed)
+    if any(max(speed.as_integer_ratio()) > MOST_DIGITS for speed in speeds):
+        return f"clock_speed = {task.clock_speed} has more digits than lanes' clocks"
+    return ""
+
+
+def latency_of(task: Task) -> LatencyConfig:
+    """What messages and ticks cost: nothing in lockstep."""
+    return task.latency if task.timing == "virtual" else ZERO_LATENCY
+
+
+def profile_of(task: Task) -> Profile:
+    """How the task's simulation steps."""
+    return latency_of(task).platform.profile(task.profile, task.clock_speed)
+
+
+def speed_of(task: Task) -> Fraction:
+    """Simulated seconds per wall second."""
+    return latency_of(task).platform.executor().speed(exact(task.clock_speed), profile_of(task).tick_ns)

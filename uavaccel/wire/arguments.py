@@ -1,0 +1,181 @@
+"""What a client may send: the types of wire calls' parameters, and how a value becomes one of them or is refused.
+
+A coercion takes the value and the parameter's name. It raises ValueError that names it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, TypeVar, get_origin
+
+from uavaccel.kinematics import Vector
+from uavaccel.sim.poses import Pose
+from uavaccel.sim.scene.bounds import LONGEST_NAME, STRONGEST_WIND_M_S
+from uavaccel.sim.sensors.earth import GeoPoint
+from uavaccel.sim.vehicle.goal import Yaw
+
+LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
+FARTHEST_M = 1e6  # a place that physics still resolves
+Coercion = Callable[[object, str], object]
+Same = TypeVar("Same")
+
+
+def coercion_of(annotation: object) -> Coercion:
+    """The coercion to an annotated type, or to one of `PLAIN`. Raises TypeError where there is none."""
+    if get_origin(annotation) is Annotated:
+        coercion: Coercion = annotation.__metadata__[0]  # type: ignore[attr-defined]
+        return coercion
+    if annotation not in PLAIN:
+        raise TypeError(f"no client's value becomes {annotation}; there are {', '.join(map(str, PLAIN))}")
+    return PLAIN[annotation]
+
+
+def unchanged(value: Same, name: str) -> Same:
+    """Whatever it is: the call looks at it."""
+    return value
+
+
+def number(value: object, name: str) -> float:
+    """A finite number of single precision's range."""
+    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise ValueError(f"{name} must be a number, not {type(value).__name__}")
+    if not abs(value) <= LARGEST:
+        raise ValueError(f"{name} must be finite, not {value}")
+    return float(value)
+
+
+def whole(value: object, name: str) -> int:
+    """A whole number of 32 bits."""
+    wide = number(value, name)
+    if wide != int(wide) or abs(wide) >= 1 << 31:
+        raise ValueError(f"{name} must be a whole number of 32 bits, not {wide:g}")
+    return int(wide)
+
+
+def flag(value: object, name: str) -> bool:
+    """True or false, or 1 or 0 as msgpack of C++ writes them."""
+    if not isinstance(value, bool | int):
+        raise ValueError(f"{name} must be true or false, not {type(value).__name__}")
+    return bool(value)
+
+
+def truthy(value: object, name: str) -> bool:
+    """Anything, as Python takes it for true or false."""
+    return bool(value)
+
+
+def text(value: object, name: str) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"{name} must be a text, not {type(value).__name__}")
+    return value
+
+
+def object_name(value: object, name: str) -> str:
+    """A text that may name an object."""
+    named = text(value, name)
+    if len(named) > LONGEST_NAME:
+        raise ValueError(f"{name} must have at most {LONGEST_NAME} characters, not {len(named)}")
+    return named
+
+
+def coordinate(value: object, name: str) -> float:
+    """Metres from the origin."""
+    metres = number(value, name)
+    if abs(metres) > FARTHEST_M:
+        raise ValueError(f"{name} must be within {FARTHEST_M:g} m, not {metres:g}")
+    return metres
+
+
+def place(value: object, name: str) -> Vector:
+    """A Vector3r in metres."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a Vector3r, not {type(value).__name__}")
+    x, y, z = (coordinate(value.get(key), f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
+    return x, y, z
+
+
+def vector(value: Any, name: str) -> Vector:
+    """A Vector3r of finite numbers."""
+    try:
+        x, y, z = (number(value[key], f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"{name} must be {{x_val, y_val, z_val}}") from error
+    return x, y, z
+
+
+def pose(value: Any, name: str) -> Pose:
+    """A Pose, its orientation of length 1; NaN is allowed."""
+    try:
+        position, orientation = value["position"], value["orientation"]
+        x, y, z = (float(position[key]) for key in ("x_val", "y_val", "z_val"))
+        wxyz = tuple(float(orientation[key]) for key in ("w_val", "x_val", "y_val", "z_val"))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError("pose must be {position: {x_val, ...}, orientation: {w_val, ...}}") from error
+    length = math.hypot(*wxyz)
+    if length in (0.0, math.inf) or any(abs(place) > FARTHEST_M for place in (x, y, z)):
+        raise ValueError(f"pose must be within {FARTHEST_M:g} m, its orientation finite and not zero")
+    w, i, j, k = (part / length for part in wxyz)
+    return Pose((x, y, z), (w, i, j, k))
+
+
+def finite(given: Pose) -> Pose:
+    """The pose itself. Raises ValueError where it has NaN."""
+    if math.isnan(sum(given.position_m) + sum(given.orientation_wxyz)):
+        raise ValueError("pose must be finite")
+    return given
+
+
+def finite_pose(value: object, name: str) -> Pose:
+    return finite(pose(value, name))
+
+
+def geo_point(value: Any, name: str) -> GeoPoint:
+    """A GeoPoint on the Earth."""
+    try:
+        latitude, longitude, altitude = (
+            number(value[key], key) for key in ("latitude", "longitude", "altitude")
+        )
+    except (KeyError, TypeError, IndexError) as error:
+        raise ValueError("a point must be {latitude, longitude, altitude}") from error
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0:
+        raise ValueError(
+            f"a point must have a latitude within 90 degrees and a longitude within 360, "
+            f"not {[latitude, longitude]}"
+        )
+    return GeoPoint(latitude, longitude, altitude)
+
+
+def wind(value: object, name: str) -> Vector:
+    """A Vector3r in m/s that physics can follow."""
+    speeds = vector(value, name)
+    if not math.hypot(*speeds) <= STRONGEST_WIND_M_S:
+        raise ValueError(f"{name} must be at most {STRONGEST_WIND_M_S:g} m/s, not {math.hypot(*speeds):g}")
+    return speeds
+
+
+def yaw_mode(value: object, name: str) -> Yaw:
+    """A YawMode, which has degrees, or degrees per second."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} must be a map, not {type(value).__name__}")
+    is_rate = flag(value.get("is_rate", True), f"{name}.is_rate")
+    return Yaw(math.radians(number(value.get("yaw_or_rate", 0.0), f"{name}.yaw_or_rate")), is_rate)
+
+
+def vehicle_name(value: object, name: str) -> str:
+    """Whoever looks for the vehicle says that there is none of that name."""
+    return value if isinstance(value, str) else str(value)
+
+
+PLAIN: dict[object, Coercion] = {float: number, int: whole, bool: flag, str: text, object: unchanged}
+Truthy = Annotated[bool, truthy]
+ObjectName = Annotated[str, object_name]
+VehicleName = Annotated[str, vehicle_name]
+Coordinate = Annotated[float, coordinate]
+Place = Annotated[Vector, place]
+Vector3r = Annotated[Vector, vector]
+Wind = Annotated[Vector, wind]
+AnyPose = Annotated[Pose, pose]
+FinitePose = Annotated[Pose, finite_pose]
+Point = Annotated[GeoPoint, geo_point]
+YawMode = Annotated[Yaw, yaw_mode]

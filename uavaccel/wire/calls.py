@@ -1,0 +1,144 @@
+"""A wire call is one method: a decorator names it, and its annotations check what a client sends.
+
+    class WorldApi(Calls, title="World"):
+        @call("simSetWind")
+        def set_wind(self, wind: Wind) -> None:
+            self.simulation.world.set_wind(wind)
+
+How many arguments it takes, how they are coerced (uavaccel.wire.arguments), which latency it has, whether a client may
+miss its refusal, and its line in docs/airsim-calls.md follow from that.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar, get_type_hints
+
+from uavaccel.wire.arguments import coercion_of
+from uavaccel.wire.latency import DEFAULT
+from uavaccel.wire.notices import Notices
+from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.scenery import Scenery
+
+MOST_IGNORED = 16  # arguments of a call without effect
+Method = TypeVar("Method", bound=Callable[..., object])
+Channel = str | Callable[[Sequence[object]], str]
+
+
+class WireCall:
+    """What a decorated method says about its call.
+
+    `channel` is the kind of latency that it has, or a function of the parameters that tells. AirSim's clients join a
+    `joined` one and never look at its error. One that `leaves_state` leaves a paused simulation in its state.
+    `status` is what docs/airsim-calls.md says of it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        method: Callable[..., object],
+        channel: Channel = DEFAULT,
+        joined: bool = False,
+        leaves_state: bool = False,
+        status: str = "done",
+    ) -> None:
+        self.name, self.method, self.status = name, method, status
+        self.joined, self.leaves_state = joined, leaves_state
+        self._channel = channel
+        _, *parameters = inspect.signature(method).parameters.values()
+        taken = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
+        self.required = sum(each.default is each.empty for each in taken)
+        self.most = len(taken) if taken == parameters else MOST_IGNORED
+        hints = get_type_hints(method, include_extras=True)
+        self._coercions = [(coercion_of(hints[each.name]), each.name) for each in taken]
+
+    def channel_of(self, params: Sequence[object]) -> str:
+        return self._channel if isinstance(self._channel, str) else self._channel(params)
+
+    def arguments(self, params: Sequence[object]) -> list[object]:
+        """What the method takes for a client's parameters. Raises ValueError that names the first that is wrong."""
+        return [coerce(value, name) for value, (coerce, name) in zip(params, self._coercions, strict=False)]
+
+
+def call(
+    name: str, channel: Channel = DEFAULT, *, joined: bool = False, leaves_state: bool = False
+) -> Callable[[Method], Method]:
+    """Make a method of a `Calls` class the wire call `name`."""
+
+    def declare(method: Method) -> Method:
+        method.wire_call = WireCall(name, method, channel, joined, leaves_state)  # type: ignore[attr-defined]
+        return method
+
+    return declare
+
+
+def command(name: str, *, leaves_state: bool = False) -> Callable[[Method], Method]:
+    """As `call`, for a flight command: its reply is the callback that `join` waits for."""
+    return call(name, "move", joined=True, leaves_state=leaves_state)
+
+
+class WithoutEffect:
+    """A call, named by the attribute, that does nothing: it answers with `answer`, or says why it is `refused`."""
+
+    def __init__(self, answer: object = None, refused: str = "") -> None:
+        self._answer, self._refused = answer, refused
+
+    def __set_name__(self, calls: type[Calls], name: str) -> None:
+        def accept(self: Calls, *ignored: object) -> object:
+            self.notices.once(f"{name}: accepted, without effect")
+            return answer
+
+        def refuse(self: Calls, *ignored: object) -> None:
+            self.notices.once(f"{name}: refused: {refused}")
+            raise ValueError(f"{name} is not available: {refused}")
+
+        answer, refused = self._answer, self._refused
+        method, status = (refuse, f"refused: {refused}") if refused else (accept, "accepted")
+        method.wire_call = WireCall(name, method, status=status)  # type: ignore[attr-defined]
+        setattr(calls, name, method)
+
+
+@dataclass
+class CallContext:
+    """What the calls on one simulation share; `wall_ns` is when the present one is handled."""
+
+    scenery: Scenery
+    notices: Notices
+    recorder: Recorder
+    wall_ns: int = 0
+
+
+class Calls:
+    """Calls on one simulation, in the section `title` of docs/airsim-calls.md."""
+
+    title: ClassVar[str] = ""
+    calls: ClassVar[dict[str, WireCall]] = {}
+
+    def __init_subclass__(cls, title: str) -> None:
+        cls.title = title
+        declared = (getattr(member, "wire_call", None) for member in vars(cls).values())
+        cls.calls = {each.name: each for each in declared if each is not None}
+
+    def __init__(self, context: CallContext) -> None:
+        self.context = context
+        self.scenery, self.simulation = context.scenery, context.scenery.simulation
+        self.notices = context.notices
+
+    @property
+    def wall_ns(self) -> int:
+        """When the present call is handled."""
+        return self.context.wall_ns
+
+    def bound(self) -> dict[str, BoundCall]:
+        """By wire name, ready to be called."""
+        return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
+
+
+@dataclass
+class BoundCall:
+    """A call and the method of one simulation's `Calls` that answers it."""
+
+    call: WireCall
+    handler: Callable[..., Any]
