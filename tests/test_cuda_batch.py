@@ -15,7 +15,7 @@ from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 
 LANES = 3
@@ -84,6 +84,34 @@ def assert_equal_infos(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
             assert_equal_infos(value, theirs[key])
         else:
             np.testing.assert_array_equal(value, theirs[key])
+
+
+@pytest.mark.parametrize("keys", [{"timing": "lockstep"}, {"timing": "virtual", "command": "adsc"}])
+@pytest.mark.usefixtures("host_kernels")
+def test_saved_lanes_go_on_elsewhere_to_the_same_bytes(keys: dict[str, Any]) -> None:
+    """In the middle of games, some drawn ahead, some begun at other times than their neighbours'."""
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+    task = LaneTask(observation="state", max_commands=4, difficulty={"first_row_m": 3.0}, **keys)
+    lanes, others = (CudaLanes(task, LANES, th.device("cpu")) for _ in range(2))
+    actions = th.from_numpy(np.random.default_rng(1).integers(5, size=(12, LANES)))
+    lanes.seed(7)
+    lanes.begin()
+    for flown in actions[:6]:
+        lanes.fly(flown)
+        lanes.games.refill(lanes.games.begun.tolist())
+    saved = [
+        {name: np.array(value) for name, value in state.items()} for state in lanes.env_method("get_state")
+    ]
+    seen = [others.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved)]
+    np.testing.assert_array_equal(np.stack(seen), lanes.observations.numpy())
+    for flown in actions[6:]:
+        for each in (lanes, others):
+            each.fly(flown)
+            each.games.refill(each.games.begun.tolist())
+        for name in ("observations", "rewards", "ended"):
+            np.testing.assert_array_equal(getattr(others, name).numpy(), getattr(lanes, name).numpy())
+    assert lanes.games.begun.min() > 2
 
 
 @pytest.mark.usefixtures("host_kernels")
