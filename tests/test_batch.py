@@ -19,9 +19,9 @@ from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
-from uavaccel.envs import lane_processes
-from uavaccel.envs.batch import LaneBatch
-from uavaccel.envs.lane_processes import BatchError
+from uavaccel.envs import environment_processes
+from uavaccel.envs.batch import EnvironmentBatch
+from uavaccel.envs.environment_processes import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.service import RenderService
@@ -51,7 +51,7 @@ def actions_of(count: int, commands: int) -> np.ndarray:
     return np.where(random.random((commands, count)) < 0.6, 2, random.integers(5, size=(commands, count)))
 
 
-def assert_flies_as_alone(batch: LaneBatch, alone: list[ObstacleLane], commands: int) -> int:
+def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], commands: int) -> int:
     """Observations, rewards, ends and infos, command by command, byte for byte; returns how many games ended."""
     seen = batch.reset(seed=7)[0]
     for lane, environment in enumerate(alone):
@@ -79,7 +79,7 @@ def assert_flies_as_alone(batch: LaneBatch, alone: list[ObstacleLane], commands:
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
 def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, int], keys: dict[str, Any]) -> None:
     (lanes, processes, tiles), task = size, {"max_commands": 8, **keys}
-    batch = LaneBatch(ObstacleLane, lanes, processes, "shared", tiles, **task)
+    batch = EnvironmentBatch(ObstacleLane, lanes, processes, "shared", tiles, **task)
     with closing(batch), singles(lanes, **task) as alone:
         ends = assert_flies_as_alone(batch, alone, COMMANDS)
     assert ends >= lanes  # of them all, lost or cut off
@@ -88,7 +88,7 @@ def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, int], key
 @needs_opengl
 @pytest.mark.parametrize("renderer", ["own", "auto"])
 def test_so_does_one_whose_processes_draw_themselves(renderer: str) -> None:
-    batch = LaneBatch(ObstacleLane, 2, 1, renderer)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, 2, 1, renderer)  # type: ignore[arg-type]
     with closing(batch), singles(2) as alone:
         assert_flies_as_alone(batch, alone, 4)
 
@@ -120,7 +120,7 @@ def test_gymnasium_makes_batches() -> None:
 
 def test_the_same_step_may_end_a_game_and_begin_another() -> None:
     task = {"observation": "state", "max_commands": 1}
-    batch = LaneBatch(ObstacleLane, 2, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, 2, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
     with closing(batch), singles(2, **task) as alone:
         batch.reset(seed=[4, 9])
         batch.step_async([2, 0])
@@ -137,15 +137,15 @@ def test_the_same_step_may_end_a_game_and_begin_another() -> None:
 
 
 def test_some_lanes_fly_while_others_wait_and_games_go_on_elsewhere() -> None:
-    batch = LaneBatch(ObstacleLane, 2, 2, observation="state", timing="virtual")
+    batch = EnvironmentBatch(ObstacleLane, 2, 2, observation="state", timing="virtual")
     with closing(batch), singles(2, observation="state", timing="virtual") as alone:
         batch.reset(seed=1)
-        batch.step_async([3], lanes=[1])
-        with pytest.raises(BatchError, match="lane 1 is still flying"):
+        batch.step_async([3], slots=[1])
+        with pytest.raises(BatchError, match="environment 1 is still flying"):
             batch.step_async([2, 2])
-        batch.step_wait(lanes=[0])
-        batch.step_wait(lanes=[1])
-        batch.call_each("charge", [(0.5, "learning")], lanes=[1])
+        batch.step_wait(slots=[0])
+        batch.step_wait(slots=[1])
+        batch.call_each("charge", [(0.5, "learning")], slots=[1])
         states = batch.call_each("get_state", [(), ()])
         np.testing.assert_array_equal(alone[1].set_state(states[1]), batch.observations()[1])
         assert alone[1].step(2)[0].tobytes() == batch.step([2, 2])[0][1].tobytes()
@@ -167,7 +167,7 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
 
 
 def test_a_user_error_in_a_lane_is_one_here() -> None:
-    with closing(LaneBatch(ObstacleLane, 2, observation="state")) as batch:
+    with closing(EnvironmentBatch(ObstacleLane, 2, observation="state")) as batch:
         with pytest.raises(UserError, match="reset the environment"):
             batch.step([2, 2])
         batch.reset(seed=0)
@@ -198,19 +198,19 @@ def children(pid: int) -> list[int]:
 @needs_opengl
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_dead_renderer_is_said_in_one_line() -> None:
-    with closing(LaneBatch(ObstacleLane, 2, 2, "shared")) as batch:
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
         batch.service.process.kill()
-        with pytest.raises(BatchError, match=r"^the renderer of all lanes ended with status -9$"):
+        with pytest.raises(BatchError, match=r"^the renderer of all environments ended with status -9$"):
             batch.step([2, 2])
 
 
 def test_a_dead_lane_is_said_in_one_line() -> None:
-    with closing(LaneBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         os.kill(batch.process_ids[1], signal.SIGKILL)
-        with pytest.raises(BatchError, match=r"^the process of lane 1 ended with status -9$"):
+        with pytest.raises(BatchError, match=r"^the process of environment 1 ended with status -9$"):
             batch.step([2, 2])
 
 
@@ -218,14 +218,14 @@ def test_a_dead_lane_is_said_in_one_line() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize(("stopped", "line"), [
-    ("renderer", "the renderer of all lanes stands still: it was stopped"),
-    ("lane", "the process of lane 1 stands still: it was stopped"),
+    ("renderer", "the renderer of all environments stands still: it was stopped"),
+    ("lane", "the process of environment 1 stands still: it was stopped"),
 ])  # fmt: skip
 def test_who_stands_still_is_noticed_and_ended(
     stopped: str, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_processes, "LOOK_S", 0.1)
-    with closing(LaneBatch(ObstacleLane, 4, 2, "shared")) as batch:
+    monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
+    with closing(EnvironmentBatch(ObstacleLane, 4, 2, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
         pid = batch.service.process.pid if stopped == "renderer" else batch.process_ids[1]
@@ -240,14 +240,14 @@ def test_who_stands_still_is_noticed_and_ended(
 def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(lane_processes, "LOOK_S", 0.1)
-    with closing(LaneBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+    monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         os.kill(batch.process_ids[0], signal.SIGSTOP)
         batch.call_async(0, "get_state")
         batch.call_async(1, "get_state")
         assert batch.call_wait()[0] == 1
-        with pytest.raises(BatchError, match="the process of lane 0 stands still"):
+        with pytest.raises(BatchError, match="the process of environment 0 stands still"):
             batch.call_wait()
 
 
@@ -261,14 +261,14 @@ def test_a_renderer_that_is_killed_before_it_draws_is_one_line(monkeypatch: pyte
 
     monkeypatch.setattr(RenderService, "__init__", killed)
     with pytest.raises(BatchError, match=r"^the renderer ended with status -9 before it could draw$"):
-        LaneBatch(ObstacleLane, 2, 2, "shared")
+        EnvironmentBatch(ObstacleLane, 2, 2, "shared")
 
 
 FLYING = """
 import numpy as np, sys
-from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-batch = LaneBatch(ObstacleLane, 3, 2, "shared")
+batch = EnvironmentBatch(ObstacleLane, 3, 2, "shared")
 batch.reset(seed=0)
 print("flying", flush=True)
 while True:
@@ -305,7 +305,7 @@ def test_nothing_is_left_when_the_program_is_killed(end: signal.Signals) -> None
 
 
 def test_nothing_is_left_after_close() -> None:
-    batch = LaneBatch(ObstacleLane, 3, 2, observation="state")
+    batch = EnvironmentBatch(ObstacleLane, 3, 2, observation="state")
     batch.reset(seed=0)
     pids = batch.process_ids
     batch.step_async([2, 2, 2])  # and whoever still flies is ended

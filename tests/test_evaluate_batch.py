@@ -56,7 +56,7 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(GamesInBatch, "game", killing)
     with pytest.raises(
-        UserError, match=r"^the process of lane \d ended with status -9; go on with --resume$"
+        UserError, match=r"^the process of environment \d ended with status -9; go on with --resume$"
     ):
         evaluated(tmp_path / "run", "environments=2", games=6)
     monkeypatch.undo()

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.learning import tiny_config, train_into
-from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
@@ -175,7 +175,7 @@ def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
 
 def test_a_batch_draws_what_single_environments_draw() -> None:
     keys: dict[str, Any] = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "speed_m_s": [0.8, 2]}}
-    batch = LaneBatch(ObstacleLane, 2, processes=1, **keys)
+    batch = EnvironmentBatch(ObstacleLane, 2, processes=1, **keys)
     try:
         _, infos = batch.reset(seed=3)
         alone = [ObstacleLane(**keys).reset(seed=3 + n)[1]["conditions"]["wind_m_s"] for n in range(2)]

@@ -308,7 +308,7 @@ class Shown(Task):
         return {"course": dict(now.course)}
 
 
-class ShownEnv(FlightEnv):
+class ShownEnv(FlightEnv[Shown]):
     task_class = Shown
 
 

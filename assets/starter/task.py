@@ -40,7 +40,7 @@ class ThereAndBackTask(HoverTask):
         return now.course.get("legs", 0) == 2
 
 
-class ThereAndBack(FlightEnv):
+class ThereAndBack(FlightEnv[ThereAndBackTask]):
     task_class = ThereAndBackTask
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from uavaccel.bench.memory import proportional_mib
 from uavaccel.bench.speed import Measurement, elapsed_s
-from uavaccel.envs.batch import MOST_TILES, LaneBatch
+from uavaccel.envs.batch import MOST_TILES, EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.resources import asset
 from uavaccel.sim.camera.view import View
@@ -26,7 +26,7 @@ MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # a command of 50 of the
 
 
 class BatchSize(NamedTuple):
-    """What is measured: batches of so many lanes; processes and tiles as LaneBatch takes them."""
+    """What is measured: batches of so many lanes; processes and tiles as EnvironmentBatch takes them."""
 
     lanes: tuple[int, ...] = (8,)
     processes: int | None = None
@@ -60,7 +60,7 @@ def _fly(
 ) -> tuple[float, int, int, float | None]:
     """Commands per second of all lanes together, processes, tiles and MiB."""
     random = np.random.default_rng(0)
-    batch = LaneBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
 
     def fly(count: int) -> None:
         for _ in range(count):

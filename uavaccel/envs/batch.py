@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
 from uavaccel.envs.checks import make_task, seeds_of
+from uavaccel.envs.environment_processes import BatchError, EnvironmentProcesses
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.lane_processes import BatchError, LaneProcesses
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
 from uavaccel.sim.camera.gl import known_renderer
@@ -32,7 +32,7 @@ MOST_TILES = 64
 Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
 
-class LaneBatch(VectorEnv[Any, Any, Any]):
+class EnvironmentBatch(VectorEnv[Any, Any, Any]):
     """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
 
     They fly in `processes` processes (two a core, at most) and draw with a `renderer` that is "shared", or
@@ -59,8 +59,8 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
         self.single_action_space = task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        space = self.single_observation_space
-        self._observations = Observations.made(num_envs, space.shape, space.dtype.str)
+        one = task.observation_space().low
+        self._observations = Observations.made(num_envs, one.shape, one.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options = {
@@ -70,7 +70,7 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
             "observations": self._observations.size,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
-        self._lanes = LaneProcesses(options, num_envs, self.processes, self.service)
+        self._slots = EnvironmentProcesses(options, num_envs, self.processes, self.service)
         if self.service is not None:
             self.service.handed_out()
 
@@ -104,13 +104,13 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
     def set_attr(self, name: str, values: Any) -> None:
         """Give an attribute one value, or as a list, one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
-        for lane, value in enumerate(each):
-            self.set_each(name, value, [lane])
+        for slot, value in enumerate(each):
+            self.set_each(name, value, [slot])
 
     def close_extras(self, **_: Any) -> None:
         """End the processes."""
-        if hasattr(self, "_lanes"):
-            self._lanes.close()
+        if hasattr(self, "_slots"):
+            self._slots.close()
             os.close(self._observations.descriptor)
         if (service := getattr(self, "service", None)) is not None:
             service.close()
@@ -121,63 +121,63 @@ class LaneBatch(VectorEnv[Any, Any, Any]):
     @property
     def process_ids(self) -> list[int]:
         """Of the processes in which the environments fly."""
-        return self._lanes.process_ids
+        return self._slots.process_ids
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def step_async(self, actions: Any, lanes: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Any, slots: Sequence[int] | None = None) -> None:
         """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
-        for lane, action in zip(self._all(lanes), iterate(self.action_space, actions), strict=False):
-            self._lanes.ask(lane, "step", action)
+        for slot, action in zip(self._all(slots), iterate(self.action_space, actions), strict=False):
+            self._slots.ask(slot, "step", action)
 
-    def step_wait(self, lanes: Sequence[int] | None = None) -> Steps:
+    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """Observations, rewards, ends, truncations and infos of the environments that `step_async` sent off.
 
         With autoreset SAME_STEP the info of a game's end is in `final_info` and its observation in `final_obs`.
         """
-        which = list(self._all(lanes))
-        rewards, terminated, truncated, infos, lasts = zip(*self._lanes.answers(which), strict=True)
-        for lane, info, last in zip(which, infos, lasts, strict=True):
+        which = list(self._all(slots))
+        rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
+        for slot, info, last in zip(which, infos, lasts, strict=True):
             if last is not None:
-                info |= {"final_obs": self._observations.last[lane].copy(), "final_info": last}
+                info |= {"final_obs": self._observations.last[slot].copy(), "final_info": last}
         seen = self._observations.present[which]
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
     def reset_each(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any] | None]) -> list[Any]:
         """A new game everywhere, each with its own seed and options; the infos."""
-        return self._lanes.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
+        return self._slots.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
 
     def call_each(
-        self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
+        self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
     ) -> list[Any]:
         """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
-        return self._lanes.ask_all("call", [(name, *each) for each in arguments], self._all(lanes))
+        return self._slots.ask_all("call", [(name, *each) for each in arguments], self._all(slots))
 
-    def call_async(self, lane: int, name: str, *arguments: Any) -> None:
+    def call_async(self, slot: int, name: str, *arguments: Any) -> None:
         """Have one environment begin a method, and come back at once: `call_wait` has the result."""
-        self._lanes.ask(lane, "call", name, *arguments)
+        self._slots.ask(slot, "call", name, *arguments)
 
     def call_wait(self) -> tuple[int, Any]:
         """The first environment that is done of those that `call_async` sent off, and its result."""
-        lane = self._lanes.first_answered()
-        return lane, self._lanes.answer(lane)
+        slot = self._slots.first_answered()
+        return slot, self._slots.answer(slot)
 
-    def set_each(self, name: str, value: Any, lanes: Sequence[int] | None = None) -> None:
+    def set_each(self, name: str, value: Any, slots: Sequence[int] | None = None) -> None:
         """Give an attribute of some environments (all) a value."""
-        self._lanes.ask_all("set_attribute", [(name, value)] * len(self._all(lanes)), self._all(lanes))
+        self._slots.ask_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
 
     def observations(self) -> NDArray[Any]:
         """The present observation of every environment."""
         return self._observations.present.copy()
 
-    def _all(self, lanes: Sequence[int] | None) -> Sequence[int]:
-        return range(self.num_envs) if lanes is None else lanes
+    def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if slots is None else slots
 
     def _merged(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
         """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
         merged: dict[str, Any] = {}
-        for lane, info in enumerate(infos):
-            merged = self._add_info(merged, info, lane)
+        for slot, info in enumerate(infos):
+            merged = self._add_info(merged, info, slot)
         return merged
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -12,6 +12,7 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 
+TaskT = TypeVar("TaskT", bound=Task)
 ROUNDING = 1e-6  # by which an action may leave its bounds
 
 
@@ -19,7 +20,8 @@ class UnexpectedKeyword(UserError, TypeError):
     """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
 
 
-def make_task(task_class: type[Task], keys: Mapping[str, Any], name: str) -> Task:
+def make_task(task_class: type[TaskT], keys: Mapping[str, Any], name: str) -> TaskT:
+    """A task of these keys. Raises UserError, which begins with `name`, for what does not fit."""
     try:
         return validate(task_class, keys, name)
     except UserError as error:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple
-from typing import Any, ClassVar
+from typing import Any, Generic
 
 import gymnasium
 import numpy as np
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import known_options, make_task, within
+from uavaccel.envs.checks import TaskT, known_options, make_task, within
 from uavaccel.envs.flight_client import FlightClient, FlightSample
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Course, Moment, Task
+from uavaccel.envs.task import Course, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
@@ -35,7 +35,7 @@ Info = dict[str, Any]
 CONDITIONS = "conditions"  # of a game, where they were drawn: in its course
 
 
-class FlightEnv(gymnasium.Env[Observation, Any]):
+class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
     """An environment made of a task, whose keys are the keywords of `gymnasium.make`. A subclass says which task.
 
     `reset` takes `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (what it
@@ -44,11 +44,11 @@ class FlightEnv(gymnasium.Env[Observation, Any]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
-    task_class: ClassVar[type[Task]]
+    task_class: type[TaskT]
 
     def __init__(self, render_mode: str | None = None, **keys: Any) -> None:
-        self.task: Any = make_task(self.task_class, keys, type(self).__name__)
-        self.flown: Any = self.task
+        self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
+        self.flown: TaskT = self.task
         """The task under the running game's conditions."""
         self._games = 0
         self.render_mode = render_mode

@@ -94,7 +94,7 @@ def _gate(gates: Sequence[Sequence[Any]], number: Any) -> list[Any]:
     return [sum(is_it * gate[axis] for is_it, gate in zip(chosen, gates, strict=True)) for axis in range(3)]
 
 
-class Gates(FlightEnv):
+class Gates(FlightEnv[GatesTask]):
     """`reset` draws gates, or takes `options={"gates_m": [[north, east, down], ...]}`."""
 
     task_class = GatesTask

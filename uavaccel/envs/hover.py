@@ -60,7 +60,7 @@ def distance_m(now: AnyMoment) -> Any:
     return distance(now.course["waypoint_m"], now.position_m)
 
 
-class Hover(FlightEnv):
+class Hover(FlightEnv[HoverTask]):
     """`reset` draws a waypoint, or takes `options={"waypoint_m": [north, east, down]}`."""
 
     task_class = HoverTask

@@ -218,7 +218,7 @@ class LaneTask(Task):
         return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"], **drawn}
 
 
-class ObstacleLane(FlightEnv):
+class ObstacleLane(FlightEnv[LaneTask]):
     """The lane; `reset` draws one, or takes `options={"lane": index}` of the task's split."""
 
     task_class = LaneTask

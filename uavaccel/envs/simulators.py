@@ -14,7 +14,7 @@ from uavaccel.errors import UserError
 Device = Literal["cpu", "cuda"]
 EXACT, KERNELS = get_args(Simulator)
 CPU, CUDA = get_args(Device)
-OF_LANES = ("processes", "renderer", "tiles")  # keywords of LaneBatch alone
+OF_LANES = ("processes", "renderer", "tiles")  # keywords of EnvironmentBatch alone
 
 
 def make_batch(
@@ -30,9 +30,9 @@ def make_batch(
     """
     check_simulator(simulator, device)
     if simulator == EXACT:
-        from uavaccel.envs.batch import LaneBatch
+        from uavaccel.envs.batch import EnvironmentBatch
 
-        return LaneBatch(environment, num_envs, **keys)
+        return EnvironmentBatch(environment, num_envs, **keys)
     for name in OF_LANES:
         if keys.pop(name, None) is not None:
             raise UserError(

@@ -11,7 +11,7 @@ import torch as th
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flyable import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class BatchVecEnv(VecEnv):
     """A batch with autoreset SAME_STEP as stable-baselines3's algorithms take it."""
 
-    def __init__(self, batch: LaneBatch | KernelBatch) -> None:
+    def __init__(self, batch: EnvironmentBatch | KernelBatch) -> None:
         self.batch = batch
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
@@ -54,13 +54,13 @@ class BatchVecEnv(VecEnv):
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        if not isinstance(self.batch, LaneBatch) or attr_name == "render_mode":
+        if not isinstance(self.batch, EnvironmentBatch) or attr_name == "render_mode":
             # What is asked for first: lanes that are still starting need not answer before a learner is made.
             return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
         return self.env_method(attr_name, indices=indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
-        assert isinstance(self.batch, LaneBatch), "lanes over arrays have no attributes of their own"
+        assert isinstance(self.batch, EnvironmentBatch), "lanes over arrays have no attributes of their own"
         self.batch.set_each(attr_name, value, list(self._get_indices(indices)))
 
     def env_method(
@@ -96,7 +96,7 @@ def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", devi
     if task.timing == "wall":
         return DummyVecEnv([partial(ObstacleLane, **keywords)])
     if simulator == "mujoco":
-        return BatchVecEnv(LaneBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+        return BatchVecEnv(EnvironmentBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
     if not device.startswith("cuda"):
         from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
 

@@ -13,7 +13,7 @@ from typing import Any
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from uavaccel.envs.lane_processes import BatchError
+from uavaccel.envs.environment_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json
 from uavaccel.leftovers import clear_leftovers

@@ -6,25 +6,19 @@ Source: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings); a list 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar, Union
 
 from pydantic import Field
 
-from uavaccel.sim.sensors.field import (
-    Barometer,
-    BarometerSettings,
-    Gps,
-    GpsSettings,
-    Magnetometer,
-    MagnetometerSettings,
-)
-from uavaccel.sim.sensors.inertial import Imu, ImuSettings
-from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
+from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
+from uavaccel.sim.sensors.inertial import ImuSettings
+from uavaccel.sim.sensors.registry import sensors
 
-SensorSettings = Annotated[
-    BarometerSettings | ImuSettings | GpsSettings | MagnetometerSettings | DistanceSettings | LidarSettings,
-    Field(discriminator="sensor_type"),
-]
+SENSORS = sensors()
+if TYPE_CHECKING:
+    SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
+else:
+    SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
 Kind = TypeVar("Kind")
 DEFAULTS: dict[str, SensorSettings] = {
     "imu": ImuSettings(),
@@ -45,7 +39,9 @@ class Sensors:
     ) -> None:
         chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
         self._sensors = {
-            name: _sensor(settings, name, seed) for name, settings in chosen.items() if settings.enabled
+            name: SENSORS[type(settings)](settings, seed, name)
+            for name, settings in chosen.items()
+            if settings.enabled
         }
 
     def named(self, kind: type[Kind], word: str, name: object) -> Kind:
@@ -58,19 +54,3 @@ class Sensors:
             there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
             raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
         return found
-
-
-def _sensor(settings: SensorSettings, name: str, seed: int) -> object:
-    match settings:
-        case ImuSettings():
-            return Imu(settings, seed, name)
-        case BarometerSettings():
-            return Barometer(settings, seed, name)
-        case MagnetometerSettings():
-            return Magnetometer(settings, seed, name)
-        case GpsSettings():
-            return Gps(settings)
-        case DistanceSettings():
-            return DistanceSensor(settings, seed, name)
-        case _:
-            return Lidar(settings)

@@ -23,6 +23,7 @@ from uavaccel.sim.sensors.earth import (
 )
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
 from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
+from uavaccel.sim.sensors.registry import sensor
 from uavaccel.sim.sensors.state import Truth
 
 NO_FIX, FIX_2D, FIX_3D = 0, 2, 3
@@ -46,6 +47,7 @@ class BarometerReading(NamedTuple):
     qnh_hpa: float = SEA_LEVEL_PA / 100
 
 
+@sensor(BarometerSettings)
 class Barometer:
     """The standard atmosphere's pressure, its drift since the last reset, and white noise.
 
@@ -76,6 +78,7 @@ class MagnetometerSettings(AirSimKeys):
     noise_bias: NotNegative = 0.0
 
 
+@sensor(MagnetometerSettings)
 class Magnetometer:
     """The dipole's field where the vehicle is."""
 
@@ -121,13 +124,14 @@ class GpsReading(NamedTuple):
     fix: int
 
 
+@sensor(GpsSettings)
 class Gps:
     """The true position some time ago, and dilutions that fall after a reset; AirSim's has no noise.
 
     What was some time ago is gone by: it is reckoned back from the present velocity and acceleration.
     """
 
-    def __init__(self, settings: GpsSettings) -> None:
+    def __init__(self, settings: GpsSettings, seed: int, name: str) -> None:
         self._settings = settings
 
     def read(self, truth: Truth) -> GpsReading:

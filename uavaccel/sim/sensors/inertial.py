@@ -12,6 +12,7 @@ from uavaccel.kinematics import Vector
 from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2
 from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
+from uavaccel.sim.sensors.registry import sensor
 from uavaccel.sim.sensors.state import Truth
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -42,6 +43,7 @@ class ImuReading(NamedTuple):
     linear_acceleration_m_s2: Vector
 
 
+@sensor(ImuSettings)
 class Imu:
     """Sampled at every tick: white noise and biases that walk at random."""
 

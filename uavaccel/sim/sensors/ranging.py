@@ -18,6 +18,7 @@ from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
 from uavaccel.sim.sensors.noise import White
+from uavaccel.sim.sensors.registry import sensor
 from uavaccel.sim.sensors.state import Truth
 
 MOST_POINTS = 100_000  # of one scan, as in AirSim
@@ -56,6 +57,7 @@ class DistanceSettings(_Mounted):
         return self
 
 
+@sensor(DistanceSettings)
 class DistanceSensor:
     """How far the first thing ahead of the sensor is; the largest distance where there is none."""
 
@@ -93,10 +95,11 @@ class Scan(NamedTuple):
     pose: Pose
 
 
+@sensor(LidarSettings)
 class Lidar:
     """The points of one period of the sensor, seen from where the vehicle is when it is asked."""
 
-    def __init__(self, settings: LidarSettings) -> None:
+    def __init__(self, settings: LidarSettings, seed: int, name: str) -> None:
         self.settings = settings
 
     def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> Scan:

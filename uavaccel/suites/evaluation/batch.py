@@ -14,7 +14,7 @@ import torch as th
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
-from uavaccel.envs.batch import LaneBatch
+from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import Agent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
@@ -45,7 +45,7 @@ class GamesInBatch:
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         count = min(config.environments, len(lanes))
-        self._batch = LaneBatch(AgentLane, count, **config.task.model_dump(mode="json"))
+        self._batch = EnvironmentBatch(AgentLane, count, **config.task.model_dump(mode="json"))
         try:
             self.begin(config, lanes)
         except BaseException:

@@ -1,6 +1,6 @@
 """The process in which some environments of a batch fly, each in a thread: while one waits, another flies.
 
-    python -m uavaccel.envs.lane_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
+    python -m uavaccel.envs.environment_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
 
 Started by uavaccel.envs.batch; ends with the last of its connections to it, however that came about.
 """
@@ -27,10 +27,10 @@ from uavaccel.parent import end_with_parent
 from uavaccel.sim.camera.camera import make_cameras_with
 from uavaccel.sim.rendering.camera import RemoteCamera
 
-NICENESS = 5  # the renderer and the learner, for whom all lanes wait, go first
+NICENESS = 5  # the renderer and the learner, for whom all environments wait, go first
 
 
-class Lane:
+class Slot:
     """One environment of a batch: what is asked for over its connection is a method of this."""
 
     def __init__(
@@ -75,21 +75,21 @@ class Lane:
 
 
 def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
-    """One lane, until its connection ends. Errors are answers too: (False, kind, text)."""
+    """One slot, until its connection ends. Errors are answers too: (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
-    seen, last = Observations.opened(options["memory"], options["observations"]).of(place["lane"])
+    seen, last = Observations.opened(options["memory"], options["observations"]).of(place["slot"])
     connection = Connection(place["connection"])
     module, _, name = options["environment"].partition(":")
-    lane: Lane | None = None
+    slot: Slot | None = None
     try:
         while True:
             method, arguments = connection.recv()
             try:
-                if lane is None:
+                if slot is None:
                     environment = getattr(importlib.import_module(module), name)(**options["keys"])
-                    lane = Lane(environment, seen, last, AutoresetMode(options["autoreset"]))
-                connection.send((True, getattr(lane, method)(*arguments)))
+                    slot = Slot(environment, seen, last, AutoresetMode(options["autoreset"]))
+                connection.send((True, getattr(slot, method)(*arguments)))
             except (UserError, AttributeError) as error:
                 connection.send((False, type(error).__name__, str(error)))
             except Exception:
@@ -97,8 +97,8 @@ def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
     except (EOFError, OSError):  # nobody listens any more
         pass
     finally:
-        if lane is not None:
-            lane.close()
+        if slot is not None:
+            slot.close()
 
 
 def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int) -> RemoteCamera:
@@ -112,7 +112,7 @@ def main() -> None:
     end_with_parent(options["parent"])
     os.nice(NICENESS)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
-    threads = [threading.Thread(target=fly, args=(options, place)) for place in options["lanes"]]
+    threads = [threading.Thread(target=fly, args=(options, place)) for place in options["slots"]]
     for thread in threads:
         thread.start()
     for thread in threads:
