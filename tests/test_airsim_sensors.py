@@ -379,3 +379,13 @@ def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
         assert not wire.call("simGetCollisionInfo", "")["has_collided"]
         wire.call("reset")
         assert not wire.call("simGetCollisionInfo", "")["has_collided"]
+
+
+def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
+    biased = {"SensorType": 4, "NoiseSigma": 0.0, "NoiseBias": 0.3}
+    wire = with_sensors(Bow=biased, Tail=biased, Mast=biased)
+    read = {
+        name: xyz(wire.call("getMagnetometerData", name, "")["magnetic_field_body"])
+        for name in ("Tail", "Mast")
+    }
+    assert all(0.0 < abs(tail - mast) <= 0.6 for tail, mast in zip(read["Tail"], read["Mast"], strict=True))

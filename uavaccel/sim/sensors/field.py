@@ -22,7 +22,7 @@ from uavaccel.sim.sensors.earth import (
     pressure_altitude_m,
 )
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
-from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
+from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White, seeds_of
 from uavaccel.sim.sensors.registry import sensor
 from uavaccel.sim.sensors.state import Truth
 
@@ -86,7 +86,7 @@ class Magnetometer:
         self._settings = settings
         self._white = White(seed, name, 3)
         within = settings.noise_bias
-        self._bias = np.random.default_rng([seed, len(name)]).uniform(-within, within, 3)
+        self._bias = np.random.default_rng(seeds_of(seed, f"{name} bias")).uniform(-within, within, 3)
 
     def read(self, truth: Truth) -> Vector:
         """Gauss, FRD."""

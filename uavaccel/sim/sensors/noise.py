@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 UPDATES_PER_S = 50  # of a drift: BarometerSimpleParams' update_frequency
 
 
+def seeds_of(seed: int, sensor: str) -> np.random.SeedSequence:
+    """What a sensor's draws come from: its own, by its name."""
+    return np.random.SeedSequence([seed, zlib.crc32(sensor.encode())])
+
+
 class White:
     """Independent standard normal numbers for each sample of a sensor."""
 
     def __init__(self, seed: int, sensor: str, size: int) -> None:
-        self._key = np.random.SeedSequence([seed, zlib.crc32(sensor.encode())]).generate_state(2, np.uint64)
+        self._key = seeds_of(seed, sensor).generate_state(2, np.uint64)
         self._size = size
 
     def at(self, sample: int) -> NDArray[np.float64]:
