@@ -24,6 +24,8 @@ DENSEST_AIR = 1.5  # kg/m³, kilometres below the sea
 STRONGEST_THRUST = 1.3  # of that at sea level, there
 NEAR_TICKS = 16  # flown with contacts where something is so near that leaving them out is not worth while
 
+Floats = NDArray[np.float64]
+
 
 class Clearance:
     """The surroundings of a scene's quadrotor: the geoms of the world, wherever they are placed.
@@ -91,26 +93,52 @@ class Clearance:
         if not self.alone:
             return 0.0
         distance_m = _distance(self._qpos, self._still, *self._places)
-        return float(_free_s(parameters, state, distance_m - self._radius_m - MARGIN_M))
+        gap_m = distance_m - self._radius_m - MARGIN_M
+        craft = tuple(
+            parameters[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2")
+        )
+        return float(_free_s(gap_m, state["velocity"], state["wind"], *craft))
 
 
 @part
 def free_s(parameters: Record, state: Record, gap_m: float) -> float:
     """Seconds of flight, 0 or more, in which a gap to everything is not used up, whatever the autopilot does."""
-    v, w = state.velocity, state.wind
-    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    wind = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    return time_to(gap_m, speed, strongest_acceleration(parameters, speed + wind))
+    thrust_n, drag_m2, mass_kg = parameters.max_thrust_n, parameters.drag_factor_m2, parameters.mass_kg
+    return time_through(
+        gap_m, state.velocity, state.wind, thrust_n, drag_m2, mass_kg, parameters.gravity_m_s2
+    )
 
 
 @part
-def strongest_acceleration(parameters: Record, airspeed_m_s: float) -> float:
+def time_through(
+    gap_m: float,
+    velocity: Floats,
+    wind: Floats,
+    thrust_n: float,
+    drag_m2: Floats,
+    mass_kg: float,
+    gravity_m_s2: float,
+) -> float:
+    """The same of fields: numba takes records from Python more slowly than it computes this."""
+    speed, wind_speed = length(velocity), length(wind)
+    strongest = strongest_acceleration(thrust_n, drag_m2, mass_kg, gravity_m_s2, speed + wind_speed)
+    return time_to(gap_m, speed, strongest)
+
+
+@part
+def length(vector: Floats) -> float:
+    """Of three numbers."""
+    return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+
+
+@part
+def strongest_acceleration(
+    thrust_n: float, drag_m2: Floats, mass_kg: float, gravity_m_s2: float, airspeed_m_s: float
+) -> float:
     """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
-    rotors = 4 * parameters.max_thrust_n * STRONGEST_THRUST
-    factor = parameters.drag_factor_m2
-    drag_m2 = math.sqrt(factor[0] * factor[0] + factor[1] * factor[1] + factor[2] * factor[2])
     fastest = airspeed_m_s + GUST_M_S
-    return (rotors + drag_m2 * DENSEST_AIR * fastest * fastest) / parameters.mass_kg + parameters.gravity_m_s2
+    drag_n = length(drag_m2) * DENSEST_AIR * fastest * fastest
+    return (4 * thrust_n * STRONGEST_THRUST + drag_n) / mass_kg + gravity_m_s2
 
 
 @part
@@ -122,9 +150,7 @@ def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> fl
     return min((arrival_m_s - speed_m_s) / acceleration_m_s2, GUST_M_S / acceleration_m_s2)
 
 
-@njit(cache=True)
-def _free_s(parameters: Record, state: Record, gap_m: float) -> float:
-    return float(free_s(parameters, state, gap_m))
+_free_s = njit(cache=True)(time_through.py_func)
 
 
 @njit(cache=True)
