@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
 from types import ModuleType
@@ -35,6 +36,19 @@ class Plan(NamedTuple):
     textures: Any
     looks: Any
     sensor: Any
+
+
+class AtOnce:
+    """`SideStream` of a device that does at once what it is told."""
+
+    def __init__(self, priority: int = 0) -> None:
+        pass
+
+    def following(self) -> Any:
+        return nullcontext()
+
+    def join(self) -> None:
+        pass
 
 
 def launch(run: Callable[..., None]) -> Any:
@@ -101,7 +115,7 @@ class Kernels:
         for lane in which:
             lanes.command(lane, directions, games, now)
 
-    def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any) -> None:
+    def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:
             lanes.fly(lane, int(ticks[lane]), games, now, hull)
 
@@ -180,6 +194,8 @@ def _size(name: str) -> Any:
     """Of grids and rooms, of which nothing here makes use."""
     if name == "grid":
         return lambda threads, per_block: (1, 1)
+    if name == "threads_a_lane":
+        return lambda lanes, device: 1
     if not name.isupper():
         raise AttributeError(name)
     return 1
@@ -190,7 +206,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(functions, Plan=Plan, compiled=lambda usual: Kernels())
+    module.__dict__.update(functions, Plan=Plan, SideStream=AtOnce, compiled=lambda usual: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     clocks = ModuleType(CLOCKS)

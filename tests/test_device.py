@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, nullcontext
+from contextlib import closing
 from typing import Any
 
 import gymnasium
@@ -197,7 +197,7 @@ LEARNING = {
 
 
 class Immediate:
-    """A stream, or an event, of a device that does at once what it is told."""
+    """An event of a device that does at once what it is told."""
 
     def __getattr__(self, name: str) -> Any:
         return lambda *_: None
@@ -221,9 +221,7 @@ class Cutter:
 
 @pytest.fixture
 def at_once(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:  # noqa: F811
-    for name in ("Stream", "Event", "current_stream"):
-        monkeypatch.setattr(th.cuda, name, lambda *_, **__: Immediate())
-    monkeypatch.setattr(th.cuda, "stream", nullcontext)
+    monkeypatch.setattr(th.cuda, "Event", Immediate)
     from uavaccel.rl import device_dqn
 
     monkeypatch.setattr(device_dqn, "EAGER", 1 << 30)

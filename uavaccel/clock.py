@@ -159,6 +159,11 @@ def calendar_time() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
+def epoch_s() -> float:
+    """Seconds since 1970, for files that are dated so; never for measuring."""
+    return time.time()
+
+
 def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None]) -> ModuleType:
     """A stand-in for the module `time`, for programs that shall live on another clock.
 

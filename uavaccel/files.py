@@ -75,7 +75,19 @@ def parse_json(text: str | bytes) -> Any:
 
 def to_json(value: Any, indent: int | None = None) -> str:
     """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
-    return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
+    try:
+        return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, default=_plain_kind)
+    except ValueError:  # something is not finite
+        return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
+
+
+def _plain_kind(value: Any) -> Any:
+    """What JSON has for a kind of mapping, or of numpy's values, that it does not know."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
 
 
 def _plain(value: Any) -> Any:
@@ -90,13 +102,14 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def append_line(path: Path, entry: Mapping[str, Any]) -> None:
-    """Add a line of JSON, on disk on return."""
+def append_line(path: Path, entry: Mapping[str, Any], on_disk: bool = True) -> None:
+    """Add a line of JSON; `on_disk` on return, with all lines before it, else whenever the system writes it."""
     line = to_json(entry).encode() + b"\n"
     with naming(path), path.open("ab") as file:
         file.write(line)
-        file.flush()
-        os.fsync(file.fileno())
+        if on_disk:
+            file.flush()
+            os.fsync(file.fileno())
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:

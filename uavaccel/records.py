@@ -75,8 +75,10 @@ class RunDirectory:
         run._add_manifest(manifest)
         return run
 
-    def append_row(self, row: Mapping[str, Any]) -> None:
-        """Add the row of a finished case, whole and on disk on return; `row["case"]` is the case's id.
+    def append_row(self, row: Mapping[str, Any], on_disk: bool = True) -> None:
+        """Add the row of a finished case, whole; `row["case"]` is the case's id.
+
+        It is on disk on return, with the rows before it, unless the next one that is will follow at once.
 
         Keys are sorted, floats read back equal, one that is not finite is null. Raises ValueError if the case
         has a row already, UserError if the run's folder is no longer there.
@@ -84,7 +86,7 @@ class RunDirectory:
         if row["case"] in self._done:
             raise ValueError(f"case {row['case']} has a row already")
         self._refuse_gone()
-        append_line(self.path / "rows.jsonl", row)
+        append_line(self.path / "rows.jsonl", row, on_disk)
         self._done.add(row["case"])
 
     def rows(self) -> list[dict[str, Any]]:
@@ -95,9 +97,9 @@ class RunDirectory:
         """Ids of the cases that have a row."""
         return set(self._done)
 
-    def append_timing(self, entry: Mapping[str, Any]) -> None:
+    def append_timing(self, entry: Mapping[str, Any], on_disk: bool = True) -> None:
         """Add an entry to timing.jsonl: host times, loads, retries."""
-        append_line(self.path / "timing.jsonl", entry)
+        append_line(self.path / "timing.jsonl", entry, on_disk)
 
     def timings(self) -> list[dict[str, Any]]:
         """Every whole entry of timing.jsonl."""

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
+from uavaccel.envs.simulators import KERNELS, check_simulator
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE

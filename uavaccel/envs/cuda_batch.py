@@ -16,10 +16,10 @@ from gymnasium.vector.utils import batch_space
 from uavaccel.envs.checks import ROUNDING, make_task, seeds_of
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import check_flyable_on_gpu
+from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.errors import UserError
 
-DEVICE = "cuda"
+DEVICE = CUDA
 Steps = tuple[th.Tensor, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
 
 
@@ -40,7 +40,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable_on_gpu(self.task, num_envs)
+        check_flyable(self.task, num_envs, CUDA)
         if AutoresetMode(autoreset_mode) != AutoresetMode.SAME_STEP:
             raise UserError("autoreset_mode: with device = cuda it is SameStep")
         self.num_envs, self.render_mode, self.device = num_envs, None, th.device(DEVICE)

@@ -27,7 +27,8 @@ Advance = Callable[[th.Tensor, th.Tensor], None]
 class DeviceClocks:
     """Clocks of `count` lanes that fly a task's commands.
 
-    `ticks` (L, S) are those of the last command's samples, of which a lane has `taken` (L,).
+    `ticks` (L, S) are those of the last command's samples, of which a lane has `taken` (L,); `guards` says whether
+    pictures are judged by their brightness.
     """
 
     def __init__(
@@ -40,10 +41,8 @@ class DeviceClocks:
         self._kernels, self._now, self._view, self._advance = clock_kernels.compiled(), now, view, advance
         self._count, self._hold_ticks = count, plan.hold_ticks
         rules = plan.timing.rules
-        self._guards, self._stale = bool(rules[timeline.GUARDED]), bool(rules[timeline.STALE_POSE])
-        self._since_ns = int(
-            rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC] * (task.timing == "virtual")
-        )
+        self.guards, self._stale = bool(rules[timeline.GUARDED]), bool(rules[timeline.STALE_POSE])
+        self._since_ns = int(rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC])
         self._speed, self._tick_ns = float(task.clock_speed), plan.tick_ns
         self._legs = th.zeros(count, dtype=th.int64, device=device)
         self._looking = th.zeros(count, dtype=th.uint8, device=device)
@@ -141,7 +140,7 @@ class DeviceClocks:
 
     def _brightness(self, which: th.Tensor) -> Any:
         """What the guard judges pictures by: sums of levels (L, 3)."""
-        if self._guards:
+        if self.guards:
             self._view.add_levels(which, self._levels)
         return kernels.shared(self._levels)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch as th
+from numpy.typing import NDArray
 
 
 def room(example: Any, count: int, device: th.device) -> Any:
@@ -15,13 +17,19 @@ def room(example: Any, count: int, device: th.device) -> Any:
     return th.zeros(count, dtype=kind, device=device)
 
 
+def sent(values: NDArray[Any], device: th.device) -> th.Tensor:
+    """Values of NumPy on the device, on their way there while the host goes on."""
+    here = th.from_numpy(np.ascontiguousarray(values))
+    return here.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else here
+
+
 def fill(part: Any, rows: th.Tensor, values: Any) -> None:
     """Write values (n, ...) of NumPy to some rows (n,)."""
     if isinstance(part, list):
         for number, each in enumerate(part):
             fill(each, rows, values[:, number])
     else:
-        part[rows] = th.tensor(values, device=part.device).to(part.dtype)
+        part[rows] = sent(values, part.device).to(part.dtype)
 
 
 def taken(part: Any, rows: th.Tensor) -> Any:

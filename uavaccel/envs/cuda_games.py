@@ -10,7 +10,7 @@ import numpy as np
 import torch as th
 from gymnasium.utils import seeding
 
-from uavaccel.envs.cuda_courses import fill, room
+from uavaccel.envs.cuda_courses import fill, room, sent
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker
 from uavaccel.envs.task import Task
@@ -41,7 +41,7 @@ class GamesAhead:
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
-        self._drawn_by: list[dict[int, str]] = [{} for _ in range(count)]
+        self._drawn_by: list[dict[int, Mapping[str, Any]]] = [{} for _ in range(count)]
         self._written = [0] * count
 
     @property
@@ -87,7 +87,12 @@ class GamesAhead:
         """What a lane's running game and its next ones are drawn from."""
         flown, written = int(self.begun[lane]) - 1, self._written[lane]
         games = self._games[lane] - (written - flown)
-        return {"drawn_by": self._drawn_by[lane][flown], "flown": flown, "written": written, "games": games}
+        return {
+            "drawn_by": json.dumps(self._drawn_by[lane][flown]),
+            "flown": flown,
+            "written": written,
+            "games": games,
+        }
 
     def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
         """Draw them again."""
@@ -101,7 +106,7 @@ class GamesAhead:
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
         """Draw a lane's next game into the host's rows; which row."""
         number = self._written[lane]
-        before = json.dumps(self._generators[lane].bit_generator.state)
+        before = self._generators[lane].bit_generator.state
         drawn = self.maker.draw(self._generators[lane], self._games[lane], options)
         self._games[lane] += 1
         row = lane * AHEAD + number % AHEAD
@@ -117,14 +122,14 @@ class GamesAhead:
         if not rows:
             return
         which = np.asarray(rows)
-        there = th.tensor(which, device=self.device)
+        there = sent(which, self.device)
         for host, tensor in zip(_leaves(self._host), _leaves(self.rows), strict=True):
             part = host[which]
             if part.dtype.names:
                 part = part.view(np.uint8).reshape(len(which), part.dtype.itemsize)
-            tensor[there] = th.from_numpy(np.ascontiguousarray(part)).to(self.device)
+            tensor[there] = sent(part, self.device)
         self._send_courses([self._latest(row) for row in rows], there)
-        self.available.copy_(th.tensor(self._written, device=self.device))
+        self.available.copy_(sent(np.asarray(self._written), self.device))
 
     def _send_courses(self, games: Sequence[Drawn], there: th.Tensor) -> None:
         """What is no array of the kernels': the games' courses, and how their latencies are scaled."""

@@ -16,7 +16,7 @@ from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_courses import copied, put, taken, tensors
 from uavaccel.envs.cuda_games import GamesAhead
 from uavaccel.envs.cuda_view import LaneView
-from uavaccel.envs.flyable import check_flyable_on_gpu, passes_together
+from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.judged import judge
 from uavaccel.envs.kernel_games import one_course
 from uavaccel.envs.kernel_plan import slices_of
@@ -28,7 +28,6 @@ from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import COLUMNS, DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.saved import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER
 from uavaccel.units import NS_PER_S
@@ -61,15 +60,15 @@ class CudaLanes:
     """
 
     def __init__(self, task: Any, count: int, device: th.device, renews: bool = True) -> None:
-        check_flyable_on_gpu(task, count)
+        check_flyable(task, count, CUDA)
         self.task, self.count, self.device, self.renews = task, count, device, renews
         self.games = GamesAhead(task, count, device)
         self.kernels = kernels.compiled(self.games.maker.usual)
         self.now, self._now_there = kernels.on_device(lanes.flights(count), device)
-        profile = PROFILES[task.profile]
-        self._tick_ns = profile.tick_ns
+        self._tick_ns = profile_of(task).tick_ns
+        self._threads = kernels.threads_a_lane(count, device)
         self.view = LaneView(
-            task, self.games.maker, count, device, self.games.there, self._now_there, profile.tick_ns
+            task, self.games.maker, count, device, self.games.there, self._now_there, self._tick_ns
         )
         self.kind = self.view.kind
         hull = self.games.maker.surroundings.hull
@@ -110,6 +109,8 @@ class CudaLanes:
         self._slice_wall_ns = th.tensor(np.cumsum(wall_ns), device=device)
         self._ends = th.tensor(np.cumsum(self.slices), device=device)
         self._slice_ticks = [th.full((count,), int(ticks), device=device) for ticks in self.slices]
+        self._eyes, seen_apart = kernels.SideStream(), self.kind != STATE and self.clocks is None
+        self._moments = [self._moment() for _ in self.slices if seen_apart and not task.dvs_ticks]
         self._directions = th.zeros((count, 3), dtype=th.float64, device=device)
         table = task.directions
         self._table = None if table is None else th.tensor(table, dtype=th.float64, device=device)
@@ -119,6 +120,11 @@ class CudaLanes:
         told = task.told()
         self._shown = None if told is None else th.tensor(told.actions_shown(), device=device)
         self._rows_frames = None if told is None else th.tensor(told.rows_frames(), device=device)
+
+    def _moment(self) -> tuple[th.Tensor, Any]:
+        """Room for where the lanes are at a sample, to be seen while they fly on: tensor, and all of it for kernels."""
+        state = th.zeros_like(self.now.state)
+        return state, self._now_there._replace(state=kernels.shared(state, FLIGHT_DTYPE))
 
     # --- games ------------------------------------------------------------------------------------
 
@@ -164,7 +170,9 @@ class CudaLanes:
         blank = self.blank.expand(self.count, *self.frame_shape)
         if self.kind == DVS:
             self.view.start(self._renewed)
-        elif self.kind != STATE and (self.clocks is not None or self.task.sees_start):
+        elif self.kind != STATE and (
+            self.task.sees_start or (self.clocks is not None and self.clocks.guards)
+        ):
             frames = th.zeros_like(self._frames[0])
             self.view.show(self._renewed, frames)  # the guard looks at it, if the task does not
             return frames if self.task.sees_start else blank
@@ -200,47 +208,61 @@ class CudaLanes:
         self._launch(
             "command", self.going, kernels.shared(self._directions), self.games.there, self._now_there
         )
-        states = []
+        states: list[th.Tensor] = []
         for sample, ticks in enumerate(self._slice_ticks):
-            self._fly_sample(sample, ticks)
-            states.append(self._flight[:, 1:14].clone())
+            if self.kind == DVS and self.task.dvs_ticks:
+                self._fly_looking_on(sample, self.task.dvs_ticks)
+                continue
+            self._advance(self.going, ticks)
+            if self.kind != STATE:
+                self._look_apart(sample)
+            else:
+                states.append(self._flight[:, 1:14].clone())
+        self._eyes.join()
         return states
 
-    def _fly_sample(self, sample: int, ticks: th.Tensor) -> None:
-        """To a sample; an event camera with a rate of its own sees frames on the way."""
-        every = self.task.dvs_ticks if self.kind == DVS else None
+    def _look_apart(self, sample: int) -> None:
+        """See where the lanes are now, while they fly on."""
+        state, now = self._moments[sample]
+        state.copy_(self.now.state)
+        with self._eyes.following():
+            self.view.look(self.going, self._frames[sample], now=now)
+
+    def _fly_looking_on(self, sample: int, every: int) -> None:
+        """To a sample, of an event camera that sees a frame each `every` ticks on the way."""
         total, flown = int(self.slices[sample]), 0
         before = int(self.slices[:sample].sum())
-        while every and flown < total:
+        while flown < total:
             due = min(every - (before + flown) % every, total - flown)
-            self._advance(self.going, th.full_like(ticks, due))
+            self._advance(self.going, th.full_like(self._slice_ticks[sample], due))
             flown += due
             if (before + flown) % every == 0 or flown == total:
                 self.view.look(self.going, self._frames[sample], take=flown == total)
-        if not every:
-            self._advance(self.going, ticks)
-            if self.kind != STATE:
-                self.view.look(self.going, self._frames[sample])
-            elif self.task.blank_images:
-                self._frames[sample].copy_(self.blank.expand_as(self._frames[sample]))
 
     def _fly_by_clocks(self, clocks: DeviceClocks) -> list[th.Tensor]:
         """Each lane to where its own clock says that its samples are."""
         self._frames.copy_(self.blank.expand_as(self._frames))
         clocks.issue(self.going, self._directions, self.games.there)
-        states = []
+        states: list[th.Tensor] = []
         for sample in range(len(self.slices)):
             clocks.reach(self.going, sample)
-            states.append(self._flight[:, 1:14].clone())
             if self.kind != STATE:
                 clocks.look(self._frames[sample])
+            else:
+                states.append(self._flight[:, 1:14].clone())
             clocks.leave(sample)
         return states
 
     def _advance(self, which: th.Tensor, ticks: th.Tensor) -> None:
         """Let lanes (L,) uint8 fly so many ticks (L,) int64."""
-        self._launch(
-            "fly", which, kernels.shared(ticks), self.games.there, self._now_there, self.view.plan.hull
+        grid = kernels.grid(self.count * self._threads, kernels.FLYING_THREADS)
+        self.kernels.fly[(*grid, kernels.stream())](
+            kernels.shared(which),
+            kernels.shared(ticks),
+            self.games.there,
+            self._now_there,
+            self.view.plan.hull,
+            self._threads,
         )
 
     def _launch(self, name: str, which: th.Tensor, *arguments: Any) -> None:
@@ -269,7 +291,9 @@ class CudaLanes:
         self.truncated.copy_(judged.truncated & going)
         self.returns += self.rewards
         seen = self._note_times(hit, touched, going)
-        if self.task.observation == "state" and not self.task.blank_images:
+        if self.task.blank_images:
+            self._frames.copy_(self.blank.expand_as(self._frames))
+        elif self.kind == STATE:
             for sample, numbers in enumerate(states):
                 over_rows = (slice(None), *(None,) * len(self.frame_shape))
                 shown = self._features(numbers)

@@ -45,26 +45,27 @@ class LaneView:
 
     def start(self, which: th.Tensor) -> None:
         """The first pictures of event cameras, which make no events."""
-        self._project(which)
+        self._project(which, self._now)
         self._launch_quads("start")(*self._looked_at(which), self.plan, self._games, self._now, self._pixels)
 
-    def look(self, which: th.Tensor, frames: th.Tensor, take: bool = True) -> None:
-        """A sample (L, ...); event cameras gather events until one of them is to `take` them."""
-        self._project(which)
+    def look(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
+        """A sample (L, ...), of `now` or of the present; event cameras gather events until it is to `take` them."""
+        now = now or self._now
+        self._project(which, now)
         if self.kind != DVS:
-            self._show(which, frames)
+            self._show(which, frames, now)
             return
         going, faces, shown = self._looked_at(which)
-        seen = (faces, shown, self.plan, self._games, self._now, self._pixels, kernels.shared(frames[:, 0]))
+        seen = (faces, shown, self.plan, self._games, now, self._pixels, kernels.shared(frames[:, 0]))
         self._launch_quads("see")(going, int(take), *seen)
         self._launch_quads("see_noise")(going, self._tick_ns, int(take), *seen)
         per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.note[(*per_lane, kernels.stream())](going, self._tick_ns, self._now, self._pixels)
+        self._kernels.note[(*per_lane, kernels.stream())](going, self._tick_ns, now, self._pixels)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
         """The present moment (L, ...), in colour or of depth."""
-        self._project(which)
-        self._show(which, frames)
+        self._project(which, self._now)
+        self._show(which, frames, self._now)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
         """Put the sums (L, 3) int64 of red, green and blue of the pictures looked at last, or of grey and -1 twice."""
@@ -77,17 +78,17 @@ class LaneView:
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
         self._kernels.add_colours[(*grid, kernels.stream())](*pictures)
 
-    def _show(self, which: th.Tensor, frames: th.Tensor) -> None:
+    def _show(self, which: th.Tensor, frames: th.Tensor, now: Any) -> None:
         going, faces, shown = self._looked_at(which)
         grid = kernels.grid(self._count * kernels.BLOCKS, kernels.SEEING_THREADS)
-        picture = (faces, shown, self.plan, self._games, self._now, kernels.shared(frames))
+        picture = (faces, shown, self.plan, self._games, now, kernels.shared(frames))
         self._kernels.show[(*grid, kernels.stream())](going, self.kind, self._tick_ns, *picture)
 
-    def _project(self, which: th.Tensor) -> None:
+    def _project(self, which: th.Tensor, now: Any) -> None:
         grid = kernels.grid(self._count * kernels.WARP, kernels.SEEING_THREADS)
         going, faces, shown = self._looked_at(which)
         self._kernels.project[(*grid, kernels.stream())](
-            going, self.kind != DEPTH, self.plan.looks, self._games, self._now, faces
+            going, self.kind != DEPTH, self.plan.looks, self._games, now, faces
         )
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
         self._kernels.find[(*grid, kernels.stream())](going, faces, shown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Literal
+from typing import Literal, get_args
 
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
@@ -18,27 +18,19 @@ KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
 
 Simulator = Literal["mujoco", "kernels"]
 """Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
+Device = Literal["cpu", "cuda"]
+"""Where."""
+CPU, CUDA = get_args(Device)
 
 
-def check_flyable(task: Task, lanes: int) -> None:
-    """Raise UserError, one line, for what only the exact simulator flies."""
+def check_flyable(task: Task, lanes: int, device: str) -> None:
+    """Raise UserError, one line, for what only the exact simulator flies, or on "cuda" only the CPU."""
     if lanes < 1:
         raise UserError(f"num_envs = {lanes}: must be at least 1")
     if why := _why_not(task) or _why_no_clock(task):
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
-
-
-def check_flyable_on_gpu(task: Task, lanes: int) -> None:
-    """The same for one GPU, where lanes pass a command's samples together."""
-    check_flyable(task, lanes)
-    if passes_together(task):
-        return
-    if task.dvs_ticks:
-        raise UserError("device = cuda: dvs_rate_hz is flown by TCSC in lockstep there; use device = cpu")
-    if kind_of(task) == DEPTH and task.timing == "virtual":
-        raise UserError(
-            "device = cuda: the guard of depth pictures is the CPU's in virtual; use device = cpu"
-        )
+    if device.startswith(CUDA) and (why := _why_not_on_gpu(task)):
+        raise UserError(f"device = cuda: {why}; use device = cpu")
 
 
 def kind_of(task: Task) -> int:
@@ -63,6 +55,17 @@ def _why_not(task: Task) -> str:
     for name in ("goal", "features"):
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
             return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
+    return ""
+
+
+def _why_not_on_gpu(task: Task) -> str:
+    """Lanes pass a command's samples together there."""
+    if passes_together(task):
+        return ""
+    if task.dvs_ticks:
+        return "dvs_rate_hz is flown by TCSC in lockstep there"
+    if kind_of(task) == DEPTH and task.timing == "virtual":
+        return "the guard of depth pictures is the CPU's in virtual"
     return ""
 
 

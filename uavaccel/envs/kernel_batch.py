@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.checks import make_task, seeds_of, within
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.flyable import check_flyable, kind_of
+from uavaccel.envs.flyable import CPU, check_flyable, kind_of
 from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
 from uavaccel.envs.kernel_plan import plan_of
@@ -56,7 +56,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         **keys: Any,
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs)
+        check_flyable(self.task, num_envs, CPU)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -344,7 +344,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         tick_ns, clocks = self._plan.tick_ns, self._clocks
         seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
         now_ns = self._now.state["tick"][lanes] * tick_ns
-        if self.task.command == "adsc" and self.task.timing == "virtual":  # TCSC's clock stands
+        if self.task.command == "adsc":  # TCSC's clock stands
             since_ns = self._plan.timing.rules[timeline.PROCESSING_NS] * self._moments(lanes).free
             now_ns = now_ns + np.rint(since_ns * float(self.task.clock_speed)).astype(np.int64)
         taken_ns = np.where(seen, clocks.ticks[lanes] * tick_ns, now_ns[:, None])

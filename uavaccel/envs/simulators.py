@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from gymnasium.vector import VectorEnv
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import Simulator
+from uavaccel.envs.flyable import CPU, CUDA, Device, Simulator
 from uavaccel.errors import UserError
 
-Device = Literal["cpu", "cuda"]
 EXACT, KERNELS = get_args(Simulator)
-CPU, CUDA = get_args(Device)
 OF_LANES = ("processes", "renderer", "tiles")  # keywords of EnvironmentBatch alone
 
 

@@ -10,7 +10,7 @@ from numba.extending import overload
 
 from uavaccel.kernels import events, timeline
 from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Looks
-from uavaccel.kernels.lane_clocks import DARKEST, MOST_CHANGE, keep_shown, turn_to_shown
+from uavaccel.kernels.lane_clocks import keep_shown, turn_to_shown
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
     PICTURE_SEED,
@@ -306,9 +306,7 @@ def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
         depths = np.empty((ROWS, COLUMNS), np.float32)
         draw_depths(desk, depths)
         bright = depths.mean()
-    suspect = timeline.is_suspect(bright, clocks.brightness[lane], DARKEST, MOST_CHANGE)
-    clocks.brightness[lane] = bright
-    return suspect
+    return timeline.is_suspect(lane, bright, clocks)
 
 
 @part(error_model="numpy")

@@ -9,6 +9,8 @@ do not (vision/rounding).
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,12 +25,12 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
-from uavaccel.kernels.flight import TOUCHED, fly_ticks
+from uavaccel.kernels.flight import NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
-from uavaccel.kernels.touching import NOTHING
+from uavaccel.kernels.touching import NOTHING, deepest_of_all, least_of_all
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
 from uavaccel.vision.noise import READ_NOISE, normal_block
@@ -40,6 +42,7 @@ BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
+FLYING_WARPS = 2  # of a multiprocessor: a quarter of its registers, and room for who learns meanwhile
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -56,6 +59,43 @@ def _times(a, b):  # type: ignore[no-untyped-def]
 def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
     of_type = quick_count if log == types.float32 else count_double_pixel
     return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+
+
+@cuda.jit(device=True)
+def mask_of(threads):  # type: ignore[no-untyped-def]
+    """The threads of a warp that fly this one's lane, as bits."""
+    return (WHOLE_WARP >> (WARP - threads)) << (cuda.laneid // threads * threads)
+
+
+@overload(least_of_all)
+def _least_of_all(distance_m, threads):  # type: ignore[no-untyped-def]
+    return _shuffled_least
+
+
+@overload(deepest_of_all)
+def _deepest_of_all(found, depth_m, threads):  # type: ignore[no-untyped-def]
+    return _shuffled_deepest
+
+
+def _shuffled_least(distance_m, threads):  # type: ignore[no-untyped-def]
+    those, distance = mask_of(threads), threads // 2
+    while distance > 0:
+        distance_m = min(distance_m, cuda.shfl_xor_sync(those, distance_m, distance))
+        distance //= 2
+    return distance_m
+
+
+def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
+    those, distance = mask_of(threads), threads // 2
+    while distance > 0:
+        other, depth = (
+            cuda.shfl_xor_sync(those, found, distance),
+            cuda.shfl_xor_sync(those, depth_m, distance),
+        )
+        if depth < depth_m or (depth == depth_m and other > found):
+            found, depth_m = other, depth
+        distance //= 2
+    return found
 
 
 for _function, _chosen in events.BY_TYPE:
@@ -88,6 +128,26 @@ def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def
         lanes.command(lane, directions, games, now)
 
 
+@cuda.jit(device=True, inline="always")
+def put_down(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-def]
+    """Where a lane has flown to, out of registers; forces and accelerations are each tick's own (flight.short_step)."""
+    now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED] = watch[NEXT_LOOK], watch[TOUCHED]
+    there, body = now.state[lane], now.body[lane]
+    for field in range(9):  # not used here, and read again so that no register keeps them from tick to tick
+        state[0].pid_integral[field], state[0].pid_error[field] = (
+            there.pid_integral[field],
+            there.pid_error[field],
+        )
+    for field in range(4):
+        state[0].pid_mode[field] = there.pid_mode[field]
+    state[0].contacts, state[0].contacts_changed = there.contacts, there.contacts_changed
+    now.state[lane] = state[0]
+    for field in range(7):
+        body[lanes.POSE + field] = pose[field]
+    for field in range(6):
+        body[lanes.MOTION + field] = motion[field]
+
+
 def flying(usual: Any) -> Any:
     """The kernel that flies, for vehicles whose parameters are the `usual` ones but for mass, inertia and thrust.
 
@@ -109,12 +169,16 @@ def flying(usual: Any) -> Any:
         float(usual[name]) for name in ("rate_limit_rad_s", "min_throttle", "min_mixed_throttle")
     )
 
-    def fly_lanes(going, ticks, games, now, hull):  # type: ignore[no-untyped-def]
-        """Fly so many ticks, (L,), from copies in registers: a lane's ticks wait for nothing but one another."""
-        lane = cuda.grid(1)
+    def fly_lanes(going, ticks, games, now, hull, threads):  # type: ignore[no-untyped-def]
+        """Fly so many ticks, (L,), from copies in registers: a lane's ticks wait for nothing but one another.
+
+        So many `threads` of a warp fly a lane, all of them the same; they share in looking at what stands around it.
+        """
+        lane, mine = cuda.grid(1) // threads, cuda.laneid % threads
         if lane >= len(going) or going[lane] == 0 or ticks[lane] == 0:
             return
-        game = now.game[lane]
+        game, those = now.game[lane], mask_of(threads)
+        watch = cuda.local.array(2, types.int64)
         own, state = cuda.local.array(1, PARAMETERS), cuda.local.array(1, FLIGHT)
         pose, motion = cuda.local.array(7, types.float64), cuda.local.array(6, types.float64)
         force, acceleration = cuda.local.array(6, types.float64), cuda.local.array(6, types.float64)
@@ -134,25 +198,15 @@ def flying(usual: Any) -> Any:
             pose[field] = body[lanes.POSE + field]
         for field in range(6):
             motion[field] = body[lanes.MOTION + field]
+        watch[NEXT_LOOK], watch[TOUCHED] = now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED]
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
-        fly_ticks(own[0], state[0], parts, solids, count, hull, now.watch[lane], ticks[lane], False)
-        for field in range(
-            9
-        ):  # not used here, and read again so that no register keeps them from tick to tick
-            state[0].pid_integral[field] = now.state[lane].pid_integral[field]
-            state[0].pid_error[field] = now.state[lane].pid_error[field]
-        for field in range(4):
-            state[0].pid_mode[field] = now.state[lane].pid_mode[field]
-        state[0].contacts, state[0].contacts_changed = (
-            now.state[lane].contacts,
-            now.state[lane].contacts_changed,
-        )
-        now.state[lane] = state[0]
-        for field in range(7):
-            body[lanes.POSE + field] = pose[field]
-        for field in range(6):  # forces and accelerations are each tick's own (flight.short_step)
-            body[lanes.MOTION + field] = motion[field]
+        cuda.syncwarp(those)  # read before one of them writes
+        fly_ticks(own[0], state[0], parts, solids, count, hull, watch, ticks[lane], False, (mine, threads))
+        cuda.syncwarp(those)
+        if mine != 0:
+            return
+        put_down(lane, watch, state, pose, motion, now)
 
     return fly_lanes
 
@@ -503,6 +557,14 @@ def compiled(usual: Any) -> Kernels:
     )
 
 
+def threads_a_lane(lanes: int, device: th.device) -> int:
+    """How many threads fly a lane: as many as the GPU has room for, but no more than a warp."""
+    room, threads = th.cuda.get_device_properties(device).multi_processor_count * FLYING_WARPS * WARP, WARP
+    while threads > 1 and lanes * threads > room:
+        threads //= 2
+    return threads
+
+
 def grid(threads: int, per_block: int) -> tuple[int, int]:
     """Blocks, and threads of each."""
     return -(-threads // per_block), per_block
@@ -511,6 +573,24 @@ def grid(threads: int, per_block: int) -> tuple[int, int]:
 def stream() -> Any:
     """PyTorch's present stream, as numba launches on it."""
     return cuda.external_stream(th.cuda.current_stream().cuda_stream)
+
+
+class SideStream:
+    """A stream beside PyTorch's present one, for work that nothing there waits for until it is joined."""
+
+    def __init__(self, priority: int = 0) -> None:
+        self._stream = th.cuda.Stream(priority=priority)
+
+    @contextmanager
+    def following(self) -> Iterator[None]:
+        """Launch within: it begins when what was launched before is done."""
+        self._stream.wait_stream(th.cuda.current_stream())
+        with th.cuda.stream(self._stream):
+            yield
+
+    def join(self) -> None:
+        """What is launched next begins when it is done."""
+        th.cuda.current_stream().wait_stream(self._stream)
 
 
 def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:

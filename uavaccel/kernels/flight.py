@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kernels.touching import NOTHING, Solids, free_ticks, touched
+from uavaccel.kernels.touching import NOTHING, Share, Solids, free_ticks, touched
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.autopilot import control
 from uavaccel.sim.vehicle.free_body import free_step, move, normalised
@@ -33,13 +33,14 @@ def look_around(
     count: int,
     hull: Floats,
     watch: NDArray[np.int64],
+    share: Share,
 ) -> None:
     """Note what the hull touches at this tick, if anything, else when to look again."""
-    free = free_ticks(parameters, state, pose, solids, count, hull[HULL_REACH])
+    free = free_ticks(parameters, state, pose, solids, count, hull[HULL_REACH], share)
     watch[NEXT_LOOK] = state.tick + max(free, 1)
     if free > 0:
         return
-    watch[TOUCHED] = touched(pose, solids, count, hull[HULL_RADIUS], hull[HULL_HALF_HEIGHT])
+    watch[TOUCHED] = touched(pose, solids, count, hull[HULL_RADIUS], hull[HULL_HALF_HEIGHT], share)
     if watch[TOUCHED] == NOTHING:
         return
     state.collision_tick = state.contact_tick = state.tick
@@ -95,23 +96,20 @@ def fly_ticks(
     watch: NDArray[np.int64],
     ticks: int,
     exact: bool,
+    share: Share,
 ) -> None:
     """Fly so many ticks; from the one after a touch on the vehicle stands still while time passes.
 
     `body`: pose (7,), velocity (6,), force (6,) and acceleration (6,) as `free_step` takes them. Where not `exact`,
     ticks are `short_step`s.
     """
-    left = ticks
-    while left > 0:
+    for left in range(ticks, 0, -1):
         if state.collision_tick != NEVER:
             state.tick += left
             return
         if state.tick >= watch[NEXT_LOOK]:
-            look_around(parameters, state, body[0], solids, count, hull, watch)
-        flown = 1 if state.collision_tick != NEVER else min(left, watch[NEXT_LOOK] - state.tick)
-        for _ in range(flown):
-            if exact:
-                step(parameters, state, body)
-            else:
-                short_step(parameters, state, body)
-        left -= flown
+            look_around(parameters, state, body[0], solids, count, hull, watch, share)
+        if exact:
+            step(parameters, state, body)
+        else:
+            short_step(parameters, state, body)

@@ -14,9 +14,8 @@ from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.parts import part
-from uavaccel.vision.guard import LUMA_WEIGHTS, GuardSettings
+from uavaccel.vision.guard import LUMA_WEIGHTS
 
-DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 RED, GREEN, BLUE = LUMA_WEIGHTS
 PIXELS = ROWS * COLUMNS
 
@@ -116,6 +115,4 @@ def guard(lane: int, levels: Any, timing: Timing, clocks: Clocks) -> bool:
     bright = of_lane[0] / PIXELS
     if of_lane[1] >= 0:
         bright = RED * bright + GREEN * (of_lane[1] / PIXELS) + BLUE * (of_lane[2] / PIXELS)
-    suspect = timeline.is_suspect(bright, clocks.brightness[lane], DARKEST, MOST_CHANGE)
-    clocks.brightness[lane] = bright
-    return suspect
+    return timeline.is_suspect(lane, bright, clocks)

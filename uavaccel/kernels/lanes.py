@@ -13,7 +13,7 @@ import numpy as np
 from uavaccel.kernels.events import CAMERA_FIELDS
 from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
-from uavaccel.kernels.touching import NOTHING, SOLID_FIELDS
+from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
@@ -125,9 +125,8 @@ def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
     game, row = now.game[lane], now.body[lane]
     body = row[POSE:MOTION], row[MOTION:FORCE], row[FORCE:ACCELERATION], row[ACCELERATION:]
     solids, count = games.solids[game], games.counts[game]
-    fly_ticks(
-        games.parameters[game], now.state[lane], body, solids, count, hull, now.watch[lane], ticks, True
-    )
+    state, watch = now.state[lane], now.watch[lane]
+    fly_ticks(games.parameters[game], state, body, solids, count, hull, watch, ticks, True, ALL)
 
 
 @part

@@ -14,7 +14,9 @@ import numpy as np
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
 from uavaccel.parts import part
+from uavaccel.vision.guard import GuardSettings
 
+DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 NEVER = 2**62
 NO_PHASE = -1
 SIMULATION, RENDERING, IMAGE_PROCESSING = range(3)  # of envs/stopwatch's PHASES
@@ -424,6 +426,8 @@ def leave(row: Any, scale: float, timing: Timing, touched: bool, suspect: bool) 
 
 
 @part
-def is_suspect(brightness: float, reference: float, least: float, most_change: float) -> bool:
-    """Whether the guard asks for a picture again; `reference` is NaN before the first."""
-    return brightness < least or abs(brightness - reference) > most_change * reference
+def is_suspect(lane: int, brightness: float, clocks: Clocks) -> bool:
+    """Whether the guard asks for a picture again (vision/guard); its brightness is noted for the next one."""
+    reference = clocks.brightness[lane]  # NaN before the first
+    clocks.brightness[lane] = brightness
+    return brightness < DARKEST or abs(brightness - reference) > MOST_CHANGE * reference

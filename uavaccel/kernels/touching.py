@@ -11,8 +11,10 @@ All in MuJoCo's axes (x north, y west, z up) and in metres.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.parts import part
@@ -27,6 +29,10 @@ SEARCH_STEPS = 40
 SHRINK = 0.6180339887498949  # golden section
 
 Solids = NDArray[np.float64]
+Share: TypeAlias = tuple[int, int]
+"""A thread's part of the solids: its number among the threads of its lane, and how many they are."""
+
+ALL: Share = (0, 1)
 
 
 @part
@@ -40,15 +46,42 @@ def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
     return math.sqrt(beside * beside + across * across + above * above)
 
 
+def least_of_all(distance_m: float, threads: int) -> float:
+    """The least of the distances that the threads of a lane have found; a CPU's lane has one (kernels/cuda)."""
+    return distance_m
+
+
+def deepest_of_all(found: int, depth_m: float, threads: int) -> int:
+    """Of the solids that they have found, the one that is touched at the lowest `depth_m`, of two the later one."""
+    return found
+
+
+@overload(least_of_all)
+def _least_of_one(distance_m, threads):  # type: ignore[no-untyped-def]  # numba compares it with the lambda
+    return lambda distance_m, threads: distance_m
+
+
+@overload(deepest_of_all)
+def _deepest_of_one(found, depth_m, threads):  # type: ignore[no-untyped-def]
+    return lambda found, depth_m, threads: found
+
+
 @part(inline=False)
 def free_ticks(
-    parameters: Record, state: Record, place: NDArray[np.float64], solids: Solids, count: int, reach_m: float
+    parameters: Record,
+    state: Record,
+    place: NDArray[np.float64],
+    solids: Solids,
+    count: int,
+    reach_m: float,
+    share: Share,
 ) -> int:
     """Ticks for which nothing can be touched, whatever the autopilot does; `reach_m` is the hull's, all around."""
-    distance_m = np.inf
-    for solid in range(count):
+    distance_m, (first, threads) = np.inf, share
+    for solid in range(first, count, threads):
         distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
-    return int(free_s(parameters, state, distance_m - reach_m - MARGIN_M) / parameters.tick_s)
+    gap_m = least_of_all(distance_m, threads) - reach_m - MARGIN_M
+    return int(free_s(parameters, state, gap_m) / parameters.tick_s)
 
 
 @part
@@ -138,15 +171,20 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
 
 @part(inline=False)
 def touched(
-    place: NDArray[np.float64], solids: Solids, count: int, radius_m: float, half_height_m: float
+    place: NDArray[np.float64],
+    solids: Solids,
+    count: int,
+    radius_m: float,
+    half_height_m: float,
+    share: Share,
 ) -> int:
     """The solid that the hull at a pose (7,) is deepest in, or NOTHING."""
-    found, deepest = NOTHING, 0.0
+    found, deepest, (first, threads) = NOTHING, 0.0, share
     reach_m = math.sqrt(radius_m * radius_m + half_height_m * half_height_m)
-    for solid in range(count):
+    for solid in range(first, count, threads):
         if distance_to(solids[solid], place[0], place[1], place[2]) > reach_m:
             continue
         apart = separation(place, solids[solid], radius_m, half_height_m)
         if apart <= deepest:
             found, deepest = solid, apart
-    return found
+    return deepest_of_all(found, deepest, threads)

@@ -64,6 +64,9 @@ class Baseline:
         """Between two rollouts, always."""
         return True
 
+    def begin(self) -> None:
+        """Its algorithm begins them itself."""
+
     def advance(self) -> list[Game]:
         """One rollout, and what is learned after it."""
         self._callback.finished = []

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
-from uavaccel.envs.flyable import Simulator, check_flyable, check_flyable_on_gpu
+from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Count
 from uavaccel.limits import Cost, Games, Processes, Seed
@@ -65,7 +65,7 @@ class LearnerConfig(Config):
     @model_validator(mode="after")
     def _kernels_can_fly(self) -> LearnerConfig:
         if self.simulator == "kernels":
-            (check_flyable_on_gpu if self.on_device else check_flyable)(self.task, self.environments)
+            check_flyable(self.task, self.environments, self.device)
             if self.on_device and (self.algorithm != "double_dqn" or self.task.observation == "state"):
                 raise ValueError("simulator kernels with device cuda needs algorithm double_dqn and pictures")
             if self.on_device and self.turns > 1:

@@ -24,6 +24,7 @@ from torch.nn import functional
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
+from uavaccel.kernels.cuda import SideStream
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.device_network import rate
@@ -59,7 +60,9 @@ class DeviceDQN:
         self.stopwatch = Stopwatch(MonotonicClock())
         self._graphs: dict[tuple[bool, ...], th.cuda.CUDAGraph] = {}
         self._eager: dict[tuple[bool, ...], int] = {}
-        self._side = th.cuda.Stream()
+        self._learning = SideStream(
+            priority=-1
+        )  # its small kernels go before the next of a thousand pictures'
         self._unread: deque[tuple[Any, ...]] = deque()
         self._clock = MonotonicClock()
 
@@ -94,10 +97,15 @@ class DeviceDQN:
 
     # --- rounds -----------------------------------------------------------------------------------
 
-    def advance(self) -> list[Game]:
-        """A chunk of rounds is launched, and the one before is read: the games that ended in it."""
+    def begin(self) -> None:
+        """See `Learner`; the games that follow the first ones are drawn too."""
         if not self.lanes.begun_yet:
             self.lanes.begin()
+            self.lanes.games.refill([1] * self.lanes.count)
+
+    def advance(self) -> list[Game]:
+        """A chunk of rounds is launched, and the one before is read: the games that ended in it."""
+        self.begin()
         if not self.holding:
             self._launch()
         if len(self._unread) < 2 and not self.holding:
@@ -144,14 +152,12 @@ class DeviceDQN:
         actions = self._decide(unknowing)
         flown = self.lanes.going.clone()
         self.replay.decide(self.lanes.observations, actions)
-        main = th.cuda.current_stream()
         if learns:
-            self._side.wait_stream(main)
-            with th.cuda.stream(self._side):
+            with self._learning.following():
                 self._learn()
         self.lanes.fly(actions)
         if learns:
-            main.wait_stream(self._side)
+            self._learning.join()
         self._charge(flown, learns)
         self.replay.note(self.lanes.rewards, self.lanes.terminated, self.lanes.truncated, flown)
         self._schedule()

@@ -83,14 +83,18 @@ class DoubleDQN:
         self._parts: deque[Callable[[], None]] = deque()
         self._flights_left = 0
 
+    def begin(self) -> None:
+        """See `Learner`."""
+        if self.observations is None:
+            self.observations = np.asarray(self.lanes.reset())
+            self._row = Row.like(self.observations)
+
     def advance(self) -> list[Game]:
         """A group of lanes takes off, learning goes on, and once all are in the air the first one lands.
 
         Gives the games that ended with it. While it is `holding`, the first group waits until all are down.
         """
-        if self.observations is None:
-            self.observations = np.asarray(self.lanes.reset())
-            self._row = Row.like(self.observations)
+        self.begin()
         waits = self.holding and self._next == 0 and self._flying
         if not waits:
             self._take_off(self._next, self.observations)

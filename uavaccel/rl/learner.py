@@ -79,6 +79,10 @@ class Learner(Protocol):
         """Whether a checkpoint can be taken now."""
         ...
 
+    def begin(self) -> None:
+        """Begin the first games, unless games are under way: part of the start-up, which no pace counts."""
+        ...
+
     def advance(self) -> list[Game]:
         """Fly on, learn on; the games that ended meanwhile."""
         ...

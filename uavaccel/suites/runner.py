@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -134,8 +135,8 @@ def _fly(
                 game.row.update(disturbances(game.row, restarts.get(case.id, 0)))
             if game.arrays:
                 game.row.update(run.save_arrays(case.id, game.arrays))
-            run.append_row(game.row)
-            run.append_timing({"case": case.id, **game.host})
+            run.append_row(game.row, on_disk=not game.next_is_ready)
+            run.append_timing({"case": case.id, **game.host}, on_disk=not game.next_is_ready)
             on_flown(case, game.row)
 
 
@@ -219,4 +220,4 @@ def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> Ga
     """Fly one case and note the host's time and load, which are never the same twice."""
     game, host = timed(lambda: suite.fly(config, case, opened))
     _check_result(suite, case, game)
-    return GameResult(game.row, game.arrays, {**host, **game.host})
+    return replace(game, host={**host, **game.host})

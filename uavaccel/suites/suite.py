@@ -49,6 +49,8 @@ class GameResult:
     row: dict[str, Any]
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
     host: Mapping[str, Any] = field(default_factory=dict)
+    next_is_ready: bool = False
+    """Whether the next game has been flown already: this one's row need not be on disk before it is asked for."""
 
 
 class Cost(NamedTuple):

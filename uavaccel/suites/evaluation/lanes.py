@@ -17,9 +17,9 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.flyable import check_flyable, check_flyable_on_gpu
+from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.simulators import CUDA, EXACT, check_simulator
+from uavaccel.envs.simulators import EXACT, check_simulator
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
@@ -47,7 +47,7 @@ def check_kernels(config: EvaluateConfig) -> None:
     check_simulator(config.simulator, config.device)
     if config.simulator == EXACT:
         return
-    (check_flyable_on_gpu if config.device == CUDA else check_flyable)(config.task, 1)
+    check_flyable(config.task, 1, config.device)
 
 
 class GamesOverArrays:

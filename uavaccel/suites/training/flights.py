@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 
 import torch as th
@@ -62,6 +62,7 @@ class Trainer:
             seed_lanes(self._lanes, config.seed)
             if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
                 load_checkpoint(checkpoint, self._learner)
+            self._learner.begin()
             self._rows = GameRows(config, run.path / "tensorboard", run.rows())
             self._evaluations = Evaluations(config, run)
         except BaseException:
@@ -83,7 +84,7 @@ class Trainer:
         game = self._finished.popleft()
         if learner.games == self._config.games and not self._finished:
             self._export()
-        return game
+        return replace(game, next_is_ready=bool(self._finished))
 
     def _save_if_due(self) -> None:
         games = self._learner.games

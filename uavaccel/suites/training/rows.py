@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.logger import configure
-
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.stopwatch import Stopwatch
@@ -18,6 +16,7 @@ from uavaccel.suites.disturbed import measured_disturbances
 from uavaccel.suites.report import Row
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.curves_file import CurvesFile
 from uavaccel.units import NS_PER_S
 
 RECENT = 100  # games whose success is shown
@@ -29,14 +28,14 @@ class GameRows:
 
     def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[Row]) -> None:
         self._t_move_s = config.task.t_move_s
-        self._curves = configure(str(folder), ["tensorboard"])
+        self._curves = CurvesFile(folder)
         self._recent = deque([row["is_success"] for row in rows[-RECENT:]], maxlen=RECENT)
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
 
     def close(self) -> None:
-        """End the curves' file, and the thread that writes it."""
+        """End the curves' file."""
         self._curves.close()
 
     @contextmanager
@@ -75,11 +74,9 @@ class GameRows:
         self._simulated_s += row["sim_time_s"]
         self._recent.append(row["is_success"])
         values = {
-            "success_recent": sum(self._recent) / len(self._recent),
-            "distance_m": row["distance_m"],
-            "return": row["return"],
-            "real_time_factor": self._simulated_s / wall_s,
+            "games/success_recent": sum(self._recent) / len(self._recent),
+            "games/distance_m": row["distance_m"],
+            "games/return": row["return"],
+            "games/real_time_factor": self._simulated_s / wall_s,
         }
-        for name, value in values.items():
-            self._curves.record(f"games/{name}", value)
-        self._curves.dump(row["game"] + 1)
+        self._curves.add(row["game"] + 1, values)
