@@ -95,6 +95,7 @@ class DoubleDQN:
         Gives the games that ended with it. While it is `holding`, the first group waits until all are down.
         """
         self.begin()
+        assert self.observations is not None
         waits = self.holding and self._next == 0 and self._flying
         if not waits:
             self._take_off(self._next, self.observations)
