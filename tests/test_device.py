@@ -224,7 +224,6 @@ def at_once(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Non
     monkeypatch.setattr(th.cuda, "Event", Immediate)
     from uavaccel.rl import device_dqn
 
-    monkeypatch.setattr(device_dqn, "EAGER", 1 << 30)
     monkeypatch.setattr(device_dqn, "Cutter", Cutter)
     yield
     th.use_deterministic_algorithms(False)

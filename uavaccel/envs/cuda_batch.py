@@ -50,6 +50,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._lanes = CudaLanes(self.task, num_envs, self.device, renews=False)
+        self._fly = self._lanes.recorded_flight()
         self._begun: list[int] = []
 
     def reset(
@@ -81,7 +82,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         if not self._begun:
             raise UserError("reset the environments before their first step")
         lanes = self._lanes
-        lanes.fly(self._taken(actions))
+        self._fly(self._taken(actions))
         rewards, terminated, truncated = (
             each.clone() for each in (lanes.rewards, lanes.terminated, lanes.truncated)
         )

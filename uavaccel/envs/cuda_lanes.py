@@ -6,7 +6,7 @@ they are, so that it can be recorded as a CUDA graph. A lane whose next game has
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -197,6 +197,18 @@ class CudaLanes:
             self._actions.copy_(actions)
         states = self._fly_together() if self.clocks is None else self._fly_by_clocks(self.clocks)
         self._land(states)
+
+    def recorded_flight(self) -> Callable[[th.Tensor], None]:
+        """`fly` as a CUDA graph, for whoever does not record more than that."""
+        directions = self._directions if self._table is None else self._actions
+        given = th.zeros_like(directions)
+        flight = kernels.Recorded(lambda: self.fly(given))
+
+        def fly(actions: th.Tensor) -> None:
+            given.copy_(actions)
+            flight()
+
+        return fly
 
     def charge(self, flown: th.Tensor, duration_s: float, phase: str) -> None:
         """Work of an agent's between two commands of the lanes (L,) uint8: in `virtual` ADSC flies on meanwhile."""

@@ -9,7 +9,7 @@ do not (vision/rounding).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -43,6 +43,7 @@ WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
 FLYING_WARPS = 2  # of a multiprocessor: a quarter of its registers, and room for who learns meanwhile
+EAGER = 2  # times before work is recorded: what is compiled and chosen at first use
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -591,6 +592,26 @@ class SideStream:
     def join(self) -> None:
         """What is launched next begins when it is done."""
         th.cuda.current_stream().wait_stream(self._stream)
+
+
+class Recorded:
+    """Work that is the same calls on the same memory each time: done as it is at first, then as one CUDA graph."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work, self._eager = work, EAGER
+        self._graph: th.cuda.CUDAGraph | None = None
+
+    def __call__(self) -> None:
+        if self._eager:
+            self._eager -= 1
+            self._work()
+            return
+        if self._graph is None:
+            self._graph = th.cuda.CUDAGraph()
+            th.cuda.synchronize()
+            with th.cuda.graph(self._graph):
+                self._work()
+        self._graph.replay()
 
 
 def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:

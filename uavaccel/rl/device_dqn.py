@@ -24,7 +24,7 @@ from torch.nn import functional
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.kernels.cuda import SideStream
+from uavaccel.kernels.cuda import Recorded, SideStream
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.device_network import rate
@@ -35,7 +35,6 @@ from uavaccel.rl.mirror import turned_actions
 from uavaccel.units import NS_PER_S
 
 CHUNK = 8  # rounds between two looks of the host
-EAGER = 2  # rounds of each kind before it is recorded: what is compiled and chosen at first use
 COUNTERS = ("games", "rounds", "updates")
 
 
@@ -58,8 +57,7 @@ class DeviceDQN:
         self.returns: list[float] = []
         self.holding = False
         self.stopwatch = Stopwatch(MonotonicClock())
-        self._graphs: dict[tuple[bool, ...], th.cuda.CUDAGraph] = {}
-        self._eager: dict[tuple[bool, ...], int] = {}
+        self._works: dict[tuple[bool, bool, bool], Recorded] = {}
         self._learning = SideStream(
             priority=-1
         )  # its small kernels go before the next of a thousand pictures'
@@ -132,21 +130,11 @@ class DeviceDQN:
         return unknowing, enough and self.rounds % every == 0, enough and follows
 
     def _round(self, kind: tuple[bool, bool, bool]) -> None:
-        """A round of its kind: the first ones as they are, then recorded, then replayed."""
+        """A round of its kind, each of which is recorded."""
         self.rounds += 1
-        if kind in self._graphs:
-            self._graphs[kind].replay()
-            return
-        if self._eager.get(kind, 0) < EAGER:
-            self._eager[kind] = self._eager.get(kind, 0) + 1
-            self._work(*kind)
-            return
-        graph = th.cuda.CUDAGraph()
-        th.cuda.synchronize()
-        with th.cuda.graph(graph):
-            self._work(*kind)
-        self._graphs[kind] = graph
-        graph.replay()
+        if kind not in self._works:
+            self._works[kind] = Recorded(lambda: self._work(*kind))
+        self._works[kind]()
 
     def _work(self, unknowing: bool, learns: bool, follows: bool) -> None:
         actions = self._decide(unknowing)

@@ -29,6 +29,7 @@ class LanesOnGpu:
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._device, self._inference_s = th.device(DEVICE), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), self._device, renews=False)
+        self._fly = self._lanes.recorded_flight()
         self._lanes.seed([game_seed(config, lane) for lane in lanes])
         self._lanes.games.draw_one_each([{"lane": lane} for lane in lanes])
         self._lanes.begin()
@@ -38,7 +39,7 @@ class LanesOnGpu:
     def decide_and_fly(self, going: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Ended]]:
         self._lanes.charge(self._lanes.going, self._inference_s, "inference")
         actions = self._decide(going)
-        self._lanes.fly(actions)
+        self._fly(actions)
         told = self._lanes.ended.tolist()  # the host waits for the device here
         self._places = [row[AT.place : AT.place + 3] for row in told]
         over = [place for place in going.tolist() if told[place][AT.over]]
