@@ -49,12 +49,12 @@ class Progress:
         self._rows.append(row)
         self._done_s += case.simulated_s()
         self._flown_s += row.get("sim_time_s", case.simulated_s())
-        text = self._text()
-        self._bar.update(self._task, completed=self._done_s, description=text)
         share = len(self._rows) * LINES // self._games
-        if not self._console.is_terminal and share > self._printed:
+        if self._console.is_terminal:
+            self._bar.update(self._task, completed=self._done_s, description=self._text())
+        elif share > self._printed:
             self._printed = share
-            self._console.print(text, markup=False)
+            self._console.print(self._text(), markup=False)
 
     def _text(self) -> str:
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
