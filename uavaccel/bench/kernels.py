@@ -1,7 +1,7 @@
 """How fast lanes fly over arrays, part by part: ticks, pictures, whole commands, each beside what bounds it.
 
 On the CPU a thread's parts are measured first, then commands by all threads; the bound of a command is its parts'. On a
-GPU lanes fly through `CudaLanes` as a training's do, without its recorded graph, and CUDA events time them.
+GPU lanes fly through `CudaLanes`, recorded as a training's are, and CUDA events time them.
 """
 
 from __future__ import annotations
@@ -195,17 +195,20 @@ def _round_s(lanes: int, task: LaneTask) -> float:
     import torch as th
 
     from uavaccel.envs.cuda_lanes import CudaLanes
+    from uavaccel.kernels import cuda as kernels
 
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
     flying.begin()
     actions = th.full((lanes,), AHEAD, device=CUDA)
-    flying.fly(actions)  # compiled
+    fly = flying.recorded_flight()
+    for _ in range(kernels.EAGER + 1):  # compiled and recorded
+        fly(actions)
     begun, ended = (th.cuda.Event(enable_timing=True) for _ in range(2))
     rounds = GPU_COMMANDS if task.t_move_s < 1.0 else COMMANDS  # before a lane can touch something
     begun.record()
     for _ in range(rounds):
-        flying.fly(actions)
+        fly(actions)
     ended.record()
     th.cuda.synchronize()
     return float(begun.elapsed_time(ended)) / 1e3 / rounds

@@ -580,18 +580,21 @@ class SideStream:
     """A stream beside PyTorch's present one, for work that nothing there waits for until it is joined."""
 
     def __init__(self, priority: int = 0) -> None:
-        self._stream = th.cuda.Stream(priority=priority)
+        self._stream, self._follows = th.cuda.Stream(priority=priority), False
 
     @contextmanager
     def following(self) -> Iterator[None]:
         """Launch within: it begins when what was launched before is done."""
         self._stream.wait_stream(th.cuda.current_stream())
+        self._follows = True
         with th.cuda.stream(self._stream):
             yield
 
     def join(self) -> None:
-        """What is launched next begins when it is done."""
-        th.cuda.current_stream().wait_stream(self._stream)
+        """What is launched next begins when it is done; a stream that followed nothing is no part of a recording."""
+        if self._follows:
+            th.cuda.current_stream().wait_stream(self._stream)
+        self._follows = False
 
 
 class Recorded:
