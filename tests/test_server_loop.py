@@ -15,6 +15,7 @@ import pytest
 from tests.simulating import simulate
 from uavaccel.clock import MonotonicClock, VirtualClock
 from uavaccel.errors import UserError
+from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -358,12 +359,14 @@ def test_an_answer_that_cannot_be_packed_costs_the_caller_its_call(
     server, _ = stepped
     connection, client = joined(server, clients)
     assert connection is not None
-    for number, result in enumerate((1 << 80, object(), True)):
+    late = DeferredReply()
+    late.encode = lambda value: value.missing
+    for number, result in enumerate((1 << 80, object(), late, True)):
         server._answers.append(Answer(connection, number, None, result))
     server._flush()
     told = {message[1]: (message[2], message[3]) for message in replies(client)}
-    assert told[2] == (None, True)
-    assert all("cannot be packed" in told[number][0] for number in (0, 1))
+    assert told[3] == (None, True)
+    assert all("cannot be packed" in told[number][0] for number in range(3))
 
 
 @pytest.mark.opengl

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 from typing import NamedTuple
 
@@ -10,6 +11,8 @@ from uavaccel.wire import rpc
 from uavaccel.wire.framing import Framer
 from uavaccel.wire.held import MAX_ANSWER_BYTES, READ_FIRST_BYTES
 from uavaccel.wire.steps import Steps
+
+_LOG = logging.getLogger(__name__)
 
 
 class Connection:
@@ -75,11 +78,12 @@ class Answer(NamedTuple):
     def pack(self) -> bytes:
         """What cannot be packed, or is too long, costs the caller its call and nobody else."""
         result = self.result
-        if isinstance(result, DeferredReply):
-            result = result.encode(result.value)
         try:
+            if isinstance(result, DeferredReply):
+                result = result.encode(result.value)
             packed = rpc.pack_response(self.message_id, self.error, result)
-        except (TypeError, ValueError, OverflowError) as error:
+        except Exception as error:
+            _LOG.error("an answer cannot be packed", exc_info=error)
             return rpc.pack_response(self.message_id, f"the answer cannot be packed: {error}", None)
         if len(packed) <= MAX_ANSWER_BYTES:
             return packed
