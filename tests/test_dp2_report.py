@@ -254,6 +254,12 @@ def test_the_written_report(run: RunDirectory, monkeypatch: pytest.MonkeyPatch) 
     errors = summary["cells"][1]
     assert shown[-2:] == [(20.0, 0.0), (20.0, 0.5)]
     assert (errors["position_error_m_max"], errors["dvs_ed_percent_max"]) == (0.5, pytest.approx(20.0))
+    by_image = run.read_json("scores.json")
+    assert [(each["clock_speed"], each["position_error_m"]) for each in by_image] == [
+        (1.0, [0, 0]),
+        (50.0, [0.5, 0]),
+    ]
+    assert by_image[1]["dvs_ed_percent"] == pytest.approx([20.0, 20.0])
     source = "measured (wall clock): 1 game · modelled (virtual clock): 1 game · native profile · seed 3"
     assert sorted(headline(drawn["figure7_images"])[1].split(" · ")) == sorted(source.split(" · "))
     text = (run.path / "report.md").read_text()

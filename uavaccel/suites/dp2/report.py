@@ -19,7 +19,7 @@ from uavaccel.vision.guard import GuardSettings
 
 
 class Dp2Report(Report):
-    """Of `uavaccel run dp2`."""
+    """Of `uavaccel run dp2`. Beside the summary it writes scores.json: the errors image by image."""
 
     @cached_property
     def scores(self) -> list[GameScore]:
@@ -27,6 +27,8 @@ class Dp2Report(Report):
         return list(score_games(self.rows, self.run.load_arrays, preset, seed))
 
     def summarise(self) -> Summary:
+        compared = [score for score in self.scores if score.reference is not None]
+        self.run.write_json("scores.json", [score.by_image() for score in compared])
         return summary_of(self.config, self.scores, self._guard_study())
 
     def _guard_study(self) -> Summary | None:

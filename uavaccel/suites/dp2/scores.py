@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,15 @@ class GameScore:
     dvs_ed_percent: NDArray[np.float64]
     equal_poses: bool | None
     equal_counts: bool | None
+
+    def by_image(self) -> dict[str, Any]:
+        """The errors of every image, for JSON, with what tells the game from the run's others."""
+        return {
+            **{key: self.row[key] for key in ("command", "clock_speed", "role")},
+            "position_error_m": self.position_error_m.tolist(),
+            "attitude_error_deg": self.attitude_error_deg.tolist(),
+            "dvs_ed_percent": self.dvs_ed_percent.tolist(),
+        }
 
 
 def count_events(

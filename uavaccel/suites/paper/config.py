@@ -13,6 +13,7 @@ from uavaccel.suites.parts import Part
 from uavaccel.yaml_io import load_yaml
 
 PROFILES = ("airsim", "native")
+Kind = Literal["dp1", "dp2", "rl"]
 
 
 class Claim(Config):
@@ -25,7 +26,11 @@ class Claim(Config):
     """The claim in short."""
     paper: str
     """The paper's number."""
-    decided_by: Literal["dp1", "dp2", "rl"]
+    decided_by: Annotated[tuple[Kind, ...], Field(min_length=1)]
+    """Kinds of runs, in the order in which the deciding function takes them."""
+    basis: Literal["fitted", "chosen", "predicted"]
+    """Where the deciding number under `airsim` comes from: fitted to the paper, decided by a choice of this project's
+    that the paper says nothing of, or predicted by what was fitted to something else."""
     paper_counts: tuple[int, int] | None = None
     """Successes of 100 games each, where the paper compares two."""
 

@@ -2,34 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.metrics.intervals import Proportion, median_interval
+from uavaccel.metrics.equivalence import Estimate, Interval, mean_estimate, ratio_estimate, success_estimate
+from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.records import RunDirectory
 from uavaccel.suites.report import SummaryCell
 
 FloatArray = NDArray[np.float64]
+Trained = tuple[str, float]
+"""Command and ClockSpeed of a training."""
+
+LEAST_FLIGHTS = 6  # of a cell of DP1: the range of five holds their median with less than 95 %
+LEAST_IMAGES = 100  # none of so many above a limit: fewer than 3 % of all are, with 95 %
+LEAST_GAMES = 100  # of a training, and of its evaluation: as many as the paper's
+SIMULATION = ("simulation", "rendering")  # the paper's "simulation": its images come out of it
+THINKING = ("image_processing", "inference", "learning")
 
 
 class NoEvidence(Exception):
     """The runs leave out the games that would decide a claim, or know nothing to compare them with."""
 
 
+class Undecided(Exception):
+    """The runs have the games, but those cannot decide the claim; the text says why."""
+
+
 @dataclass(frozen=True)
 class Finding:
-    """What a run says of a claim: its number with its interval in words, and whether the claim holds in it."""
+    """What a run says of a claim: its number with its interval in words, and whether the claim holds in it.
+
+    None: its interval leaves that open.
+    """
 
     value: str
-    holds: bool
+    holds: bool | None
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """A run of DP1: its cells, and the STLC of each of their games. What it lacks raises NoEvidence."""
+    """A run of DP1: its cells, and the STLC of each of their games.
+
+    What it lacks raises NoEvidence; a cell of fewer than LEAST_FLIGHTS games raises Undecided.
+    """
 
     cells: Sequence[SummaryCell]
     games: Sequence[SummaryCell]
@@ -48,37 +67,62 @@ class Trajectories:
             raise NoEvidence("no ClockSpeed above 1 was flown")
         return clocks
 
+    @property
+    def rounds(self) -> list[int]:
+        """The paths' rounds, the shortest first."""
+        rounds = sorted({int(cell["rounds"]) for cell in self.cells})
+        if not rounds:
+            raise NoEvidence("nothing was flown")
+        return rounds
+
+    def stlc_by_cell(self, command: str, clock_speed: float, rounds: int | None = None) -> list[FloatArray]:
+        """STLC of each cell's games (games,), of all rounds unless some are asked for."""
+        cells = [np.asarray(cell["stlc"], float) for cell in _flown(self.games, command, clock_speed, rounds)]
+        for stlc in cells:
+            _enough(len(stlc), LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
+        _known(np.concatenate(cells), "STLC")
+        return cells
+
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
         """STLC of the games, T_moves pooled, and rounds too unless one is asked for."""
-        chosen = _flown(self.games, command, clock_speed, rounds)
-        return _known(np.concatenate([np.asarray(cell["stlc"], float) for cell in chosen]), "STLC")
+        return np.concatenate(self.stlc_by_cell(command, clock_speed, rounds))
 
-    def median(self, command: str, clock_speed: float) -> float:
+    def bootstrap(self, cells: Sequence[FloatArray], statistic: Callable[..., FloatArray]) -> Interval:
+        """95 % interval of `statistic(*cells)`, each cell's games resampled among themselves: a resample keeps the
+        T_moves and rounds in their shares.
+        """
+        return bootstrap_interval(cells, statistic, self.seed)
+
+    def median(self, command: str, clock_speed: float) -> Estimate:
         """Pooled median STLC, as in the paper's Figure 5."""
-        return float(np.median(self.stlc(command, clock_speed)))
+        cells = self.stlc_by_cell(command, clock_speed)
+        return Estimate(float(pooled_median(*cells)), *self.bootstrap(cells, pooled_median))
 
-    def interval(self, command: str, clock_speed: float) -> str:
-        """The median with its 95 % bootstrap interval over games."""
-        low, high = median_interval(self.stlc(command, clock_speed), self.seed)
-        return f"{self.median(command, clock_speed):.3f} [{low:.3f}, {high:.3f}]"
-
-    @property
-    def most_rounds(self) -> int:
-        """The longest path's rounds."""
-        return max(int(cell["rounds"]) for cell in self.cells)
-
-    def longest(self, command: str, clock_speed: float, t_move_s: float) -> SummaryCell:
-        """The cell of the longest path, whose speed-up is known."""
-        for cell in _flown(self.cells, command, clock_speed, self.most_rounds):
+    def longest(self, command: str, clock_speed: float, t_move_s: float) -> Estimate:
+        """Effective speed-up on the longest path."""
+        for cell in _flown(self.cells, command, clock_speed, self.rounds[-1]):
             if cell["t_move_s"] == t_move_s and cell["effective_speedup_interval"] is not None:
-                return cell
+                _enough(cell["games"], LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
+                return Estimate(cell["effective_speedup"], *cell["effective_speedup_interval"])
         raise NoEvidence(f"no {command} at {clock_speed:g}x, T_move {t_move_s:g} s, with a speed-up")
 
-    def column(self, key: str, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """A key of the cells of a command and ClockSpeed, by T_move."""
-        chosen = _flown(self.cells, command, clock_speed, rounds)
-        in_order = sorted(chosen, key=lambda cell: float(cell["t_move_s"]))
-        return _known(np.array([cell[key] for cell in in_order], float), key)
+    def speedups(self, command: str, clock_speed: float) -> list[Estimate]:
+        """Effective speed-ups on the longest path, by T_move."""
+        flown = _flown(self.cells, command, clock_speed, self.rounds[-1])
+        return [self.longest(command, clock_speed, t) for t in sorted(cell["t_move_s"] for cell in flown)]
+
+    def gap_s(self, command: str, clock_speed: float) -> float:
+        """Median over cells of the median simulated time from a command's end to the next one's start."""
+        flown = _flown(self.cells, command, clock_speed, None)
+        for cell in flown:
+            _enough(cell["games"], LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
+        gaps = np.array([cell["command_gap_median_s"] for cell in flown], float)
+        return float(np.median(_known(gaps, "the gap between commands")))
+
+
+def pooled_median(*cells: FloatArray) -> FloatArray:
+    """Median over the last axes of all cells together."""
+    return np.asarray(np.median(np.concatenate(cells, axis=-1), axis=-1))
 
 
 def _flown(
@@ -98,61 +142,111 @@ def _known(values: FloatArray, name: str) -> FloatArray:
     return values
 
 
+def _enough(count: int, least: int, what: str) -> None:
+    if count < least:
+        raise Undecided(f"{count} {what}, at least {least} are needed")
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """TCSC's images at a ClockSpeed against those at 1x, a value an image (n,): the points of Figure 7."""
+
+    position_error_m: FloatArray
+    dvs_ed_percent: FloatArray
+
+
 @dataclass(frozen=True)
 class Images:
-    """A run of DP2: its cells of TCSC by ClockSpeed."""
+    """A run of DP2: TCSC's images by ClockSpeed, and its study of the guard, None where it has none."""
 
-    cells: Mapping[float, SummaryCell]
+    clouds: Mapping[float, Cloud]
+    guard: SummaryCell | None = None
 
     @classmethod
     def of(cls, run: RunDirectory) -> Images:
-        cells = run.read_json("summary.json")["cells"]
-        return cls({cell["clock_speed"]: cell for cell in cells if cell["command"] == "tcsc"})
+        clouds = {
+            cell["clock_speed"]: Cloud(
+                np.asarray(cell["position_error_m"], float), np.asarray(cell["dvs_ed_percent"], float)
+            )
+            for cell in run.read_json("scores.json")
+            if cell["command"] == "tcsc"
+        }
+        return cls(clouds, run.read_json("summary.json")["guard_study"])
 
-    def cell(self, clock_speed: float) -> SummaryCell:
-        """Raises NoEvidence where it was not flown, or has no run at 1x to compare with."""
-        cell = self.cells.get(clock_speed)
-        if cell is None or cell["position_error_m_max"] is None:
+    def cloud(self, clock_speed: float) -> Cloud:
+        """Raises NoEvidence where it was not flown or not at 1x, Undecided below LEAST_IMAGES images."""
+        cloud = self.clouds.get(clock_speed)
+        if cloud is None or not cloud.dvs_ed_percent.size:
             raise NoEvidence(f"no images at {clock_speed:g}x, compared with 1x")
-        return cell
+        _enough(len(cloud.dvs_ed_percent), LEAST_IMAGES, f"images at {clock_speed:g}x")
+        return cloud
+
+    def handed_on_perturbed(self) -> tuple[Proportion, Proportion]:
+        """Perturbed ones of the images handed on, without the guard and with it."""
+        if self.guard is None:
+            raise NoEvidence("the guard was not studied: no game without latency was flown")
+        images = self.guard["images"] * self.guard["streams"]
+        shares = self.guard["perturbed_share_handed_on"]
+        without, guarded = (Proportion(round(shares[guard] * images), images) for guard in ("off", "on"))
+        _enough(without.successes, LEAST_IMAGES, "perturbed images")
+        return without, guarded
 
 
 @dataclass(frozen=True)
 class Policies:
-    """A run of the suite `rl`: evaluation games won by command and ClockSpeed of the training, seeds pooled.
+    """A run of the suite `rl`: a cell for each training of a profile.
 
-    What it lacks raises NoEvidence.
+    What it lacks raises NoEvidence; trainings and evaluations of fewer than LEAST_GAMES games raise Undecided.
     """
 
     cells: Sequence[SummaryCell]
     interchange: Sequence[SummaryCell] = ()
     """Policies flown with both commands, seeds pooled."""
+    ended_m: Mapping[Trained, FloatArray] = field(default_factory=dict)
+    """Metres north at which evaluation games ended before the goal, seeds pooled."""
 
     @classmethod
     def of(cls, run: RunDirectory, profile: str) -> Policies:
         """Of the profile's trainings on the virtual clock, those without a variant."""
         summary = run.read_json("summary.json")
         wanted = (profile, "virtual", "")
-        return cls(
-            *([cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange"))
+        cells, interchange = (
+            [cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange")
+        )
+        return cls(cells, interchange, _ended(run, wanted))
+
+    def trainings(self, command: str, clock_speed: float) -> list[Proportion]:
+        """Evaluation games won, a proportion a training."""
+        trained = [Proportion.of(cell) for cell in _flown(self.cells, command, clock_speed)]
+        games = sum(each.games for each in trained)
+        _enough(games, LEAST_GAMES, f"games of {command.upper()} at {clock_speed:g}x")
+        return trained
+
+    def success(self, command: str, clock_speed: float) -> Estimate:
+        """Success of the policies trained so, over trainings where there are several."""
+        return success_estimate(self.trainings(command, clock_speed))
+
+    def command_s(self, command: str, clock_speed: float, phases: Sequence[str]) -> Estimate:
+        """Modelled wall seconds of a command's share of some phases, over trainings."""
+        cells = _flown(self.cells, command, clock_speed)
+        trained = sum(cell["trained_games"] for cell in cells)
+        _enough(trained, LEAST_GAMES, f"training games of {command.upper()} at {clock_speed:g}x")
+        return mean_estimate(
+            [sum(cell["phase_s"][phase] for phase in phases) / cell["commands"] for cell in cells]
         )
 
-    def success(self, command: str, clock_speed: float) -> Proportion:
-        """Games won, seeds pooled."""
-        chosen = _flown(self.cells, command, clock_speed)
-        return Proportion(sum(cell["successes"] for cell in chosen), sum(cell["games"] for cell in chosen))
-
-    def speedup(self, clock_speed: float, key: str = "training_speedup") -> float:
-        """Mean speed-up of TCSC's trainings on their modelled clock, of simulation alone."""
-        values = np.array([cell[key] for cell in _flown(self.cells, "tcsc", clock_speed)], float)
-        return float(np.mean(_known(values, key)))
+    def speedup(self, clock_speed: float, phases: Sequence[str] = SIMULATION) -> Estimate:
+        """TCSC's over ADSC in real time, the paper's baseline (section III-C3), of a command's mean."""
+        return ratio_estimate(
+            self.command_s("adsc", 1.0, phases), self.command_s("tcsc", clock_speed, phases)
+        )
 
     def clocks(self, command: str) -> list[float]:
         """ClockSpeeds at which the command was trained; none where it was not."""
         return sorted({cell["clock_speed"] for cell in self.cells if cell["command"] == command})
 
     def interchanged(self) -> SummaryCell:
-        """The policy that was flown with both commands."""
+        """The policies that were flown with both commands."""
         if not self.interchange:
             raise NoEvidence("no policy was flown with both commands")
         return self.interchange[0]
@@ -160,3 +254,13 @@ class Policies:
 
 def _kind(cell: SummaryCell) -> tuple[str, str, str]:
     return cell["profile"], cell["timing"], cell["variant"]
+
+
+def _ended(run: RunDirectory, wanted: tuple[str, str, str]) -> dict[Trained, FloatArray]:
+    ended: dict[Trained, list[FloatArray]] = {}
+    for row in run.rows():
+        if _kind(row) == wanted:
+            arrays, command = run.load_arrays(row), row["command"]
+            lost = ~arrays[f"{command}_is_success"]
+            ended.setdefault((command, row["clock_speed"]), []).append(arrays[f"{command}_distance_m"][lost])
+    return {trained: np.concatenate(distances) for trained, distances in ended.items()}

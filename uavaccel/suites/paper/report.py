@@ -13,8 +13,8 @@ from uavaccel.suites.paper.verdicts import at_the_papers_n, judge
 from uavaccel.suites.parts import part_run
 from uavaccel.suites.report import Report, Summary, SummaryCell
 
-HEADER = ("claim", "place", "the paper's", "under airsim", "", "under native", "", "the paper's n")
-SHORT_HEADER = ("claim", "place", "under airsim", "under native")
+HEADER = ("claim", "place", "the paper's", "is", "under airsim", "", "under native", "", "the paper's n")
+SHORT_HEADER = ("claim", "place", "is", "under airsim", "under native")
 
 
 class PaperReport(Report):
@@ -38,7 +38,7 @@ class PaperReport(Report):
 
     def overview(self) -> Table:
         lines = [
-            (row["claim"], row["place"], *(_both(row[profile]) for profile in PROFILES))
+            (row["claim"], row["place"], row["basis"], *(_both(row[profile]) for profile in PROFILES))
             for row in self.summary["claims"]
         ]
         return Table(SHORT_HEADER, lines)
@@ -59,7 +59,7 @@ def _both(judged: Mapping[str, str]) -> str:
 
 def _line(row: SummaryCell) -> tuple[str, ...]:
     found = [row[profile][key] for profile in PROFILES for key in ("verdict", "value")]
-    return (row["says"], row["place"], row["paper"], *found, at_the_papers_n(row))
+    return (row["says"], row["place"], row["paper"], row["basis"], *found, at_the_papers_n(row))
 
 
 def _said(stem: str) -> str:

@@ -1,40 +1,47 @@
-"""The claims against the runs: holds, fails, or pending until somebody has trained; and what the paper's n can tell."""
+"""The claims against the runs, and what the paper's n can tell.
+
+A claim holds or fails; it is undecided where its games or its interval cannot tell, pending until somebody has trained,
+and not flown where the run leaves its part out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
-from uavaccel.suites.paper import claims
+from uavaccel.suites.paper import flight_claims, policy_claims
 from uavaccel.suites.paper.config import PROFILES, Claim, PaperConfig, read_claims
-from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories
+from uavaccel.suites.paper.evidence import Finding, Images, NoEvidence, Policies, Trajectories, Undecided
 from uavaccel.suites.parts import part_run
 from uavaccel.suites.report import SummaryCell
 
 LEVEL = 0.05
+VERDICTS = {True: "holds", False: "fails", None: "undecided"}
 
 
 def judge(config: PaperConfig, run: RunDirectory) -> list[dict[str, Any]]:
     """A row for each claim: the paper's number, and for each profile what was found and the verdict."""
-    evidence = {profile: _evidence(config, run, profile) for profile in PROFILES}
+    evidence = {profile: evidence_of(config, run, profile) for profile in PROFILES}
     return [
         {
             "claim": claim.id,
             "place": claim.place,
             "says": claim.says,
             "paper": claim.paper,
+            "basis": claim.basis,
             "paper_p": _paper_p(claim),
-            **{profile: _judged(claim, evidence[profile]) for profile in PROFILES},
+            **{profile: judged(claim, evidence[profile]) for profile in PROFILES},
         }
         for claim in read_claims(config)
     ]
 
 
-def _evidence(config: PaperConfig, run: RunDirectory, profile: str) -> dict[str, Any]:
+def evidence_of(config: PaperConfig, run: RunDirectory, profile: str) -> dict[str, Any]:
+    """What a run has of a profile, by kind of run."""
     found: dict[str, Any] = {}
     if f"dp1-{profile}" in config.parts:
         found["dp1"] = Trajectories.of(part_run(run, f"dp1-{profile}"))
@@ -53,15 +60,25 @@ def training_run(path: str) -> RunDirectory:
     return run
 
 
-def _judged(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, Any]:
-    undecided = {"value": "", "verdict": "pending" if claim.decided_by == "rl" else "not flown"}
-    if claim.decided_by not in evidence:
-        return undecided
+def judged(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, Any]:
+    """The claim's verdict, and what was found or why nothing can be said."""
+    lacking = {"value": "", "verdict": "pending" if "rl" in claim.decided_by else "not flown"}
+    if any(kind not in evidence for kind in claim.decided_by):
+        return lacking
     try:
-        finding: Finding = getattr(claims, claim.id)(evidence[claim.decided_by])
+        finding = decision(claim.id)(*(evidence[kind] for kind in claim.decided_by))
     except NoEvidence:
-        return undecided
-    return {"value": finding.value, "verdict": "holds" if finding.holds else "fails"}
+        return lacking
+    except Undecided as reason:
+        return {"value": str(reason), "verdict": "undecided"}
+    return {"value": finding.value, "verdict": VERDICTS[finding.holds]}
+
+
+def decision(name: str) -> Callable[..., Finding]:
+    """The function of that name. Raises AttributeError where there is none."""
+    module = flight_claims if hasattr(flight_claims, name) else policy_claims
+    decide: Callable[..., Finding] = getattr(module, name)
+    return decide
 
 
 def _paper_p(claim: Claim) -> float | None:
