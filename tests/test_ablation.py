@@ -13,7 +13,7 @@ from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
-from uavaccel.suites.ablation.config import AblationConfig
+from uavaccel.suites.ablation.config import AblationConfig, Variant
 from uavaccel.suites.ablation.report import curves, table
 from uavaccel.suites.ablation.suite import Ablation
 from uavaccel.suites.ablation.variants import VariantCurve, plot_variants
@@ -44,6 +44,8 @@ def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     assert dear.latency.platform.tick_us == 70.0
     assert dear.model_dump(exclude={"latency"}) == plain.model_dump(exclude={"latency"})
     assert dear.latency.reply_us == plain.latency.reply_us
+    slow = config.experiment(Variant(name="slow", changes={"latency.reply_us.move": 2}))
+    assert slow.latency.reply_us["move"] == tuple(2 * each for each in plain.latency.reply_us["move"])
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,8 @@ CONFIGURATIONS = [
     *keys(DP1, "latency.scale", "-1", HUGE, ".nan", "1e12"),
     *keys(DP1, "latency.request_us.cal", "[0,0,0,0,0,0,0,0,0,0,0,0]"),
     *keys(DP1, "latency.reply_us.call", "[0,1]", "[0,0,0,0,0,0,0,0,0,0,0,1e300]", "slow", "[1,0,0,0,0,0,0,0,0,0,0,0]"),
+    *keys(DP1, "latency.reply_us.move", "-1", HUGE, ".nan", "true", "1e300"),
+    *keys(DP1, "latency.reply_us.mvoe", "2"),
     *keys(DP1, "latency.issue_us", "[0,0,0,0,0,0,0,0,0,0,0,1e300]", "[-1,0,0,0,0,0,0,0,0,0,0,0]"),
     *keys(DP1, "latency.platform.tick_us", "-1", HUGE, "1e30"),
     *keys(DP1, "latency.platform.stall_us", "1e300"),

@@ -216,6 +216,53 @@ def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
     assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
 
 
+def changed_latency(profile: str, **latency: Any) -> LatencyConfig:
+    """Of a configuration with such a block."""
+    keys = {"suite": "dp1", "clock_speed": [5], "profile": profile, "latency": latency}
+    return validate(Dp1Config, keys, "dp1").latency
+
+
+def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
+    """After any wait; what has no row of its own gets one of what it was drawn from."""
+
+    shipped = shipped_latency("airsim")
+    slow = changed_latency("airsim", reply_us={"move": 4})
+    assert slow.reply_us["move"] == pytest.approx([4 * each for each in shipped.reply_us["move"]])
+    assert slow.model_dump() == {
+        **shipped.model_dump(),
+        "reply_us": {**shipped.reply_us, "move": slow.reply_us["move"]},
+    }
+    both = changed_latency("airsim", reply_us={"pause": 2}, request_us={"call": 0.5}, scale=3)
+    assert both.reply_us == {**shipped.reply_us, "pause": tuple(2 * x for x in shipped.reply_us["call"])}
+    assert both.request_us["call"] == tuple(0.5 * each for each in shipped.request_us["call"])
+    assert both.scale == 3
+    assert changed_latency("airsim", reply_us={"pause": 1}) == shipped
+    measured = shipped_latency("native").reply_us
+    waited = changed_latency("native", reply_us={"move": 2, "pause@5ms": 3}).reply_us
+    changed = {name: tuple(2 * x for x in row) for name, row in measured.items() if name.startswith("move")}
+    assert waited == {**measured, **changed, "pause@5ms": tuple(3 * x for x in measured["pause@5ms"])}
+    assert len(changed) == 6
+
+
+@pytest.mark.parametrize(
+    ("latency", "text"),
+    [
+        ({"reply_us": {"mvoe": 4}}, "reply_us.mvoe is an unknown channel; did you mean 'move'"),
+        ({"reply_us": {"move": -1}}, "reply_us.move must be 0 to 1000, a factor, not -1"),
+        ({"reply_us": {"move": 1000}}, "reply_us = .* must be at most"),
+        (
+            {"reply_us": {"move": 4, "call": [1.0] * 12}},
+            "latency.reply_us.move = 4: a factor needs the model",
+        ),
+        ({"reply_us": {"move": "slow"}}, "latency.reply_us.move = 'slow': "),
+    ],
+)
+def test_a_factor_that_cannot_be_is_one_line(latency: dict[str, Any], text: str) -> None:
+    with pytest.raises(UserError, match=text) as refused:
+        changed_latency("airsim", **latency)
+    assert "\n" not in str(refused.value)
+
+
 def test_each_profile_has_a_model_that_ships() -> None:
     """AirSim's where a configuration says `airsim` and nothing of latency."""
     for profile, file in (("native", "latency.yaml"), ("airsim", "latency_airsim.yaml")):

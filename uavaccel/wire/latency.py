@@ -31,6 +31,7 @@ QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 DEFAULT: Final = "call"
+DIRECTIONS = ("request_us", "reply_us")
 WAITS_MS = (1, 2, 5, 10, 20)  # of a command or a continue-for, on the wall
 BETWEEN_NS = [1e6 * math.sqrt(shorter * longer) for shorter, longer in pairwise(WAITS_MS)]
 _BLOCK = 1024
@@ -41,7 +42,16 @@ _NO_FAULTS = FaultConfig()
 Numbers = Annotated[
     tuple[float, ...], BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row)
 ]
-Tables = dict[str, Numbers]  # microseconds at the quantiles, by channel
+
+
+def _row(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise ValueError("a factor needs the model that ships: leave out `quantiles` and rows of one's own")
+    return tuple(value) if isinstance(value, list) else value
+
+
+Row = Annotated[tuple[float, ...], BeforeValidator(_row, json_schema_input_type=tuple[float, ...] | float)]
+Tables = dict[str, Row]  # microseconds at the quantiles, by channel
 
 
 def after_wait(channel: str, wait_ns: int) -> str:
@@ -55,7 +65,8 @@ KNOWN_CHANNELS = [*CHANNELS, *(f"{channel}@{wait}ms" for channel in CHANNELS for
 class LatencyConfig(Config):
     """Microseconds at `quantiles`, by channel: move, pause, continue, continue_for, state, image; "call" is the rest.
 
-    "pause@10ms" holds after a wait of about 10 ms, "pause" after any other.
+    "pause@10ms" holds after a wait of about 10 ms, "pause" after any other. In a block that changes the model that
+    ships, a number in place of a channel's row is a factor on that channel alone, after any wait.
 
     `issue_us` is what sending a command without waiting costs the client; `timer_us` how late a wall timer of the
     server ends (it matters to the `airsim` profile's continue-for alone). `platform` is what the simulator costs
@@ -134,21 +145,52 @@ class _LatencyFile(Config):
 
 
 def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
-    """The shipped model's block with the keys of `block` in it, however deep."""
+    """The shipped model's block with the keys of `block` in it, however deep; factors multiply their channel's rows."""
     result = dict(shipped)
     for key, value in block.items():
         below = result.get(key)
-        nested = isinstance(value, Mapping) and isinstance(below, Mapping)
-        result[key] = _completed(value, below) if nested else value  # type: ignore[arg-type]
+        if key in DIRECTIONS and isinstance(below, Mapping):
+            result[key] = _scaled(key, value, below)
+        elif isinstance(value, Mapping) and isinstance(below, Mapping):
+            result[key] = _completed(value, below)
+        else:
+            result[key] = value
     return result
 
 
+def _scaled(direction: str, factors: Mapping[str, float], tables: Mapping[str, Any]) -> dict[str, Any]:
+    """A direction's rows, those of each channel named times its factor, after any wait unless one is named.
+
+    A channel that has no row of its own gets one, of what it was drawn from.
+    """
+    result = dict(tables)
+    for channel, factor in factors.items():
+        if channel not in KNOWN_CHANNELS:
+            known = suggestion(channel, KNOWN_CHANNELS)
+            raise ValueError(f"{direction}.{channel} is an unknown channel; {known}")
+        if not 0 <= factor <= MOST_SCALE:
+            raise ValueError(f"{direction}.{channel} must be 0 to {MOST_SCALE:g}, a factor, not {factor}")
+        if factor == 1:
+            continue
+        kind = channel.partition("@")[0]
+        source = next(tables[name] for name in (channel, kind, DEFAULT) if name in tables)
+        rows = {name: row for name, row in tables.items() if name.startswith(f"{channel}@")}
+        for name, row in {**rows, channel: source}.items():
+            result[name] = [factor * each for each in row]
+    return result
+
+
+def _changes_what_ships(block: Mapping[str, Any]) -> bool:
+    """Whether a block has neither quantiles nor rows of its own."""
+    rows = [block[direction] for direction in DIRECTIONS if direction in block]
+    return "quantiles" not in block and all(
+        isinstance(each, Mapping) and each and all(isinstance(value, int | float) for value in each.values())
+        for each in rows
+    )
+
+
 def _from_block_or_file(value: Any, info: ValidationInfo) -> Any:
-    if (
-        isinstance(value, Mapping)
-        and "profile" in info.data
-        and not {"quantiles", "request_us", "reply_us"} & {*value}
-    ):
+    if isinstance(value, Mapping) and "profile" in info.data and _changes_what_ships(value):
         return _completed(value, of_the_profile(info.data).model_dump(mode="json"))
     if not isinstance(value, str | Path):
         return value
@@ -164,8 +206,8 @@ LatencyModel = Annotated[
     Field(default_factory=of_the_profile),
 ]
 """Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships
-for the `profile`, a field that has to stand before it. A block without `quantiles`, `request_us` and `reply_us`, as of
-`--set latency.platform.stall_us=40000`, changes the one that ships."""
+for the `profile`, a field that has to stand before it. A block without `quantiles` and rows of its own, as of
+`--set latency.platform.stall_us=40000` or `--set latency.reply_us.move=4`, changes the one that ships."""
 
 
 class Latency:

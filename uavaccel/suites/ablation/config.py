@@ -54,6 +54,6 @@ class AblationConfig(Experiment):
 
     def experiment(self, variant: Variant) -> Dp1Config:
         """The DP1 experiment of a variant. Raises UserError that names the variant and the key."""
-        known = validate(Dp1Config, {**self.base, "suite": "dp1", "seed": self.seed}, "base")
-        changed = merged(known.model_dump(mode="json"), variant.changes)
-        return validate(Dp1Config, changed, f"variant {variant.name!r}")
+        known = {**self.base, "suite": "dp1", "seed": self.seed}
+        validate(Dp1Config, known, "base")
+        return validate(Dp1Config, merged(known, variant.changes), f"variant {variant.name!r}")
