@@ -12,6 +12,7 @@ from scipy.stats import hypergeom
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import Cloud, Images, Policies, Trajectories
+from uavaccel.suites.paper.phases import phases, table
 from uavaccel.suites.paper.verdicts import _paper_p, at_the_papers_n, decision, judged
 from uavaccel.suites.parts import Part
 
@@ -210,7 +211,7 @@ TABLE: dict[str, tuple[list[dict[str, Any]], list[dict[str, Any]]]] = {
     "images_at_10x": ([{"dp2": {"k10": (0.04, 5.01)}}, {"dp2": {"k10": (0.06, 4.5)}}], []),
     "images_beyond_10x": ([{"dp2": {"k100": (0.30, 20.0)}}, {"dp2": {"k50": (0.06, 4.0)}}], []),
     "same_place_other_images": ([{"dp2": {"k50": (0.06, 5.0)}}, {"dp2": {"k100": (3.0, 5.0)}}], []),
-    "guard_keeps_out": ([{"dp2": {"guard": (0.05, 0.04, 400)}}], [{"dp2": {"guard": (0.05, 0.025, 400)}}]),
+    "guard_keeps_out": ([{"dp2": {"guard": (0.05, 0.05, 400)}}], [{"dp2": {"guard": (0.05, 0.04, 400)}}]),
     "adsc_collapses_at_5x": (
         # A drop from 98.5 to 96.5 % is significant at n = 3 000, and no collapse.
         [{"rl": {"adsc5": 0.23}}, {"rl": {"adsc1": 0.985, "adsc5": 0.965}}],
@@ -309,6 +310,22 @@ def test_a_baseline_that_was_not_trained_leaves_a_speed_up_pending() -> None:
         [cell for cell in whole.cells if (cell["command"], cell["clock_speed"]) != ("adsc", 1.0)]
     )
     assert judged(CLAIMS["training_speedup_5x"], {"rl": lacking}) == {"value": "", "verdict": "pending"}
+
+
+def test_phases_are_hours_of_a_training_like_the_papers() -> None:
+    """A command of ADSC takes 1 s and 43.5 ms at 1x, which are 182 hours."""
+    rows = {row["clock_speed"]: row for row in phases(policies())}
+    hours_a_second = 182 / 1.0435
+    assert list(rows) == list(CLOCKS)
+    assert rows[5.0]["simulation_h"] == pytest.approx(hours_a_second / 4)
+    assert rows[5.0]["image_processing_h"] == pytest.approx(0.0435 * hours_a_second)
+    assert (rows[5.0]["inference_h"], rows[5.0]["learning_h"]) == (0, 0)
+    assert rows[1.0]["paper_simulation_h"] + rows[1.0]["paper_beside_h"] == pytest.approx(182)
+    assert rows[5.0]["paper_simulation_h"] == pytest.approx(rows[1.0]["paper_simulation_h"] / 4)
+    shown = table(list(rows.values()))
+    whole = shown.header.index("whole, the paper's")
+    assert [line[whole] for line in shown.rows] == ["182.0", "50.6", "35.0", "-", "-"]
+    assert phases(policies(trained=6)) == phases(Policies([])) == []
 
 
 def test_the_bootstrap_keeps_cells_in_their_shares() -> None:

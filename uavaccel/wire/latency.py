@@ -44,8 +44,12 @@ Numbers = Annotated[
 ]
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _row(value: Any) -> Any:
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if _is_number(value):
         raise ValueError("a factor needs the model that ships: leave out `quantiles` and rows of one's own")
     return tuple(value) if isinstance(value, list) else value
 
@@ -184,8 +188,7 @@ def _changes_what_ships(block: Mapping[str, Any]) -> bool:
     """Whether a block has neither quantiles nor rows of its own."""
     rows = [block[direction] for direction in DIRECTIONS if direction in block]
     return "quantiles" not in block and all(
-        isinstance(each, Mapping) and each and all(isinstance(value, int | float) for value in each.values())
-        for each in rows
+        isinstance(each, Mapping) and each and all(map(_is_number, each.values())) for each in rows
     )
 
 

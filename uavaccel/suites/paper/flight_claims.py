@@ -22,12 +22,10 @@ from uavaccel.metrics.equivalence import (
     within,
 )
 from uavaccel.suites.paper.evidence import (
-    LEAST_IMAGES,
     Finding,
     FloatArray,
     Images,
     Trajectories,
-    Undecided,
     pooled_median,
 )
 
@@ -35,6 +33,10 @@ SIMILAR = 1.8  # STLC above which trajectories look alike (section III-C2a)
 MAXIMUM = 2.0  # STLC of identical trajectories
 NEAR = 0.05  # below it
 FASTEST, LONGEST_S = 100.0, 1.0
+MITIGATED: Interval = (
+    0.0,
+    0.8,
+)  # share of perturbed images with the guard over that without: not alike (ALIKE)
 SAME_PLACE_M = 0.05  # within which the paper's images at 5x and 10x are (section IV-C)
 
 # --- DP1 ----------------------------------------------------------------------------------------------------------
@@ -205,25 +207,24 @@ def images_beyond_10x(dp2: Images) -> Finding:
 
 
 def same_place_other_images(dp2: Images) -> Finding:
-    """At 50x and 100x, of the 5 cm of distance with most images: their DVS-ED, from its 5 to its 95 % quantile, spans
-    more than the 5 % that all of it has at 10x.
+    """At 50x and 100x, of images within the same 5 cm of distance: their DVS-ED about the median there spans, from its
+    5 to its 95 % quantile, more than the 5 % that all of it has at 10x.
     """
     texts, wide = [], []
     for k in (50.0, 100.0):
         cloud = dp2.cloud(k)
         places = np.floor(cloud.position_error_m / SAME_PLACE_M)
-        place, count = max(zip(*np.unique(places, return_counts=True), strict=True), key=lambda each: each[1])
-        if count < LEAST_IMAGES:
-            raise Undecided(f"at {k:g}x at most {count} images at one distance, {LEAST_IMAGES} are needed")
-        low, high = np.quantile(cloud.dvs_ed_percent[places == place], (0.05, 0.95))
-        texts.append(f"{low:.2g} to {high:.2g} % in {count} images")
+        alike = [cloud.dvs_ed_percent[places == place] for place in np.unique(places)]
+        about = np.concatenate([each - np.median(each) for each in alike])
+        low, high = np.quantile(about, (0.05, 0.95))
+        texts.append(f"{k:g}x {low:+.2g} to {high:+.2g} %")
         wide.append(bool(high - low > 5.0))
     return Finding(", ".join(texts), all(wide))
 
 
 def guard_keeps_out(dp2: Images) -> Finding:
-    """Of the images handed on, the share of perturbed ones with the guard is at most half of that without."""
+    """Of the images handed on, the share of perturbed ones with the guard is at most .8 of that without."""
     without, guarded = dp2.handed_on_perturbed()
     kept = ratio_estimate(*(success_estimate([each]) for each in (guarded, without)))
     text = f"{without.ratio:.1%} to {guarded.ratio:.1%}: {kept.text(' of them', 2)}"
-    return Finding(text, within(kept.interval, (0.0, 0.5)))
+    return Finding(text, within(kept.interval, MITIGATED))

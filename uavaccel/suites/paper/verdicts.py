@@ -23,9 +23,11 @@ LEVEL = 0.05
 VERDICTS = {True: "holds", False: "fails", None: "undecided"}
 
 
-def judge(config: PaperConfig, run: RunDirectory) -> list[dict[str, Any]]:
-    """A row for each claim: the paper's number, and for each profile what was found and the verdict."""
-    evidence = {profile: evidence_of(config, run, profile) for profile in PROFILES}
+def judge(config: PaperConfig, evidence: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each claim: the paper's number, and for each profile what was found and the verdict.
+
+    `evidence`: by profile, as of `evidence_of`.
+    """
     return [
         {
             "claim": claim.id,
