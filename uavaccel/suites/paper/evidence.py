@@ -237,19 +237,20 @@ class Policies:
 
     def speedup(self, clock_speed: float, phases: Sequence[str] = SIMULATION) -> Estimate:
         """TCSC's over ADSC in real time, the paper's baseline (section III-C3), of a command's mean."""
-        return ratio_estimate(
-            self.command_s("adsc", 1.0, phases), self.command_s("tcsc", clock_speed, phases)
-        )
+        accelerated = self.command_s("tcsc", clock_speed, phases)
+        return ratio_estimate(self.command_s("adsc", 1.0, phases), accelerated)
 
     def clocks(self, command: str) -> list[float]:
         """ClockSpeeds at which the command was trained; none where it was not."""
         return sorted({cell["clock_speed"] for cell in self.cells if cell["command"] == command})
 
-    def interchanged(self) -> SummaryCell:
-        """The policies that were flown with both commands."""
+    def interchanged(self) -> tuple[Proportion, Proportion]:
+        """Games won by the policies that TCSC trained at 1x, flown with TCSC and with ADSC."""
         if not self.interchange:
             raise NoEvidence("no policy was flown with both commands")
-        return self.interchange[0]
+        with_tcsc, with_adsc = (Proportion.of(flown) for flown in self.interchange[0]["flown_with"])
+        _enough(with_tcsc.games, LEAST_GAMES, "games with either command")
+        return with_tcsc, with_adsc
 
 
 def _kind(cell: SummaryCell) -> tuple[str, str, str]:
