@@ -446,7 +446,7 @@ def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
     airsim, native = (Policies.of(whole, profile) for profile in ("airsim", "native"))
     with pytest.raises(Undecided, match="2 games of ADSC at 5x, at least 100 are needed"):
         policy_claims.adsc_collapses_at_5x(airsim)
-    with pytest.raises(Undecided, match="3 training games of ADSC at 1x"):
+    with pytest.raises(Undecided, match="3 training games of TCSC at 5x"):
         policy_claims.training_speedup_5x(airsim)
     with pytest.raises(NoEvidence, match="tcsc at 10x was not flown"):
         policy_claims.tcsc_preserved_at_10x(airsim)

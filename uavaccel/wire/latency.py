@@ -152,11 +152,8 @@ def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str
     """The shipped model's block with the keys of `block` in it, however deep; factors multiply their channel's rows."""
     result = dict(shipped)
     for key, value in block.items():
-        below = result.get(key)
-        if key in DIRECTIONS and isinstance(below, Mapping):
-            result[key] = _scaled(key, value, below)
-        elif isinstance(value, Mapping) and isinstance(below, Mapping):
-            result[key] = _completed(value, below)
+        if isinstance(value, Mapping) and isinstance(below := result.get(key), Mapping):
+            result[key] = _scaled(key, value, below) if key in DIRECTIONS else _completed(value, below)
         else:
             result[key] = value
     return result
@@ -174,12 +171,9 @@ def _scaled(direction: str, factors: Mapping[str, float], tables: Mapping[str, A
             raise ValueError(f"{direction}.{channel} is an unknown channel; {known}")
         if not 0 <= factor <= MOST_SCALE:
             raise ValueError(f"{direction}.{channel} must be 0 to {MOST_SCALE:g}, a factor, not {factor}")
-        if factor == 1:
-            continue
-        kind = channel.partition("@")[0]
-        source = next(tables[name] for name in (channel, kind, DEFAULT) if name in tables)
+        source = next(name for name in (channel, channel.partition("@")[0], DEFAULT) if name in tables)
         rows = {name: row for name, row in tables.items() if name.startswith(f"{channel}@")}
-        for name, row in {**rows, channel: source}.items():
+        for name, row in {**rows, channel: tables[source]}.items() if factor != 1 else ():
             result[name] = [factor * each for each in row]
     return result
 
