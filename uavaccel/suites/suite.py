@@ -116,6 +116,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """What a game takes, about; by default its simulated time over a usual speed, and a row."""
         return Cost(flying_s(case), ROW_BYTES)
 
+    def stage(self, case: CaseType) -> int:
+        """Cases of a later stage are begun once all of the earlier ones are done: they build on them."""
+        return 0
+
     def games(self, config: ConfigType, case: CaseType) -> int:
         """How many games a case is, where it is a whole run of another suite."""
         return 1
@@ -152,12 +156,21 @@ AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
 
 VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
+KERNEL_RATES = {
+    "cpu": 500.0,
+    "cuda": 40_000.0,
+}  # of lanes over arrays, about, pictures and decisions with them
 ROW_BYTES = 1_000
 
 
 def flying_s(case: Case, clock_speed: float = 1.0) -> float:
     """Wall time of a game without calls and images, about."""
     return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
+
+
+def kernels_s(case: Case, device: str) -> float:
+    """Wall time of a game that the kernels fly among many, about."""
+    return case.simulated_s() / KERNEL_RATES[device.partition(":")[0]]
 
 
 def configuration(suite: AnySuite, mapping: Mapping[str, Any], source: str) -> Any:
