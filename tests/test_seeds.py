@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binom, permutation_test
+from scipy import stats
 
 from uavaccel.metrics.seeds import hierarchical_interval, permutation_p, sign_flip_p
 
+permutation_test: Any = stats.permutation_test  # its stubs know no plain lists
 games = st.lists(st.sampled_from([0.0, 1.0]), min_size=1, max_size=12)
 trainings = st.lists(games, min_size=1, max_size=6)
 ratios = st.lists(st.integers(0, 8).map(lambda won: won / 8), min_size=2, max_size=5)
@@ -26,7 +29,7 @@ def test_an_interval_lies_within_the_seeds_games_and_repeats(samples: list[list[
 
 def test_of_one_seed_the_interval_is_binomial() -> None:
     low, high = hierarchical_interval([np.arange(300) < 60], 0, resamples=20_000)
-    expected = binom(300, 0.2).ppf([0.025, 0.975]) / 300
+    expected = stats.binom(300, 0.2).ppf([0.025, 0.975]) / 300
     np.testing.assert_allclose((low, high), expected, atol=0.004)
 
 
