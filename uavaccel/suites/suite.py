@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 import numpy as np
 
 from uavaccel.errors import UserError, suggestion
+from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
 from uavaccel.suites.report import Report, Row
@@ -156,10 +157,8 @@ AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
 
 VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
-KERNEL_RATES = {
-    "cpu": 500.0,
-    "cuda": 40_000.0,
-}  # of lanes over arrays, about, pictures and decisions with them
+CORE_RATE = 250.0  # of lanes over arrays in the threads of one core, pictures and decisions with them
+LANE_RATE, FULL = 150.0, 1024  # of a lane on a GPU, as long as it has room for more
 ROW_BYTES = 1_000
 
 
@@ -168,9 +167,10 @@ def flying_s(case: Case, clock_speed: float = 1.0) -> float:
     return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
 
 
-def kernels_s(case: Case, device: str) -> float:
-    """Wall time of a game that the kernels fly among many, about."""
-    return case.simulated_s() / KERNEL_RATES[device.partition(":")[0]]
+def kernels_s(case: Case, device: str, lanes: int) -> float:
+    """Wall time of a game that the kernels fly among so many lanes, about."""
+    rate = LANE_RATE * min(lanes, FULL) if device.startswith("cuda") else CORE_RATE * usable_cores()
+    return case.simulated_s() / rate
 
 
 def configuration(suite: AnySuite, mapping: Mapping[str, Any], source: str) -> Any:

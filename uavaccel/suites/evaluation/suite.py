@@ -79,7 +79,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     def cost(self, config: EvaluateConfig, case: Case) -> Cost:
         if config.simulator == KERNELS:
-            return Cost(kernels_s(case, config.device), ROW_BYTES)
+            return Cost(kernels_s(case, config.device, config.games), ROW_BYTES)
         side_by_side = min(config.environments, usable_cores())
         return Cost(flying_s(case, config.task.clock_speed) / side_by_side, ROW_BYTES)
 

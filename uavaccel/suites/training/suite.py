@@ -86,7 +86,7 @@ class Training(Suite[TrainConfig, Case]):
 
     def cost(self, config: TrainConfig, case: Case) -> Cost:
         if config.simulator == KERNELS:
-            return Cost(kernels_s(case, config.device), ROW_BYTES)
+            return Cost(kernels_s(case, config.device, config.environments), ROW_BYTES)
         commands, game_s = case.simulated_s() / config.task.t_move_s, flying_s(case, config.task.clock_speed)
         every = config.evaluate_every_games
         evaluated = config.evaluation_games / every if every else 0.0
