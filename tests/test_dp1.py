@@ -162,10 +162,10 @@ def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch
     with monkeypatch.context() as patch:
         append_row = RunDirectory.append_row
 
-        def dying(self: RunDirectory, row: dict[str, Any]) -> None:
+        def dying(self: RunDirectory, row: dict[str, Any], on_disk: bool = True) -> None:
             if len(self.rows()) == 5:
                 raise OSError("power cut")
-            append_row(self, row)
+            append_row(self, row, on_disk)
 
         patch.setattr(RunDirectory, "append_row", dying)
         with pytest.raises(OSError, match="power cut"):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.drawing import headline, labelled, points
-from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.rl.distances import plot_distances
 from uavaccel.suites.rl.success import SuccessLine, plot_success
 from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
@@ -22,8 +21,8 @@ PHASES = {
 
 
 def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() -> None:
-    won = [Proportion(10, 20), Proportion(25, 100)]
-    line = SuccessLine("TCSC", "tcsc", [1.0, 100.0], won, [[0.4, 0.6], [0.25]])
+    intervals = [(0.3, 0.7), (0.2, 0.3)]
+    line = SuccessLine("TCSC", "tcsc", [1.0, 100.0], [0.5, 0.25], intervals, [[0.4, 0.6], [0.25]])
     figure = plot_success([line], "Success", "modelled")
     assert headline(figure) == ("Success", "modelled")
     axes: Any = figure.axes[0]
@@ -32,7 +31,7 @@ def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() ->
     assert points(ratio) == [(0.0, 0.5), (1.0, 0.25)]
     assert [y for each in seeds for _, y in points(each)] == [0.4, 0.6, 0.25]
     bars = axes.collections[0].get_segments()
-    assert [bar[:, 1].tolist() for bar in bars] == [pytest.approx(each.interval) for each in won]
+    assert [bar[:, 1].tolist() for bar in bars] == [pytest.approx(each) for each in intervals]
 
 
 def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:

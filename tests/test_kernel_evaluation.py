@@ -107,7 +107,6 @@ def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
         ([KERNELS, LOCKSTEP, "environments=2"], "environments is of simulator mujoco"),
         ([KERNELS, LOCKSTEP, "task.difficulty.scenery=forest"], "simulator = kernels: difficulty.scenery"),
         (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),
-        ([KERNELS, LOCKSTEP, "device=cuda"], "device = cuda: (needs numba-cuda|PyTorch finds no GPU)"),
         (["simulator=airsim"], "simulator.*mujoco.*kernels"),
     ],
 )
@@ -117,6 +116,15 @@ def test_what_the_kernels_do_not_fly_is_one_clear_line(
     monkeypatch.setattr(th.cuda, "is_available", lambda: False)
     with pytest.raises(UserError, match=message) as raised:
         configured("evaluate", *overrides, agent="straight")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_gpu_that_is_not_there_is_missed_before_a_run_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before: a plan for another machine can be made here."""
+    monkeypatch.setattr(th.cuda, "is_available", lambda: False)
+    config = configured("evaluate", KERNELS, LOCKSTEP, "device=cuda", agent="straight")
+    with pytest.raises(UserError, match=r"device = cuda: (needs numba-cuda|PyTorch finds no GPU)") as raised:
+        Evaluation().provenance(config)
     assert "\n" not in str(raised.value)
 
 

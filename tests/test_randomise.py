@@ -223,10 +223,10 @@ def test_rows_of_a_training_tell_the_conditions_and_an_interruption_changes_none
     with monkeypatch.context() as patch:
         append = RunDirectory.append_row
 
-        def interrupted(run: RunDirectory, row: Any) -> None:
+        def interrupted(run: RunDirectory, row: Any, on_disk: bool = True) -> None:
             if row["game"] == 3:
                 raise KeyboardInterrupt
-            append(run, row)
+            append(run, row, on_disk)
 
         patch.setattr(RunDirectory, "append_row", interrupted)
         with pytest.raises(KeyboardInterrupt):

@@ -17,24 +17,27 @@ from tests.opengl import needs_opengl
 from tests.running import configured, run_into
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
+from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.records import RunDirectory
-from uavaccel.suites import gpu
+from uavaccel.suites import gpu, runner
 from uavaccel.suites.paper import policy_claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
 from uavaccel.suites.rl.cases import flights
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl
-from uavaccel.suites.rl.summary import summarise
+from uavaccel.suites.rl.summary import KEY, summarise
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 
-# No pictures, hence no OpenGL; games of a dozen commands; the interchange test once.
+# No pictures, hence no OpenGL; games of a dozen commands; policies flown by the kernels, and with both commands.
 SMALL = (
     "games=3",
     "cells=[{profile: airsim, command: [tcsc, adsc], clock_speed: [1, 5]}, {profile: native, command: [tcsc], "
     "clock_speed: [100]}, {profile: native, timing: lockstep, command: [tcsc], clock_speed: [1]}]",
-    "evaluation.keys={games: 2, task.max_commands: 12}",
+    "evaluation.keys={games: 2, task.max_commands: 12, simulator: kernels}",
+    "exact_seeds=1",
+    "exact={experiment: evaluate, keys: {games: 2, task.max_commands: 12}}",
     "training.keys={checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, task.observation: state, "
     "task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
 )
@@ -53,8 +56,8 @@ from tests.learning import fly_here
 fly_here()
 append, left = RunDirectory.append_row, [int(sys.argv[3])]
 
-def append_and_die(run, row):
-    append(run, row)
+def append_and_die(run, row, on_disk=True):
+    append(run, row, on_disk)
     left[0] -= 1
     if not left[0]:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -86,7 +89,7 @@ def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> Run
 def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
     tmp_path: Path, whole: RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows of a cell: three of its training, two of each evaluation, its own; TCSC at 1x is flown twice."""
+    """Rows of a cell: three of its training, two of each of its evaluations, its own; each policy is flown twice."""
     config = small(clock_speed=[1.0], profile="airsim")
     (tmp_path / "config.yaml").write_text(to_yaml(config))
     command = [sys.executable, "-c", KILLED, str(tmp_path / "config.yaml"), str(tmp_path / "killed"), "10"]
@@ -105,38 +108,45 @@ def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
     moved = (tmp_path / "killed").rename(tmp_path / "moved")
     run_into(moved, Rl(), config, resume=True)
 
-    assert RunDirectory(moved).rows() == whole.rows()[:2]
-    for row in whole.rows()[:2]:
-        for name in (row["arrays"], *(f"parts/{row['case']}/{part}" for part in PARTS[row["command"]])):
+    rows = RunDirectory(moved).rows()
+    expected = [row for row in whole.rows() if row["case"].startswith("airsim") and row["clock_speed"] == 1.0]
+    assert rows == expected
+    assert [row["case"].endswith("-exact") for row in rows] == [False, False, True, True]
+    for row in rows:
+        cell = row["case"].removesuffix("-exact")
+        for name in (row["arrays"], *(f"parts/{cell}/{part}" for part in PARTS)):
             assert (moved / name).read_bytes() == (whole.path / name).read_bytes()
     assert not list(moved.glob("parts/*/training/checkpoints"))
+    assert not list(moved.glob("parts/**/*.png"))
 
 
-PARTS = {
-    "tcsc": (
-        "training/rows.jsonl",
-        "training/policy.pt",
-        "evaluation-tcsc/rows.jsonl",
-        "evaluation-adsc/rows.jsonl",
-    ),
-    "adsc": ("training/rows.jsonl", "training/policy.pt", "evaluation-adsc/rows.jsonl"),
-}
+PARTS = (
+    "training/rows.jsonl",
+    "training/policy.pt",
+    "evaluation-tcsc/rows.jsonl",
+    "evaluation-adsc/rows.jsonl",
+    "evaluation-exact/rows.jsonl",
+)
 
 
 def interrupt_at_row(patch: pytest.MonkeyPatch, case: str) -> None:
     append = RunDirectory.append_row
 
-    def interrupted(run: RunDirectory, row: Any) -> None:
+    def interrupted(run: RunDirectory, row: Any, on_disk: bool = True) -> None:
         if row["case"] == case:
             raise KeyboardInterrupt
-        append(run, row)
+        append(run, row, on_disk)
 
     patch.setattr(RunDirectory, "append_row", interrupted)
 
 
+def trainings(run: RunDirectory) -> list[dict[str, Any]]:
+    return [row for row in run.rows() if "training" in row]
+
+
 @pytest.mark.slow
 def test_native_tcsc_learns_at_100x_what_it_does_in_lockstep(whole: RunDirectory) -> None:
-    weights = {row["case"]: row["training"]["weights_sha256"] for row in whole.rows()}
+    weights = {row["case"]: row["training"]["weights_sha256"] for row in trainings(whole)}
     assert weights["native-virtual-tcsc-100x-seed0"] == weights["native-lockstep-tcsc-1x-seed0"]
     assert weights["airsim-virtual-adsc-1x-seed0"] != weights["airsim-virtual-adsc-5x-seed0"]
 
@@ -145,9 +155,9 @@ def test_native_tcsc_learns_at_100x_what_it_does_in_lockstep(whole: RunDirectory
 def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(
     whole: RunDirectory,
 ) -> None:
-    """The lanes of seed 0, whatever the seed of the training; with ADSC too where TCSC was trained at 1x."""
-    for row in whole.rows():
-        commands = ["tcsc", "adsc"] if row["case"] == "airsim-virtual-tcsc-1x-seed0" else [row["command"]]
+    """The lanes of seed 0, whatever the seed of the training; with the other command too."""
+    for row in trainings(whole):
+        commands = sorted(("tcsc", "adsc"), key=lambda command: command != row["command"])
         assert [flown["command"] for flown in row["evaluations"]] == commands
         parts = {"training": (row["command"], row["clock_speed"], row["seed"], 3)}
         parts |= {f"evaluation-{command}": (command, 1.0, 0, 2) for command in commands}
@@ -165,10 +175,53 @@ def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_trainin
                 assert found[f"{flown['command']}_{name}"].tolist() == [each[name] for each in rows]
 
 
-def test_a_policy_is_flown_as_it_was_trained_where_that_is_asked_for() -> None:
-    config = small("as_trained=true", clock_speed=[5.0], command=["adsc"])
-    (cell,) = Rl().cases(config)
-    assert flights(config, cell) == [("adsc", 1.0, "adsc"), ("adsc", 5.0, "adsc-5x")]
+def test_a_policy_is_flown_as_it_was_trained_and_with_the_other_command_where_that_is_asked_for() -> None:
+    def flown(*overrides: str) -> list[Any]:
+        config = small(*overrides, clock_speed=[5.0], command=["adsc"])
+        return [tuple(flights(config, cell)) for cell in Rl().cases(config)]
+
+    own, other = ("adsc", 1.0, "adsc"), ("tcsc", 1.0, "tcsc")
+    fast, other_fast = ("adsc", 5.0, "adsc-5x"), ("tcsc", 5.0, "tcsc-5x")
+    exact = (("adsc", 1.0, "exact"),)
+    assert flown() == [(own, other), exact]
+    assert flown("interchange=false", "as_trained=true") == [(own, fast), exact]
+    assert flown("as_trained=true", "exact_seeds=0") == [(own, other, fast, other_fast)]
+
+
+@pytest.mark.slow
+def test_exact_flights_are_of_the_trained_policy_on_the_same_lanes(whole: RunDirectory) -> None:
+    rows = {row["case"]: row for row in whole.rows()}
+    compared = {tuple(each[name] for name in KEY): each for each in whole.read_json("summary.json")["exact"]}
+    for row in trainings(whole):
+        exact = rows[row["case"] + "-exact"]
+        (flown,) = exact["evaluations"]
+        assert (flown["simulator"], flown["command"], flown["clock_speed"]) == ("mujoco", row["command"], 1.0)
+        assert row["evaluations"][0]["simulator"] == "kernels"
+        ours, theirs = whole.load_arrays(row), whole.load_arrays(exact)
+        assert theirs["exact_lane"].tolist() == ours[f"{row['command']}_lane"].tolist() == [0, 1]
+        if row["profile"] == "native":  # nothing is seen, and no latency is drawn: equal to the last bit
+            np.testing.assert_array_equal(theirs["exact_distance_m"], ours["tcsc_distance_m"])
+        told = compared[tuple(row[name] for name in KEY)]
+        assert (told["lanes"], told["same_end"], told["mcnemar_p"]) == (2, 2, 1.0)
+
+
+def test_exact_flights_are_of_the_kernels_lanes() -> None:
+    with pytest.raises(
+        UserError, match=r"exact\.keys: games and first_lane must be those of evaluation\.keys"
+    ):
+        small("exact.keys.games=3")
+    with pytest.raises(
+        UserError, match=r"exact_seeds: needs .* beside an evaluation by the kernels, not by mujoco"
+    ):
+        small("evaluation.keys.simulator=mujoco")
+
+
+def test_a_run_grows_by_seeds_and_what_builds_on_trainings_waits_for_all_of_them() -> None:
+    few, many = ([case.id for case in Rl().cases(small(seeds=seeds))] for seeds in (1, 2))
+    assert set(few) <= set(many)
+    assert set(Rl().may_grow(Path())) == {"seeds", "exact_seeds"}
+    groups: list[Any] = [group for _, group in runner._groups(Rl(), Rl().cases(small(seeds=2)))]
+    assert [(len(group), {Rl().stage(case) for case in group}) for group in groups] == [(12, {0}), (6, {1})]
 
 
 @pytest.mark.slow
@@ -184,10 +237,14 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     def names(**options: Any) -> list[str]:
         return [case.id for case in Rl().cases(small(**options))]
 
-    some = names(command=["adsc"], seeds=2)
+    def names_of_trainings(**options: Any) -> list[str]:
+        return [name for name in names(**options) if not name.endswith("-exact")]
+
+    some = names_of_trainings(command=["adsc"], seeds=2)
     assert some == [f"airsim-virtual-adsc-{k}x-seed{seed}" for seed in (0, 1) for k in (1, 5)]
-    assert names(timing="lockstep", seed=3) == ["native-lockstep-tcsc-1x-seed3"]
-    assert len(names()) == 6
+    once = "native-lockstep-tcsc-1x-seed3"
+    assert names(timing="lockstep", seed=3) == [once, f"{once}-exact"]
+    assert len(names()) == 12
 
 
 def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
@@ -197,8 +254,8 @@ def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
     config = configured("rl_session", seeds=1, clock_speed=[1.0], profile="airsim")
     assert [Rl().games(config, case) for case in Rl().cases(config)] == [
         1600,
-        1300,
-    ]  # TCSC's policy flies twice
+        1600,
+    ]  # each policy flies twice
     often = configured(
         "rl_session", "training.keys.checkpoint_games=500", seeds=1, clock_speed=[1.0], profile="airsim"
     )
@@ -298,12 +355,13 @@ def load(row: Any) -> dict[str, np.ndarray]:
 def test_every_number_of_table_i_and_figure_9() -> None:
     rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 1.0)
     rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 0.25)
+    rows += made("adsc", 1.0, [list(range(9))], 0.5)
     summary = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)
-    assert [cell["successes"] for cell in summary["cells"]] == [30, 20, 10, 12]
+    assert [cell["successes"] for cell in summary["cells"]] == [30, 20, 10, 12, 9]
     assert summary["cells"][2]["distance_m_median"] == float(
         np.median([10.0 + n for n in range(40) if not 25 <= n < 35] + [150.0] * 10)
     )
-    real_time, fast = summary["pooled"]
+    real_time, fast, adsc = summary["pooled"]
     assert (fast["successes"], fast["games"], fast["successes_by_seed"]) == (22, 80, [10, 12])
     wilson = binomtest(22, 80).proportion_ci(method="wilson")
     assert (fast["wilson_low"], fast["wilson_high"]) == (wilson.low, wilson.high)
@@ -311,15 +369,22 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     # Lanes 0 to 24 of seed 0 and 12 to 19 of seed 1 were won at 1x alone, 30 to 34 of seed 0 at 5x alone.
     assert fast["mcnemar_p"] == pytest.approx(binomtest(5, 5 + 25 + 8).pvalue)
     assert (fast["paper_successes"], real_time["paper_successes"]) == (30, 21)
-    assert fast["training_speedup"] == pytest.approx(1.0 / 0.4375)
-    assert fast["whole_training_speedup"] == pytest.approx(1.01 / 0.4475)
+    assert fast["permutation_p"] == pytest.approx(
+        2 / 6
+    )  # of six ways to share four trainings out, two are as far
+    low, high = hierarchical_interval([np.arange(LANES) < won for won in (10, 12)], 0)
+    assert (fast["seeds_low"], fast["seeds_high"]) == (pytest.approx(low), pytest.approx(high, abs=0.02))
+    # ADSC at 1x is what all speed-ups are over.
+    assert fast["training_speedup"] == pytest.approx(0.625 / 0.4375)
+    assert fast["whole_training_speedup"] == pytest.approx(0.635 / 0.4475)
     assert fast["training_wall_s"] == pytest.approx(300 * 0.4475)
     assert fast["phase_s"]["rendering"] == pytest.approx(300 * 0.25)
     assert (fast["trained_games"], fast["commands"], fast["sim_time_s"]) == (20, 300, 300.0)
-    assert fast["real_time_s"] == pytest.approx(300 * 1.01)
+    assert fast["real_time_s"] == pytest.approx(300 * 0.635)
     assert (fast["paper_training_speedup"], fast["paper_whole_training_speedup"]) == (4.0, 3.6)
-    assert real_time["training_speedup"] == 1.0
-    assert real_time["fisher_p"] is None
+    assert real_time["training_speedup"] == pytest.approx(0.625)
+    assert adsc["training_speedup"] == 1.0
+    assert real_time["fisher_p"] is real_time["permutation_p"] is None
 
 
 def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
@@ -339,7 +404,7 @@ def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
 
 def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> None:
     plain, told = (made("adsc", 5.0, [list(range(count))], 0.25)[0] for count in (20, 32))
-    told |= {"variant": "told"}
+    told |= {"variant": "told", "case": "told"}
     for row, count in ((plain, 4), (told, 15)):
         row["evaluations"].append(flight("adsc", 5.0, count))
 
@@ -377,10 +442,11 @@ def table_below(page: str, heading: str) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
-    """Hours of hours, minutes of minutes, Fisher's test and McNemar's each in its own."""
+    """Hours of hours, minutes of minutes, the test over seeds and McNemar's each in its own."""
     run = RunDirectory.create(tmp_path / "run", small(), {})
     rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 3600.0)
     rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 900.0)
+    rows += made("adsc", 1.0, [list(range(9))], 1800.0)
     for number, row in enumerate(rows):
         row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
         run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], load(row)))
@@ -388,16 +454,18 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     report = Rl().report(run)
     report.write()
     page = (run.path / "report.md").read_text(encoding="utf-8")
-    _, fast = table_below(page, "Table I: success by training")
-    fisher = fisher_exact(np.array([[22, 58], [50, 30]])).pvalue
+    _, fast, _ = table_below(page, "Table I: success by training")
     mcnemar = binomtest(5, 5 + 25 + 8).pvalue
+    low, high = (100 * report.summary["pooled"][1][end] for end in ("seeds_low", "seeds_high"))
     assert list(fast.values())[3:] == [
-        "80", "22 of 80: 27.5% [18.9, 38.1]", "10, 12", "30", f"{fisher:.2g}", f"{mcnemar:.2g}",
+        "22 of 80", f"27.5% [{low:.1f}, {high:.1f}]", "10, 12", "30", "0.33", f"{mcnemar:.2g}",
     ]  # fmt: skip
-    assert f"{fisher:.2g}" != f"{mcnemar:.2g}"
-    assert [name.split(" (")[0] for name in fast][-2:] == ["p against 1x: Fisher", "McNemar"]
-    _, fast = table_below(page, "Time of the training")
-    slow_s, fast_s, beside_s = 0.75 * 3600 + 0.25, 0.75 * 900 + 0.25, 400.003
+    assert [name.split(" (")[0] for name in fast][-2:] == [
+        "p against 1x, over seeds",
+        "of these policies: McNemar",
+    ]
+    _, fast, _ = table_below(page, "Time of the training")
+    slow_s, fast_s, beside_s = 0.75 * 1800 + 0.25, 0.75 * 900 + 0.25, 400.003
     assert list(fast.values())[1:] == [
         "5x", "2", f"{300 * (fast_s + beside_s) / 3600:.3g}", f"{300 * (slow_s + beside_s) / 3600:.3g}",
         f"{slow_s / fast_s:.3g}x", "4x", f"{(slow_s + beside_s) / (fast_s + beside_s):.3g}x", "3.6x", "7",
@@ -405,10 +473,10 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     shown = report.overview()
     assert shown is not None
     assert shown.rows[1][-1] == f"{slow_s / fast_s:.3g}x"
-    hours = 600 * (slow_s + beside_s) / 3600
-    assert f"These trainings' 40 games would have taken {hours:.3g} hours in real time" in page
-    assert f"{3600 * hours / 40:.0f} s per game" in page
-    assert f"took 0.17 hours of training, measured, one after another: {hours * 6:.0f} times less" in page
+    hours = 700 * (slow_s + beside_s) / 3600
+    assert f"These trainings' 50 games would have taken {hours:.3g} hours in real time" in page
+    assert f"{3600 * hours / 50:.0f} s per game" in page
+    assert f"took 0.25 hours of training, measured, one after another: {hours * 4:.0f} times less" in page
 
 
 # --- reports ----------------------------------------------------------------------------------------------------
@@ -432,7 +500,7 @@ def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: Ru
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
     assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]
     merged, one = (run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/merged"), whole))
-    for name in ("cells", "pooled", "interchange"):
+    for name in ("cells", "pooled", "interchange", "exact", "same_weights"):
         assert sorted(merged[name], key=str) == sorted(one[name], key=str)
     with pytest.raises(UserError, match=r"has airsim-virtual-adsc-1x-seed0, which .* has too"):
         Rl().compare([runs[0], runs[0]])

@@ -35,10 +35,10 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path, monkeypatch: 
         append = RunDirectory.append_row
         rows: list[str] = []
 
-        def interrupted(run: RunDirectory, row: Any) -> None:
+        def interrupted(run: RunDirectory, row: Any, on_disk: bool = True) -> None:
             if len(rows) == 5:  # two cells of two games are over
                 raise KeyboardInterrupt
-            append(run, row)
+            append(run, row, on_disk)
             rows.append(row["case"])
 
         patch.setattr(RunDirectory, "append_row", interrupted)

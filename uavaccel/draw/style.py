@@ -95,5 +95,10 @@ def command_at_clock(game: Mapping[str, Any]) -> str:
 
 def error_bars(success: Sequence[Proportion]) -> NDArray[np.float64]:
     """How far their intervals reach below and above the ratios, (2, n), as matplotlib's errorbar takes it."""
-    ratio, ends = np.array([each.ratio for each in success]), np.array([each.interval for each in success])
-    return np.maximum([ratio - ends[:, 0], ends[:, 1] - ratio], 0.0)
+    return bars([each.ratio for each in success], [each.interval for each in success])
+
+
+def bars(values: Sequence[float], intervals: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    """The same of any values (n,) with the ends of their intervals."""
+    value, ends = np.array(values), np.array(intervals)
+    return np.maximum([value - ends[:, 0], ends[:, 1] - value], 0.0)

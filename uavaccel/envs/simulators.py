@@ -49,21 +49,26 @@ def make_batch(
 
 def check_simulator(simulator: str, device: str) -> None:
     """Raise UserError, one line, for what there is not: a simulator, a device, a GPU, or what drives one."""
-    for name, value, known in (("simulator", simulator, Simulator), ("device", device, Device)):
-        if value not in get_args(known):
-            raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(get_args(known))}")
+    check_names(simulator, device)
     if device == CPU:
         return
-    if simulator == EXACT:
-        raise UserError(
-            "device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU"
-        )
     if find_spec("numba_cuda") is None:
         raise UserError("device = cuda: needs numba-cuda: pip install 'uavaccel[gpu]'; or take device = cpu")
     import torch as th
 
     if not th.cuda.is_available():
         raise UserError("device = cuda: PyTorch finds no GPU here; take device = cpu")
+
+
+def check_names(simulator: str, device: str) -> None:
+    """The same, but for what this machine lacks."""
+    for name, value, known in (("simulator", simulator, Simulator), ("device", device, Device)):
+        if value not in get_args(known):
+            raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(get_args(known))}")
+    if simulator == EXACT and device != CPU:
+        raise UserError(
+            "device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU"
+        )
 
 
 def flown_by(simulator: str, device: str) -> str:

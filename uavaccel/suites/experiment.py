@@ -100,7 +100,7 @@ def merged(
     """A YAML's mapping with options by dotted key in it, then each "dotted.key=value" of --set. Raises UserError."""
     result = copy.deepcopy(dict(mapping))
     for key, value in options.items():
-        assign(result, key, value, key)
+        assign(result, key, copy.deepcopy(value), key)  # later keys go into it
     return apply_overrides(result, overrides)
 
 

@@ -32,13 +32,17 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
     return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
 
 
-def fly_part(run: RunDirectory, name: str, part: Part, seed: int) -> Summary:
-    """Fly, in this process, what the whole run's part of that name still lacks, and report it; its summary."""
+def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Summary:
+    """Fly, in this process, what the whole run's part of that name still lacks, and report it; its summary.
+
+    Without `pages` that is all: `uavaccel report` draws the part when it is asked to.
+    """
     suite, config = part_suite(part, seed)
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
     flown = begin_run(suite, config, part_folder(run, name), manifest, resume=True)
     run_suite(suite, config, flown)
-    return suite.report(flown).write()
+    report = suite.report(flown)
+    return report.write() if pages else report.write_summary()
 
 
 def part_folder(run: RunDirectory, name: str) -> Path:

@@ -74,9 +74,14 @@ class Report(ABC):
     def summary(self) -> Summary:
         return self.summarise()
 
+    def write_summary(self) -> Summary:
+        """Write summary.json. Raises UserError for damaged files."""
+        self.run.write_json("summary.json", self.summary)
+        return self.summary
+
     def write(self) -> Summary:
         """Write summary.json, figures/, report.md and report.html. Raises UserError for damaged files."""
-        self.run.write_json("summary.json", self.summary)
+        self.write_summary()
         blocks = [*self.blocks(self.figures()), Heading("Provenance"), *_provenance(self.run)]
         self.run.write_text("report.md", to_markdown(self.title(), blocks, self.run.path))
         self.run.write_text("report.html", to_html(self.title(), blocks))

@@ -8,6 +8,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +128,7 @@ def _fly(
     restarts: Mapping[str, int],
     engine: str,
 ) -> None:
-    for timing, group in _by_timing(cases):
+    for timing, group in _groups(suite, cases):
         alone = timing == "wall" or (jobs == 1 and engine == LOKY)
         fly_all = _fly_one_by_one if alone else _fly_in_parallel if engine == LOKY else _fly_on_cluster
         for case, game in zip(group, fly_all(suite, config, group, run, jobs, engine), strict=True):
@@ -140,16 +141,10 @@ def _fly(
             on_flown(case, game.row)
 
 
-def _by_timing(cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
-    """Runs of neighbours that share a timing, so that order is kept."""
-    group: list[Case] = []
-    for case in cases:
-        if group and group[-1].timing != case.timing:
-            yield group[0].timing, group
-            group = []
-        group.append(case)
-    if group:
-        yield group[0].timing, group
+def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
+    """Runs of neighbours that share a timing and a stage, so that order is kept."""
+    for (timing, _), group in groupby(cases, lambda case: (case.timing, suite.stage(case))):
+        yield timing, list(group)
 
 
 def _fly_one_by_one(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 import numpy as np
 
 from uavaccel.errors import UserError, suggestion
+from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
 from uavaccel.suites.report import Report, Row
@@ -116,6 +117,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """What a game takes, about; by default its simulated time over a usual speed, and a row."""
         return Cost(flying_s(case), ROW_BYTES)
 
+    def stage(self, case: CaseType) -> int:
+        """Cases of a later stage are begun once all of the earlier ones are done: they build on them."""
+        return 0
+
     def games(self, config: ConfigType, case: CaseType) -> int:
         """How many games a case is, where it is a whole run of another suite."""
         return 1
@@ -152,12 +157,20 @@ AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
 
 VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
+CORE_RATE = 250.0  # of lanes over arrays in the threads of one core, pictures and decisions with them
+LANE_RATE, FULL = 150.0, 1024  # of a lane on a GPU, as long as it has room for more
 ROW_BYTES = 1_000
 
 
 def flying_s(case: Case, clock_speed: float = 1.0) -> float:
     """Wall time of a game without calls and images, about."""
     return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
+
+
+def kernels_s(case: Case, device: str, lanes: int) -> float:
+    """Wall time of a game that the kernels fly among so many lanes, about."""
+    rate = LANE_RATE * min(lanes, FULL) if device.startswith("cuda") else CORE_RATE * usable_cores()
+    return case.simulated_s() / rate
 
 
 def configuration(suite: AnySuite, mapping: Mapping[str, Any], source: str) -> Any:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.simulators import EXACT, check_simulator
+from uavaccel.envs.simulators import EXACT, check_names
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
@@ -43,8 +43,8 @@ class Lanes(Protocol):
 
 
 def check_kernels(config: EvaluateConfig) -> None:
-    """Raises UserError, one line, for what the kernels do not fly, and for a device that is not there."""
-    check_simulator(config.simulator, config.device)
+    """Raises UserError, one line, for what the kernels do not fly."""
+    check_names(config.simulator, config.device)
     if config.simulator == EXACT:
         return
     check_flyable(config.task, 1, config.device)
@@ -67,7 +67,8 @@ class GamesOverArrays:
                 self._begin()
             self._fly()
         row, now_ns = self._rows.pop(lane), self._clock.now_ns()
-        return GameResult(row, host={"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S})
+        host = {"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S}
+        return GameResult(row, host=host, next_is_ready=lane + 1 in self._rows)
 
     def _begin(self) -> None:
         self._lanes = [self._left.popleft() for _ in range(min(MOST_LANES, len(self._left)))]

@@ -88,6 +88,9 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         return suite.renders(evaluation)
 
     def provenance(self, config: PolicyConfig) -> Mapping[str, Any]:
+        """Raises UserError for a device that this machine does not have."""
+        suite, evaluation = self.first(config)
+        suite.provenance(evaluation)
         return {"policy_sha256": policy_sha256(config.agent)}
 
     def open(

@@ -12,7 +12,8 @@ import torch as th
 from uavaccel.config import validate
 from uavaccel.draw.film import Film
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.simulators import KERNELS
+from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent, policy_sha256
 from uavaccel.suites.evaluation.batch import GamesInBatch
@@ -21,7 +22,7 @@ from uavaccel.suites.evaluation.flights import Case, cases, fly_game
 from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
 from uavaccel.suites.evaluation.side_by_side import write_simulators
 from uavaccel.suites.report import Report, Row
-from uavaccel.suites.suite import GameResult, Suite, choose_row
+from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, choose_row, flying_s, kernels_s
 
 Opened = Callable[[int], GameResult]
 
@@ -76,10 +77,18 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         many = config.environments
         return f"environments = {many} flies in processes of its own" if many > 1 else ""
 
+    def cost(self, config: EvaluateConfig, case: Case) -> Cost:
+        if config.simulator == KERNELS:
+            return Cost(kernels_s(case, config.device, config.games), ROW_BYTES)
+        side_by_side = min(config.environments, usable_cores())
+        return Cost(flying_s(case, config.task.clock_speed) / side_by_side, ROW_BYTES)
+
     def renders(self, config: EvaluateConfig) -> bool:
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, Any]:
+        """Raises UserError for a device that this machine does not have."""
+        check_simulator(config.simulator, config.device)
         by = {"simulator": config.simulator, "device": config.device}
         return {"policy_sha256": policy_sha256(config.agent), **by}
 

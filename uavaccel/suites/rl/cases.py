@@ -13,7 +13,7 @@ from uavaccel.suites.parts import Part
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
-INTERCHANGED = ("", "virtual", "tcsc", 1.0)  # variant, clock, command and ClockSpeed of the interchange test
+EXACT = "exact"  # what an evaluation in the exact simulator is called
 
 
 class Size(NamedTuple):
@@ -37,32 +37,44 @@ class TrainingCase:
     seed: int
     timing: str = "virtual"  # all cells run side by side, whichever simulated clock they have
     task: dict[str, Any] = field(default_factory=dict, compare=False)
+    exact: bool = False
+    """Whether this is no training, but the exact simulator's evaluation of what it gave."""
     size: Size = field(default=Size(), compare=False)
 
     @property
-    def id(self) -> str:
+    def trained(self) -> str:
+        """Name of the training."""
         names = [self.variant, self.profile, self.clock, self.command, f"{self.clock_speed:g}x"]
         return "-".join([name for name in names if name] + [f"seed{self.seed}"])
+
+    @property
+    def id(self) -> str:
+        return f"{self.trained}-{EXACT}" if self.exact else self.trained
 
     def simulated_s(self) -> float:
         return self.size.simulated_s
 
 
 def cases(config: RlConfig) -> Iterator[TrainingCase]:
-    """Seed by seed, so that a run that is stopped has whole tables; in each the blocks in order, slow clocks first."""
-    for seed in range(config.seed, config.seed + config.seeds):
-        for block in config.cells:
-            for clock_speed, command in pairs(block):
-                if config.selects(block, (clock_speed, command)):
-                    yield TrainingCase(
-                        block.variant,
-                        block.profile,
-                        block.timing,
-                        command,
-                        clock_speed,
-                        seed,
-                        task={f"task.{key}": value for key, value in block.task.items()},
-                    )
+    """Seed by seed, so that a run that is stopped has whole tables; in each the blocks in order, slow clocks first.
+
+    The exact simulator's evaluations follow, in the same order.
+    """
+    for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
+        for seed in range(config.seed, config.seed + seeds):
+            for block in config.cells:
+                for clock_speed, command in pairs(block):
+                    if config.selects(block, (clock_speed, command)):
+                        yield TrainingCase(
+                            block.variant,
+                            block.profile,
+                            block.timing,
+                            command,
+                            clock_speed,
+                            seed,
+                            task={f"task.{key}": value for key, value in block.task.items()},
+                            exact=exact,
+                        )
 
 
 def training_part(config: RlConfig, cell: TrainingCase) -> Part:
@@ -89,21 +101,28 @@ class Flight(NamedTuple):
 
 
 def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
-    """In real time with the cell's own command first; of the interchange test with the other; as it was trained."""
+    """In real time first, with the cell's own command and then the other; as it was trained, in that order too."""
     real_time = config.evaluation_clock_speed
-    flown = [Flight(cell.command, real_time, cell.command)]
-    if config.interchange and (cell.variant, cell.clock, cell.command, cell.clock_speed) == INTERCHANGED:
-        flown.append(Flight("adsc", real_time, "adsc"))
+    if cell.exact:
+        return [Flight(cell.command, real_time, EXACT)]
+    commands = [cell.command, other_command(cell.command)] if config.interchange else [cell.command]
+    flown = [Flight(command, real_time, command) for command in commands]
     if config.as_trained and cell.clock_speed != real_time:
-        flown.append(Flight(cell.command, cell.clock_speed, f"{cell.command}-{cell.clock_speed:g}x"))
+        flown += [Flight(each, cell.clock_speed, f"{each}-{cell.clock_speed:g}x") for each in commands]
     return flown
+
+
+def other_command(command: CommandName) -> CommandName:
+    """Of the two the one that it is not."""
+    return "adsc" if command == "tcsc" else "tcsc"
 
 
 def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent: str | Path) -> Part:
     """A flight of the cell's policy, on the clock that it was trained by; what it sees is the policy's own affair."""
+    part = config.exact if cell.exact else config.evaluation
     own = {key: value for key, value in cell.task.items() if key.split(".")[1] not in SENSES + FLIGHT}
     keys = {
-        **config.evaluation.keys,
+        **part.keys,
         "agent": str(agent),
         "task.command": flight.command,
         "task.clock_speed": flight.clock_speed,
@@ -111,4 +130,4 @@ def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent:
         "task.profile": cell.profile,
         **own,
     }
-    return Part(experiment=config.evaluation.experiment, keys=keys)
+    return Part(experiment=part.experiment, keys=keys)

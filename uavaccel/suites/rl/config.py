@@ -40,11 +40,14 @@ class RlConfig(Experiment):
     evaluation: Part = Part(experiment="evaluate", keys={"games": 100})
     evaluation_clock_speed: ClockSpeed = 1.0
     """1: in real time, as the paper's (IV-D), of a simulated wall clock."""
-    interchange: bool = True
-    """Whether policies that TCSC trained at 1x on the virtual clock are flown with ADSC too (section III-C3)."""
-
     as_trained: bool = False
     """Whether policies are flown at the ClockSpeed of their training too."""
+    interchange: bool = True
+    """Whether policies are flown with the command that they were not trained with too (section III-C3)."""
+    exact_seeds: Annotated[int, Field(ge=0, le=1000)] = 0
+    """Of so many seeds, the first ones, policies are flown in the exact simulator too, once all are trained."""
+    exact: Part = Part(experiment="evaluate")
+    """How: in real time, with the command of the training, on the lanes of `evaluation`."""
 
     command: tuple[CommandName, ...] = ()
     """Of the cells only those; all where nothing is said, as with the next three."""

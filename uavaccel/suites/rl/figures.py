@@ -51,7 +51,9 @@ def draw_figures(run: RunDirectory, summary: Summary, rows: Sequence[Row]) -> li
     figure8 = style.save(plot_distances(distances, rows_m, source), run.file(FIGURE_8))
     pictures = [
         Picture(
-            table, f"Table I as a picture: bars are 95 % Wilson intervals, dots are seeds. Source: {source}."
+            table,
+            "Table I as a picture: bars are 95 % intervals over seeds and games, of the paper's Wilson's; dots are "
+            f"seeds. Source: {source}.",
         ),
         Picture(figure8, f"Figure 8. How far the evaluated policies got, seeds pooled. Source: {source}."),
     ]
@@ -79,7 +81,8 @@ def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
                 name,
                 members[0]["command"],
                 list(panel),
-                [Proportion.of(cell) for cell in members],
+                [cell["success_ratio"] for cell in members],
+                [(cell["seeds_low"], cell["seeds_high"]) for cell in members],
                 by_seed=[
                     [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
                     for cell in members
@@ -96,7 +99,10 @@ def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
 def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:
     success = [Proportion(cell["paper_successes"], paper_results.GAMES) for cell in cells]
     command, clocks = cells[0]["command"], [cell["clock_speed"] for cell in cells]
-    return SuccessLine(f"{command_name(command)}, the paper's", command, clocks, success, dashed=True)
+    ratios, intervals = [each.ratio for each in success], [each.interval for each in success]
+    return SuccessLine(
+        f"{command_name(command)}, the paper's", command, clocks, ratios, intervals, dashed=True
+    )
 
 
 def distances_m(run: RunDirectory, rows: Sequence[Row], cell: SummaryCell) -> NDArray[np.float64]:
@@ -105,7 +111,7 @@ def distances_m(run: RunDirectory, rows: Sequence[Row], cell: SummaryCell) -> ND
     arrays = [
         run.load_arrays(row)[f"{row['command']}_distance_m"]
         for row in rows
-        if all(row[key] == cell[key] for key in keys)
+        if "training" in row and all(row[key] == cell[key] for key in keys)
     ]
     return np.concatenate(arrays)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.parts import outcomes
-from uavaccel.suites.host_time import wall_s
+from uavaccel.suites.host_time import timed, wall_s
 from uavaccel.suites.parts import fly_part, part_folder, part_run
 from uavaccel.suites.rl.cases import EVALUATION_SEED, TrainingCase, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
@@ -18,33 +18,53 @@ from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.flights import CHECKPOINTS
 
 LEARNED = ("games", "successes", "commands", "sim_time_s", "phase_s", "weights_sha256")
-FLOWN = ("command", "clock_speed", "timing", "games", "successes")
+FLOWN = ("command", "clock_speed", "timing", "simulator", "games", "successes")
+NAMES = ("variant", "profile", "command", "clock_speed", "seed")
 
 
-def train_and_evaluate(config: RlConfig, cell: TrainingCase, run: RunDirectory) -> GameResult:
-    """Train and evaluate; the row holds both in numbers, the arrays each evaluation lane's outcome."""
-    trained = f"{cell.id}/training"
-    learned = fly_part(run, trained, training_part(config, cell), cell.seed)
-    training = part_folder(run, trained).resolve()
-    # gigabytes that a finished training has no use for
-    shutil.rmtree(training / CHECKPOINTS, ignore_errors=True)
-    evaluations: list[dict[str, Any]] = []
-    arrays: dict[str, NDArray[Any]] = {}
-    for flight in flights(config, cell):
-        part, flown = evaluation_part(config, cell, flight, training), f"{cell.id}/evaluation-{flight.name}"
-        _drop_other_agents(part_folder(run, flown), part.keys["agent"])
-        summary = fly_part(run, flown, part, EVALUATION_SEED)
-        evaluations.append({key: summary[key] for key in FLOWN})
-        arrays |= {f"{flight.name}_{name}": each for name, each in outcomes(part_run(run, flown)).items()}
+def fly_cell(config: RlConfig, cell: TrainingCase, run: RunDirectory) -> GameResult:
+    """Train, unless the cell is of a policy that is there, and evaluate.
+
+    The row holds both in numbers, the arrays each evaluation lane's outcome.
+    """
     row = {
         "suite": "rl",
         "case": cell.id,
-        **{name: getattr(cell, name) for name in ("variant", "profile", "command", "clock_speed", "seed")},
+        **{name: getattr(cell, name) for name in NAMES},
         "timing": cell.clock,
-        "training": {name: learned[name] for name in LEARNED},
-        "evaluations": evaluations,
     }
-    return GameResult(row, arrays, {"training_s": wall_s(part_run(run, trained))})
+    host: dict[str, float] = {}
+    if not cell.exact:
+        row["training"], host = _train(config, cell, run)
+    (row["evaluations"], arrays), took = timed(lambda: _evaluate(config, cell, run))
+    return GameResult(row, arrays, {**host, "evaluations_s": took["host_wall_s"]})
+
+
+def _train(
+    config: RlConfig, cell: TrainingCase, run: RunDirectory
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """What was learned, and what that took on this machine."""
+    name = f"{cell.trained}/training"
+    learned = fly_part(run, name, training_part(config, cell), cell.seed, pages=False)
+    # gigabytes that a finished training has no use for
+    shutil.rmtree(part_folder(run, name) / CHECKPOINTS, ignore_errors=True)
+    return {key: learned[key] for key in LEARNED}, {"training_s": wall_s(part_run(run, name))}
+
+
+def _evaluate(
+    config: RlConfig, cell: TrainingCase, run: RunDirectory
+) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+    """Each flight in numbers, and its lanes' outcomes."""
+    agent = part_folder(run, f"{cell.trained}/training").resolve()
+    evaluations: list[dict[str, Any]] = []
+    arrays: dict[str, NDArray[Any]] = {}
+    for flight in flights(config, cell):
+        part, name = evaluation_part(config, cell, flight, agent), f"{cell.trained}/evaluation-{flight.name}"
+        _drop_other_agents(part_folder(run, name), part.keys["agent"])
+        summary = fly_part(run, name, part, EVALUATION_SEED, pages=False)
+        evaluations.append({key: summary[key] for key in FLOWN})
+        arrays |= {f"{flight.name}_{key}": each for key, each in outcomes(part_run(run, name)).items()}
+    return evaluations, arrays
 
 
 def _drop_other_agents(place: Path, agent: str) -> None:

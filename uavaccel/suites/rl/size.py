@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from uavaccel.envs.simulators import EXACT
 from uavaccel.rl.agents import DEFAULT
 from uavaccel.rl.algorithms import OWN
 from uavaccel.rl.dqn_options import DqnOptions
@@ -20,14 +21,15 @@ from uavaccel.suites.rl.cases import (
 )
 from uavaccel.suites.rl.config import RlConfig
 
-GPU_RATE = 1_500.0  # simulated seconds per wall second of many lanes on one GPU, about
-CELL_BYTES = 2e6  # of policy, figures and curves
+GPU_RATE = 1_500.0  # simulated seconds per wall second of many lanes of the exact simulator on one GPU, about
+CELL_BYTES = 2e6  # of a policy and its curves
 
 
 def _parts(config: RlConfig, cell: TrainingCase) -> list[tuple[Part, int]]:
     """Training and evaluations with their seeds; the policy that ships stands for the cell's own."""
     flown = [evaluation_part(config, cell, flight, DEFAULT) for flight in flights(config, cell)]
-    return [(training_part(config, cell), cell.seed), *((part, EVALUATION_SEED) for part in flown)]
+    trained = [] if cell.exact else [(training_part(config, cell), cell.seed)]
+    return [*trained, *((part, EVALUATION_SEED) for part in flown)]
 
 
 def part_configs(config: RlConfig, cell: TrainingCase) -> list[Any]:
@@ -40,12 +42,13 @@ def size_of(config: RlConfig, cell: TrainingCase) -> Size:
     configs = part_configs(config, cell)
     costs = [part_cost(part, seed) for part, seed in _parts(config, cell)]
     simulated_s = sum(part_s for part_s, _ in costs)
-    on_gpu = str(getattr(configs[0], "device", "cpu")).startswith("cuda")
+    first = configs[0]
+    drawn_by_gpu = first.simulator == EXACT and str(first.device).startswith("cuda")
     return Size(
         sum(part.games for part in configs),
         simulated_s,
-        simulated_s / GPU_RATE if on_gpu else sum(cost.wall_s for _, cost in costs),
-        sum(cost.disk_bytes for _, cost in costs) + CELL_BYTES,
+        simulated_s / GPU_RATE if drawn_by_gpu else sum(cost.wall_s for _, cost in costs),
+        sum(cost.disk_bytes for _, cost in costs) + (0.0 if cell.exact else CELL_BYTES),
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
-from uavaccel.metrics.intervals import Proportion
 
 
 @dataclass(frozen=True)
@@ -19,7 +18,8 @@ class SuccessLine:
     label: str
     command: str
     clock_speed: Sequence[float]
-    success: Sequence[Proportion]
+    success: Sequence[float]
+    intervals: Sequence[tuple[float, float]]
     by_seed: Sequence[Sequence[float]] = ()
     dashed: bool = False
     colour: str | None = None
@@ -35,11 +35,11 @@ def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figur
         for number, line in enumerate(lines):
             aside = 0.06 * (number - (len(lines) - 1) / 2)
             places = np.array([clocks.index(clock) for clock in line.clock_speed]) + aside
-            ratio = [each.ratio for each in line.success]
             colour = line.colour or style.COMMAND_COLOUR.get(line.command, style.GREEN)
             axes.errorbar(
-                places, ratio, style.error_bars(line.success), label=line.label, color=colour, marker="o", markersize=4,
-                capsize=3, linestyle=":" if line.dashed else "-", alpha=0.5 if line.dashed else 1.0,
+                places, line.success, style.bars(line.success, line.intervals),
+                label=line.label, color=colour, marker="o", markersize=4, capsize=3,
+                linestyle=":" if line.dashed else "-", alpha=0.5 if line.dashed else 1.0,
             )  # fmt: skip
             for place, seeds in zip(places, line.by_seed, strict=False):
                 axes.plot([place + 0.03] * len(seeds), seeds, ".", color=colour, markersize=4, alpha=0.6)

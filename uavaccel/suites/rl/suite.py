@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from uavaccel.envs.simulators import EXACT
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_suite
 from uavaccel.suites.report import Row
-from uavaccel.suites.rl.cases import (
-    Size,
-    TrainingCase,
-    cases,
-    training_part,
-)
+from uavaccel.suites.rl.cases import Size, TrainingCase, cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
-from uavaccel.suites.rl.flights import train_and_evaluate
+from uavaccel.suites.rl.flights import fly_cell
 from uavaccel.suites.rl.merged import merge_runs
 from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
@@ -34,9 +33,30 @@ class Rl(Suite[RlConfig, TrainingCase]):
     batch = 1
 
     def check(self, config: RlConfig) -> None:
-        """Training and evaluation of each cell can be configured; its policy need not exist yet."""
+        """Training and evaluations of each cell can be configured; its policy need not exist yet."""
+        evaluations = {}
         for cell in cases(config.model_copy(update={"seeds": 1})):
-            part_configs(config, cell)
+            evaluations[cell.exact] = part_configs(config, cell)[-1]
+        if config.exact_seeds:
+            _refuse_other_lanes(evaluations[False], evaluations[True])
+
+    def provenance(self, config: RlConfig) -> Mapping[str, Any]:
+        """Raises UserError where this machine lacks what flies the parts."""
+        cell = next(cases(config))
+        parts = training_part(config, cell), evaluation_part(config, cell, flights(config, cell)[0], DEFAULT)
+        try:
+            for suite, part in (part_suite(part, config.seed) for part in parts):
+                suite.provenance(part)
+        except UserError as error:
+            raise UserError(f"{error}; without a GPU: uavaccel run rl_smoke") from error
+        return {}
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("seeds", "exact_seeds")
+
+    def stage(self, case: TrainingCase) -> int:
+        """A policy is flown in the exact simulator once it is trained, by whichever process."""
+        return int(case.exact)
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         known: dict[str, Size] = {}  # trainings that differ in their seed alone are of one size
@@ -63,7 +83,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return on_own_gpu(run, str(getattr(part_suite(part, config.seed)[1], "device", "cpu")))
 
     def fly(self, config: RlConfig, case: TrainingCase, opened: RunDirectory) -> GameResult:
-        return train_and_evaluate(config, case, opened)
+        return fly_cell(config, case, opened)
 
     def status(self, rows: Sequence[Row]) -> str:
         flown = rows[-1]["evaluations"][0]
@@ -74,3 +94,14 @@ class Rl(Suite[RlConfig, TrainingCase]):
         merged = merge_runs(runs)
         self.report(merged).write()
         return [merged.path / "report.html"]
+
+
+def _refuse_other_lanes(evaluation: Any, exact: Any) -> None:
+    """Both simulators fly the same lanes, side by side."""
+    if exact.simulator != EXACT or evaluation.simulator == EXACT:
+        raise UserError(
+            f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by the "
+            f"kernels, not by {evaluation.simulator}; or exact_seeds = 0"
+        )
+    if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
+        raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")

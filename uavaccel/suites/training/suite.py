@@ -9,6 +9,7 @@ from typing import Any
 
 import torch as th
 
+from uavaccel.envs.simulators import KERNELS
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
@@ -16,7 +17,7 @@ from uavaccel.rl.algorithms import check_algorithm
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Report, Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s
+from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s, kernels_s
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.flights import (
     CHECKPOINTS,
@@ -84,6 +85,8 @@ class Training(Suite[TrainConfig, Case]):
         return {"torch_threads": config.torch_threads, **started}
 
     def cost(self, config: TrainConfig, case: Case) -> Cost:
+        if config.simulator == KERNELS:
+            return Cost(kernels_s(case, config.device, config.environments), ROW_BYTES)
         commands, game_s = case.simulated_s() / config.task.t_move_s, flying_s(case, config.task.clock_speed)
         every = config.evaluate_every_games
         evaluated = config.evaluation_games / every if every else 0.0

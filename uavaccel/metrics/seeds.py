@@ -1,0 +1,97 @@
+"""Uncertainty of what trainings show: intervals over seeds and games, and tests in which a training is one sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import combinations
+from math import comb
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from uavaccel.metrics.intervals import LEVEL, RESAMPLES
+
+MOST_EXACT = 200_000  # ways to share out trainings, or to swap their signs: beyond, so many are drawn
+ROUNDING = 1e-12
+
+
+def hierarchical_interval(
+    samples: Sequence[ArrayLike], seed: int, level: float = LEVEL, resamples: int = RESAMPLES
+) -> tuple[float, float]:
+    """Percentile bootstrap interval of the mean over seeds of each seed's mean: seeds are drawn, then games of each.
+
+    `samples` holds for each training seed an array (games,), one value a game. The ends are in the range of the values;
+    of one seed the interval is of its games alone. The same `seed` gives the same interval. Raises ValueError for no
+    seed, and for a seed without games.
+    """
+    values = [np.asarray(sample, dtype=np.float64) for sample in samples]
+    if not values or any(each.size == 0 for each in values):
+        raise ValueError("a bootstrap over seeds needs at least one seed, and games of each")
+    rng, count = np.random.default_rng(seed), len(values)
+    drawn = rng.integers(count, size=(resamples, count))
+    means = np.empty(drawn.shape)
+    for number, games in enumerate(values):
+        here = drawn == number
+        chosen = rng.integers(games.size, size=(int(here.sum()), games.size))
+        means[here] = games[chosen].mean(axis=1)
+    tail = (1.0 - level) / 2.0
+    low, high = np.quantile(means.mean(axis=1), (tail, 1.0 - tail))
+    return float(low), float(high)
+
+
+def permutation_p(first: ArrayLike, second: ArrayLike, seed: int = 0) -> float | None:
+    """Two-sided permutation test that two groups of trainings, a value each, have one mean.
+
+    Exact up to MOST_EXACT ways to share out the trainings, beyond by as many drawn ones. None where a group has fewer
+    than two trainings: whatever they show, their seeds may have done it.
+    """
+    groups = [np.asarray(group, dtype=np.float64) for group in (first, second)]
+    sizes = groups[0].size, groups[1].size
+    if min(sizes) < 2:
+        return None
+    pooled = np.concatenate(groups)
+    shares = _shares(*sizes, seed)
+    sums = shares @ pooled
+    differences = sums / sizes[0] - (pooled.sum() - sums) / sizes[1]
+    return _share_as_far(differences, float(groups[0].mean() - groups[1].mean()), _is_exact_split(*sizes))
+
+
+def sign_flip_p(differences: ArrayLike, seed: int = 0) -> float | None:
+    """Two-sided test that differences within trainings, one each, have mean 0, by swapping their signs.
+
+    Exact or drawn as in `permutation_p`; None for fewer than two trainings.
+    """
+    values = np.asarray(differences, dtype=np.float64)
+    if values.size < 2:
+        return None
+    exact = 2**values.size <= MOST_EXACT
+    if exact:
+        signs = 1.0 - 2.0 * (np.arange(2**values.size)[:, None] >> np.arange(values.size) & 1)
+    else:
+        signs = np.random.default_rng(seed).choice((-1.0, 1.0), size=(MOST_EXACT, values.size))
+    return _share_as_far(signs @ values / values.size, float(values.mean()), exact)
+
+
+def _share_as_far(differences: NDArray[np.float64], seen: float, exact: bool) -> float:
+    """How many lie as far from 0 as what was seen, itself counted among those that were drawn."""
+    as_far = int(np.sum(np.abs(differences) >= abs(seen) - ROUNDING))
+    return as_far / differences.size if exact else (as_far + 1) / (differences.size + 1)
+
+
+def _is_exact_split(first: int, second: int) -> bool:
+    return comb(first + second, first) <= MOST_EXACT
+
+
+@lru_cache(maxsize=8)
+def _shares(first: int, second: int, seed: int) -> NDArray[np.float64]:
+    """Which of the pooled trainings are in the first group, (ways, trainings) of 0 and 1."""
+    count = first + second
+    if _is_exact_split(first, second):
+        chosen = np.array(list(combinations(range(count), first)))
+    else:
+        ranks = np.random.default_rng(seed).random((MOST_EXACT, count))
+        chosen = np.argsort(ranks, axis=1)[:, :first]
+    shares = np.zeros((len(chosen), count))
+    np.put_along_axis(shares, chosen, 1.0, axis=1)
+    return shares
