@@ -19,10 +19,12 @@ from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites import gpu, runner
 from uavaccel.suites.paper import policy_claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
-from uavaccel.suites.rl.cases import flights
+from uavaccel.suites.parts import part_suite
+from uavaccel.suites.rl.cases import cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.suite import Rl
@@ -479,6 +481,16 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     assert f"took 0.25 hours of training, measured, one after another: {hours * 4:.0f} times less" in page
 
 
+def test_what_a_decision_takes_it_takes_in_evaluations_too() -> None:
+    cells = "cells=[{profile: airsim, clock_speed: [5], training: {inference_s: 0.03, learning_s: 0.5}}]"
+    config = small(cells)
+    for cell in cases(config):
+        learned = part_suite(training_part(config, cell), 0)[1]
+        assert (learned.inference_s, learned.learning_s) == (0.03, 0.5)  # type: ignore[attr-defined]
+        flown = part_suite(evaluation_part(config, cell, flights(config, cell)[0], DEFAULT), 0)[1]
+        assert flown.inference_s == 0.03  # type: ignore[attr-defined]
+
+
 # --- reports ----------------------------------------------------------------------------------------------------
 
 
@@ -520,7 +532,11 @@ def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
         policy_claims.tcsc_preserved_at_10x(airsim)
     assert native.clocks("tcsc") == [100.0]  # the lockstep training is none of them
     for row in whole.rows():
-        if (row["profile"], row["command"], row["clock_speed"]) == ("airsim", "tcsc", 5.0):
+        if "training" in row and (row["profile"], row["command"], row["clock_speed"]) == (
+            "airsim",
+            "tcsc",
+            5.0,
+        ):
             arrays = whole.load_arrays(row)
             ended_m = arrays["tcsc_distance_m"][~arrays["tcsc_is_success"]]
             assert airsim.ended_m["tcsc", 5.0].tolist() == ended_m.tolist() != []

@@ -201,7 +201,7 @@ class Policies:
 
     cells: Sequence[SummaryCell]
     interchange: Sequence[SummaryCell] = ()
-    """Policies flown with both commands, seeds pooled."""
+    """Policies flown with both commands, seeds pooled, the training's own first."""
     ended_m: Mapping[Trained, FloatArray] = field(default_factory=dict)
     """Metres north at which evaluation games ended before the goal, seeds pooled."""
 
@@ -246,9 +246,14 @@ class Policies:
 
     def interchanged(self) -> tuple[Proportion, Proportion]:
         """Games won by the policies that TCSC trained at 1x, flown with TCSC and with ADSC."""
-        if not self.interchange:
-            raise NoEvidence("no policy was flown with both commands")
-        with_tcsc, with_adsc = (Proportion.of(flown) for flown in self.interchange[0]["flown_with"])
+        flown = [
+            each["flown_with"]
+            for each in self.interchange
+            if (each["command"], each["clock_speed"], each["flown_at"]) == ("tcsc", 1.0, 1.0)
+        ]
+        if not flown:
+            raise NoEvidence("no policy of TCSC at 1x was flown with both commands")
+        with_tcsc, with_adsc = (Proportion.of(each) for each in flown[0])
         _enough(with_tcsc.games, LEAST_GAMES, "games with either command")
         return with_tcsc, with_adsc
 
@@ -260,7 +265,7 @@ def _kind(cell: SummaryCell) -> tuple[str, str, str]:
 def _ended(run: RunDirectory, wanted: tuple[str, str, str]) -> dict[Trained, FloatArray]:
     ended: dict[Trained, list[FloatArray]] = {}
     for row in run.rows():
-        if _kind(row) == wanted:
+        if _kind(row) == wanted and "training" in row:  # flown by what trained it: once for each training
             arrays, command = run.load_arrays(row), row["command"]
             lost = ~arrays[f"{command}_is_success"]
             ended.setdefault((command, row["clock_speed"]), []).append(arrays[f"{command}_distance_m"][lost])

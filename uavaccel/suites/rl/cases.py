@@ -12,6 +12,7 @@ from uavaccel.suites.experiment import CommandName, ProfileName
 from uavaccel.suites.parts import Part
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 
+OF_DECISIONS = ("inference_s",)  # keys of a training that its evaluations have too
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 EXACT = "exact"  # what an evaluation in the exact simulator is called
 
@@ -37,6 +38,7 @@ class TrainingCase:
     seed: int
     timing: str = "virtual"  # all cells run side by side, whichever simulated clock they have
     task: dict[str, Any] = field(default_factory=dict, compare=False)
+    learner: dict[str, Any] = field(default_factory=dict, compare=False)
     exact: bool = False
     """Whether this is no training, but the exact simulator's evaluation of what it gave."""
     size: Size = field(default=Size(), compare=False)
@@ -73,6 +75,7 @@ def cases(config: RlConfig) -> Iterator[TrainingCase]:
                             clock_speed,
                             seed,
                             task={f"task.{key}": value for key, value in block.task.items()},
+                            learner=block.training,
                             exact=exact,
                         )
 
@@ -87,6 +90,7 @@ def training_part(config: RlConfig, cell: TrainingCase) -> Part:
         "task.timing": cell.clock,
         "task.profile": cell.profile,
         **cell.task,
+        **cell.learner,
     }
     return Part(experiment=config.training.experiment, keys=keys)
 
@@ -129,5 +133,6 @@ def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent:
         "task.timing": cell.clock,
         "task.profile": cell.profile,
         **own,
+        **{key: cell.learner[key] for key in OF_DECISIONS if key in cell.learner},
     }
     return Part(experiment=part.experiment, keys=keys)

@@ -25,6 +25,8 @@ class Block(Config):
     """What sets these trainings apart from others of the same command and ClockSpeed; claims look at those without."""
     task: dict[str, Any] = Field(default_factory=dict)
     """Keys of the task, dotted, in training and evaluation."""
+    training: dict[str, Any] = Field(default_factory=dict)
+    """Other keys of the training, dotted; what a decision takes, `inference_s`, it takes in evaluations too."""
 
 
 class RlConfig(Experiment):
