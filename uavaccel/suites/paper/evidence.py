@@ -201,7 +201,7 @@ class Policies:
 
     cells: Sequence[SummaryCell]
     interchange: Sequence[SummaryCell] = ()
-    """Policies flown with both commands, seeds pooled."""
+    """Those that TCSC trained at 1x, flown with both commands, seeds pooled."""
     ended_m: Mapping[Trained, FloatArray] = field(default_factory=dict)
     """Metres north at which evaluation games ended before the goal, seeds pooled."""
 
@@ -213,7 +213,8 @@ class Policies:
         cells, interchange = (
             [cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange")
         )
-        return cls(cells, interchange, _ended(run, wanted))
+        by_tcsc = [cell for cell in interchange if (cell["command"], cell["clock_speed"]) == ("tcsc", 1.0)]
+        return cls(cells, by_tcsc, _ended(run, wanted))
 
     def trainings(self, command: str, clock_speed: float) -> list[Proportion]:
         """Evaluation games won, a proportion a training."""
@@ -260,7 +261,7 @@ def _kind(cell: SummaryCell) -> tuple[str, str, str]:
 def _ended(run: RunDirectory, wanted: tuple[str, str, str]) -> dict[Trained, FloatArray]:
     ended: dict[Trained, list[FloatArray]] = {}
     for row in run.rows():
-        if _kind(row) == wanted:
+        if _kind(row) == wanted and "training" in row:  # the others fly the same lanes in the exact simulator
             arrays, command = run.load_arrays(row), row["command"]
             lost = ~arrays[f"{command}_is_success"]
             ended.setdefault((command, row["clock_speed"]), []).append(arrays[f"{command}_distance_m"][lost])
