@@ -138,13 +138,7 @@ def policies(
         for command in ("tcsc", "adsc")
     ]
     ended_m = {("tcsc", k): np.repeat(ROWS_M - off_rows_m, 20) for k in CLOCKS}
-    nobody = [{"successes": 0, "games": games} for _ in flown]
-    interchange = [
-        {"command": command, "clock_speed": clock, "flown_at": at, "flown_with": nobody}
-        for command, clock, at in (("adsc", 1.0, 1.0), ("tcsc", 5.0, 1.0), ("tcsc", 5.0, 5.0))
-    ]
-    interchange.append({"command": "tcsc", "clock_speed": 1.0, "flown_at": 1.0, "flown_with": flown})
-    return Policies(cells, interchange, ended_m)
+    return Policies(cells, [{"flown_with": flown}], ended_m)
 
 
 def evidence(

@@ -531,12 +531,10 @@ def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
     with pytest.raises(NoEvidence, match="tcsc at 10x was not flown"):
         policy_claims.tcsc_preserved_at_10x(airsim)
     assert native.clocks("tcsc") == [100.0]  # the lockstep training is none of them
-    for row in whole.rows():
-        if "training" in row and (row["profile"], row["command"], row["clock_speed"]) == (
-            "airsim",
-            "tcsc",
-            5.0,
-        ):
+    (flown,) = airsim.interchange
+    assert [(each["command"], each["games"]) for each in flown["flown_with"]] == [("tcsc", 2), ("adsc", 2)]
+    for row in trainings(whole):
+        if (row["profile"], row["command"], row["clock_speed"]) == ("airsim", "tcsc", 5.0):
             arrays = whole.load_arrays(row)
             ended_m = arrays["tcsc_distance_m"][~arrays["tcsc_is_success"]]
             assert airsim.ended_m["tcsc", 5.0].tolist() == ended_m.tolist() != []

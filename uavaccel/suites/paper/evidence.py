@@ -201,7 +201,7 @@ class Policies:
 
     cells: Sequence[SummaryCell]
     interchange: Sequence[SummaryCell] = ()
-    """Policies flown with both commands, seeds pooled, the training's own first."""
+    """Those that TCSC trained at 1x, flown with both commands, seeds pooled."""
     ended_m: Mapping[Trained, FloatArray] = field(default_factory=dict)
     """Metres north at which evaluation games ended before the goal, seeds pooled."""
 
@@ -213,7 +213,8 @@ class Policies:
         cells, interchange = (
             [cell for cell in summary[part] if _kind(cell) == wanted] for part in ("cells", "interchange")
         )
-        return cls(cells, interchange, _ended(run, wanted))
+        by_tcsc = [cell for cell in interchange if (cell["command"], cell["clock_speed"]) == ("tcsc", 1.0)]
+        return cls(cells, by_tcsc, _ended(run, wanted))
 
     def trainings(self, command: str, clock_speed: float) -> list[Proportion]:
         """Evaluation games won, a proportion a training."""
@@ -246,14 +247,9 @@ class Policies:
 
     def interchanged(self) -> tuple[Proportion, Proportion]:
         """Games won by the policies that TCSC trained at 1x, flown with TCSC and with ADSC."""
-        flown = [
-            each["flown_with"]
-            for each in self.interchange
-            if (each["command"], each["clock_speed"], each["flown_at"]) == ("tcsc", 1.0, 1.0)
-        ]
-        if not flown:
-            raise NoEvidence("no policy of TCSC at 1x was flown with both commands")
-        with_tcsc, with_adsc = (Proportion.of(each) for each in flown[0])
+        if not self.interchange:
+            raise NoEvidence("no policy was flown with both commands")
+        with_tcsc, with_adsc = (Proportion.of(flown) for flown in self.interchange[0]["flown_with"])
         _enough(with_tcsc.games, LEAST_GAMES, "games with either command")
         return with_tcsc, with_adsc
 
@@ -265,7 +261,7 @@ def _kind(cell: SummaryCell) -> tuple[str, str, str]:
 def _ended(run: RunDirectory, wanted: tuple[str, str, str]) -> dict[Trained, FloatArray]:
     ended: dict[Trained, list[FloatArray]] = {}
     for row in run.rows():
-        if _kind(row) == wanted and "training" in row:  # flown by what trained it: once for each training
+        if _kind(row) == wanted and "training" in row:  # the others fly the same lanes in the exact simulator
             arrays, command = run.load_arrays(row), row["command"]
             lost = ~arrays[f"{command}_is_success"]
             ended.setdefault((command, row["clock_speed"]), []).append(arrays[f"{command}_distance_m"][lost])
