@@ -17,7 +17,7 @@ TWO_FORWARD_ONE_BACK = ((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
 STEP_S, SAMPLE_S, LAG_S, GOAL_TIMEOUT_S = 0.01, 0.05, 0.9, 0.06
 
 Arrays = dict[str, np.ndarray]
-Row = dict[str, Any]
+Row = Any
 
 
 class SyntheticConfig(Config):

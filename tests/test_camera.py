@@ -16,7 +16,8 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
-from uavaccel.sim.camera.camera import HEIGHT, WIDTH, Camera
+from uavaccel.sim.camera.camera import Camera
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout

@@ -132,8 +132,8 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
 
 
 def strongest_acceleration(gains: Any, airspeed_m_s: float) -> float:
-    craft = (gains[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2"))
-    return float(clearance.strongest_acceleration(*craft, airspeed_m_s))
+    craft = [gains[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2")]
+    return float(clearance.strongest_acceleration(*[*craft, airspeed_m_s]))
 
 
 @settings(max_examples=200)

@@ -14,7 +14,7 @@ from uavaccel.suites.dp1.scores import cells_of, score_cells
 from uavaccel.suites.dp1.table import overview, table
 from uavaccel.suites.report import LoadArrays
 
-Row = dict[str, Any]
+Row = Any
 
 
 def summarise(rows: list[Row], load_arrays: LoadArrays) -> Row:

@@ -166,7 +166,7 @@ def test_the_guard_asks_again_for_perturbed_images() -> None:
     assert flown["reference"][0]["guard_retries"] == flown["lockstep"][0]["guard_retries"]
 
 
-def fly(config: Dp2Config, case: Case) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def fly(config: Dp2Config, case: Case) -> tuple[Any, dict[str, np.ndarray]]:
     with open_session(case.timing, config.profile, SCENE, config.latency) as session:
         return fly_game(config, case, session)
 

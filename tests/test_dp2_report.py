@@ -12,7 +12,7 @@ import pytest
 from tests.drawing import headline, record_figures
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp2.flights import Dp2Config
+from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.report import Dp2Report
 from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
 from uavaccel.suites.dp2.summary import summary_of
@@ -23,7 +23,7 @@ from uavaccel.vision.dvs import PRESETS
 PIXELS = (2, 5)
 
 
-def row_of(role: str, command: str = "tcsc", clock_speed: float = 1.0, **keys: Any) -> dict[str, Any]:
+def row_of(role: str, command: str = "tcsc", clock_speed: float = 1.0, **keys: Any) -> Any:
     prefix = "" if role == "game" else f"{role}-"
     return {
         "case": f"{prefix}{command}-k{clock_speed:g}",
@@ -60,7 +60,7 @@ def yaw(*degrees: float) -> np.ndarray:
     return np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
 
 
-def seen(row: dict[str, Any], index: list[int], position_m: Any, *senses: np.ndarray) -> SeenFlight:
+def seen(row: Any, index: list[int], position_m: Any, *senses: np.ndarray) -> SeenFlight:
     return SeenFlight(row, np.array(index, np.int32), np.array(position_m, float), *senses)
 
 

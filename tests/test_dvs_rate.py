@@ -186,7 +186,7 @@ def test_tonic_reads_them_as_dsec(tmp_path: Path) -> None:
     assert read["ms_to_idx"].tolist() == [0, 1, 1, 3, 3, 3]
 
 
-def dp2_game(*overrides: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Row and arrays of a short path's game."""
     mapping, source = read_mapping("dp2")
     path = "path=[[1, 0], [0.5, 0.8]]"

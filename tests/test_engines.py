@@ -52,7 +52,8 @@ def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: 
 
     monkeypatch.setattr(ThreadingBackend, "configure", noted)
     calls = [delayed(int)(number) for number in range(23)]
-    assert list(on_cluster("ray", 2, 2, calls)) == list(range(23))
+    results: list[Any] = list(on_cluster("ray", 2, 2, calls))
+    assert results == list(range(23))
     assert started == [2]
 
 

@@ -96,7 +96,7 @@ def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> No
     assert (summary["games"], summary["successes"], summary["success_ratio"]) == (LANES, 0, 0.0)
     assert (summary["wilson_low"], summary["wilson_high"]) == Proportion(0, LANES).interval
     assert summary["distance_m_median"] == pytest.approx(np.median([row["distance_m"] for row in rows]))
-    won = [{**row, "is_success": row["lane"] < 3} for row in rows]
+    won: list[Any] = [{**row, "is_success": row["lane"] < 3} for row in rows]
     summary = summarise(configured("evaluate", agent="straight"), won)
     assert summary["success_ratio"] == 0.75
     # Wilson's score interval of 3 in 4.
@@ -119,13 +119,14 @@ def test_a_resumed_evaluation_flies_what_is_missing(tmp_path: Path, straight: Ru
 
 
 def test_the_paired_comparison_is_mcnemars(tmp_path: Path, straight: RunDirectory) -> None:
-    rows = [{**row, "is_success": True} for row in straight.rows()]
+    rows: list[Any] = [{**row, "is_success": True} for row in straight.rows()]
     p_value = mcnemar_exact([True] * LANES, [False] * LANES).p_value
     assert p_value == pytest.approx(2 * 0.5**LANES)
     said = compare(rows, straight)
     assert said.endswith(f"on the same {LANES} lanes: {LANES} v 0 successes, exact McNemar p = {p_value:.3g}")
+    others: list[Any] = [{**row, "lane": row["lane"] + 100} for row in rows]
     with pytest.raises(UserError, match="is no evaluation of the same lanes"):
-        compare([{**row, "lane": row["lane"] + 100} for row in rows], straight)
+        compare(others, straight)
 
 
 def test_against_another_run_on_the_command_line(

@@ -470,7 +470,8 @@ def test_a_learner_goes_on_from_its_state() -> None:
 @pytest.fixture
 def on_a_device(host_kernels: None) -> Any:  # noqa: F811
     """A learner without lanes or graphs: options, ring and networks of four lanes over pictures of 1 x 1 x 2."""
-    from uavaccel.rl.device_dqn import AT, DeviceDQN
+    from uavaccel.envs.cuda_lanes import AT
+    from uavaccel.rl.device_dqn import DeviceDQN
 
     learner: Any = DeviceDQN.__new__(DeviceDQN)
     learner.config = validate(
@@ -586,7 +587,7 @@ def test_on_a_device_learning_rate_and_exploration_fall_with_games(on_a_device: 
 
 def test_on_a_device_the_first_convolution_is_a_product_of_patches(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same ratings as the policy's own, here in single precision."""
-    monkeypatch.setattr(device_network.th, "autocast", lambda *_, **__: nullcontext())
+    monkeypatch.setattr(th, "autocast", lambda *_, **__: nullcontext())
     config = tiny_config(channels=[3, 4], hidden=[5])
     net: Any = first_policy(config, lambda _: 1e-3).q_net
     frames, rows, columns = config.task.observation_space().shape

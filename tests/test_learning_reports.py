@@ -28,7 +28,7 @@ from uavaccel.suites.training.phases import draw_trainings, phase_times
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.wire.latency import shipped_latency
 
-Row = dict[str, Any]
+Row = Any
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_every_number_of_an_evaluation() -> None:
     task = LaneTask(split="evaluation", timing="virtual", command="adsc", clock_speed=10.0)
     config = EvaluateConfig(agent="offset:1", seed=4, task=task)
     distances_m, walls_s = [150.0, 20.0, 30.0, 150.0, 90.0, 100.0, 7.0], [0.5, 0.1, 0.2, 0.4, 0.6, 0.7, 0.8]
-    rows = [
+    rows: list[Any] = [
         {"is_success": d == 150.0, "distance_m": d, "sim_time_s": 10.0 + i, "wall_s": wall_s}
         for i, (d, wall_s) in enumerate(zip(distances_m, walls_s, strict=True))
     ]

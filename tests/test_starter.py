@@ -93,6 +93,7 @@ def test_the_page_of_keys_has_every_key_of_every_suite() -> None:
 def test_the_training_can_be_flown_and_its_comments_speak_of_keys_that_there_are(folder: Path) -> None:
     mapping = load_yaml(folder / "train.yaml")
     assert misfits_of(mapping) == []
+    config: Any
     suite, config = configure(RunRequest(str(folder / "train.yaml")))
     assert suite.name == "train"
     DqnOptions.of(config)

@@ -29,7 +29,8 @@ from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import AT_REST, Course, Moment, Task
+from uavaccel.envs.task import AT_REST, Moment, Task
+from uavaccel.envs.values import Course
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 
@@ -198,9 +199,8 @@ def test_the_next_two_gates_are_seen_and_their_posts_stand_beside_them() -> None
     ways = [task.features(state, {**TWO, "passed": passed})[:6].tolist() for passed in (0, 1, 2)]
     assert ways == [[1, 0, 0.5, 7, -2, 0.5], [7, -2, 0.5] * 2, [7, -2, 0.5] * 2]
     np.testing.assert_array_equal(task.features(state, TWO)[6:], [1, 0, 0, 0, 7, 8, 9, 0, 0, 0])
-    posts = {
-        (post["x_m"], round(post["y_m"], 9)): post["half_side_m"] for post in task.layout(TWO)["obstacles"]
-    }
+    layout: Any = task.layout(TWO)
+    posts = {(post["x_m"], round(post["y_m"], 9)): post["half_side_m"] for post in layout["obstacles"]}
     assert posts == {(6.0, 2.3): 0.2, (6.0, -0.3): 0.2, (12.0, 0.3): 0.2, (12.0, -2.3): 0.2}
 
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from types import ModuleType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, ceil_div, exact
@@ -124,7 +124,9 @@ def positive_clock_speed(clock_speed: float | Fraction) -> Fraction:
     return speed
 
 
-def wait_for_sockets(selector: Any, deadline_ns: int | None) -> Sequence[tuple[selectors.SelectorKey, Any]]:
+def wait_for_sockets(
+    selector: selectors.DefaultSelector, deadline_ns: int | None
+) -> Sequence[tuple[selectors.SelectorKey, int]]:
     """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
 
     `selector` is selectors.DefaultSelector(). A deadline in the past only looks. select() sleeps to the microsecond,

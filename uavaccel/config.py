@@ -8,12 +8,13 @@ import copy
 import json
 import reprlib
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar, get_args
+from typing import TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from uavaccel.errors import UsageError, UserError, suggestion
+from uavaccel.files import Plain
 from uavaccel.yaml_io import dump_yaml, load_yaml, parse_yaml
 
 __all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "validate"]
@@ -41,7 +42,7 @@ _YAML_WORDS = {
 ConfigType = TypeVar("ConfigType", bound=Config)
 
 
-def apply_overrides(mapping: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
+def apply_overrides(mapping: Mapping[str, object], overrides: Iterable[str]) -> dict[str, Plain]:
     """A copy of `mapping` with each "dotted.key=value" applied in turn; values are YAML.
 
     A number indexes a list; mappings on the way to a new key are made. Raises UsageError if an override is
@@ -54,7 +55,7 @@ def apply_overrides(mapping: Mapping[str, Any], overrides: Iterable[str]) -> dic
     return result
 
 
-def parse_override(override: str) -> tuple[str, Any]:
+def parse_override(override: str) -> tuple[str, Plain]:
     """Dotted key and YAML value of a "dotted.key=value". Raises UsageError or UserError, as `apply_overrides`."""
     dotted, equals, text = override.partition("=")
     if not equals or not all(dotted.split(".")):
@@ -62,17 +63,17 @@ def parse_override(override: str) -> tuple[str, Any]:
     return dotted, parse_yaml(text, source=f"--set {override}")
 
 
-def dotted_keys(value: Any, key: str = "") -> dict[str, Any]:
+def dotted_keys(value: object, key: str = "") -> dict[str, Plain]:
     """The values in nested mappings by dotted key; an empty mapping is a value."""
     if not isinstance(value, Mapping) or not value:
         return {key: value}
-    leaves: dict[str, Any] = {}
+    leaves: dict[str, Plain] = {}
     for name, inner in value.items():
         leaves |= dotted_keys(inner, f"{key}.{name}" if key else str(name))
     return leaves
 
 
-def assign(target: Any, dotted: str, value: Any, source: str) -> None:
+def assign(target: Plain, dotted: str, value: object, source: str) -> None:
     """Put a value into nested mappings and lists, making mappings on the way. Raises UserError, naming `source`."""
     parts = dotted.split(".")
     for depth in range(1, len(parts)):
@@ -83,7 +84,7 @@ def assign(target: Any, dotted: str, value: Any, source: str) -> None:
     target[_position(target, parts, source)] = value
 
 
-def _position(container: Any, parts: list[str], source: str) -> str | int:
+def _position(container: object, parts: list[str], source: str) -> str | int:
     """The last of `parts` as a key or index of `container`."""
     part = parts[-1]
     if isinstance(container, dict):
@@ -94,7 +95,7 @@ def _position(container: Any, parts: list[str], source: str) -> str | int:
     raise UserError(f"{source}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
 
 
-def validate(cls: type[ConfigType], mapping: Mapping[str, Any], source: str) -> ConfigType:
+def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) -> ConfigType:
     """An instance of `cls` from plain data.
 
     Raises UserError: one line that names `source` (a file), the dotted key, the bad value and what would be
@@ -115,12 +116,12 @@ def to_yaml(config: Config) -> str:
     return dump_yaml(config.model_dump(mode="json"))
 
 
-def schema(cls: type[Config]) -> dict[str, Any]:
+def schema(cls: type[Config]) -> dict[str, Plain]:
     """JSON schema of a configuration's YAML, for editors."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **cls.model_json_schema()}
 
 
-def _explain(cls: type[Config], mapping: Mapping[str, Any], error: ValidationError) -> str:
+def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
     """The error that explains most: an unknown key, which may be why another is missing, or the innermost."""
     errors = error.errors(include_url=False)
     first = min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
@@ -136,10 +137,10 @@ def _explain(cls: type[Config], mapping: Mapping[str, Any], error: ValidationErr
     return f"{key} = {reprlib.repr(first['input'])}: {wanted}" if key else wanted
 
 
-def _dotted(mapping: Mapping[str, Any], error: ErrorDetails) -> str:
+def _dotted(mapping: Mapping[str, object], error: ErrorDetails) -> str:
     """The key of an error as `apply_overrides` takes it, without pydantic's names for a union's members."""
     parts: list[str] = []
-    value: Any = mapping
+    value: Plain = mapping
     for depth, part in enumerate(error["loc"], start=1):
         inside = _holds(value, part)
         absent = depth == len(error["loc"]) and error["type"] in ("missing", "extra_forbidden")
@@ -150,7 +151,7 @@ def _dotted(mapping: Mapping[str, Any], error: ErrorDetails) -> str:
     return ".".join(parts)
 
 
-def _holds(container: Any, part: str | int) -> bool:
+def _holds(container: object, part: str | int) -> bool:
     if isinstance(container, dict):
         return part in container
     return isinstance(container, list) and isinstance(part, int) and part < len(container)

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 
@@ -65,7 +65,10 @@ def file_sha256(path: Path) -> str:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def parse_json(text: str | bytes) -> Any:
+Plain: TypeAlias = Any  # data as JSON and YAML hold it: whoever reads it knows its form, or checks it
+
+
+def parse_json(text: str | bytes) -> Plain:
     """The value of a JSON text. Raises ValueError, where it is nested too deeply too."""
     try:
         return json.loads(text)
@@ -73,7 +76,7 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("nested too deeply") from None
 
 
-def to_json(value: Any, indent: int | None = None) -> str:
+def to_json(value: object, indent: int | None = None) -> str:
     """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
     try:
         return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, default=_plain_kind)
@@ -81,7 +84,7 @@ def to_json(value: Any, indent: int | None = None) -> str:
         return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
 
 
-def _plain_kind(value: Any) -> Any:
+def _plain_kind(value: object) -> object:
     """What JSON has for a kind of mapping, or of numpy's values, that it does not know."""
     if isinstance(value, Mapping):
         return dict(value)
@@ -90,7 +93,7 @@ def _plain_kind(value: Any) -> Any:
     raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -102,7 +105,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def append_line(path: Path, entry: Mapping[str, Any], on_disk: bool = True) -> None:
+def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -> None:
     """Add a line of JSON; `on_disk` on return, with all lines before it, else whenever the system writes it."""
     line = to_json(entry).encode() + b"\n"
     with naming(path), path.open("ab") as file:
@@ -112,7 +115,7 @@ def append_line(path: Path, entry: Mapping[str, Any], on_disk: bool = True) -> N
             os.fsync(file.fileno())
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
+def read_lines(path: Path) -> list[Plain]:
     """The whole lines that `append_line` wrote; one cut short, or still being written, is left out.
 
     No file is no lines. Raises UserError, naming the line, if one is not a JSON object.
@@ -123,7 +126,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     return [_parse_line(line, f"{path}: line {number}") for number, line in enumerate(whole, start=1)]
 
 
-def _parse_line(line: bytes, where: str) -> dict[str, Any]:
+def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
     try:
         entry = parse_json(line)
     except ValueError as error:

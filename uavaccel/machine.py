@@ -3,10 +3,11 @@
 import os
 import platform
 import sys
-from typing import Any
+
+from uavaccel.files import Plain
 
 
-def host() -> dict[str, Any]:
+def host() -> dict[str, Plain]:
     """Plain data for a manifest."""
     return {
         "platform": platform.platform(),

@@ -5,9 +5,9 @@ import platform
 import subprocess
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 import uavaccel
+from uavaccel.files import Plain
 from uavaccel.machine import host
 from uavaccel.resources import source_tree
 
@@ -27,7 +27,7 @@ _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THR
 
 def describe_run(
     command_line: Sequence[str], seed: int, start_time: str, gl_renderer: str | None = None
-) -> dict[str, Any]:
+) -> dict[str, Plain]:
     """Plain data for a run directory's manifest.json.
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
@@ -54,7 +54,7 @@ def _versions() -> dict[str, str | None]:
     return versions
 
 
-def _git() -> dict[str, Any] | None:
+def _git() -> dict[str, Plain] | None:
     """Commit of the source tree, and whether files under version control differ from it; None outside one."""
     root = source_tree()
     if root is None:

@@ -10,49 +10,70 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import ParamSpec, Protocol, TypeVar, overload
 
-from numba import njit, types
+import numba
+from llvmlite import binding, ir
+from numba import types
 from numba.core import compiler
-from numba.core.codegen import JITCodeLibrary
+from numba.core.base import BaseContext
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
 from numba.extending import models, register_model
+
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+
+
+class Compiled(Protocol[P, R]):
+    """What numba makes of a function: it is called as the function is declared."""
+
+    @property
+    def py_func(self) -> Callable[P, R]:
+        """The function itself, in Python."""
+        ...
+
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> R: ...
 
 
 class _Library(JITCodeLibrary):
     """Intermediate code that is linked into others', and never made machine code by itself."""
 
-    _merged: Any = None
+    _merged: binding.ModuleRef | None = None
 
     def finalize(self) -> None:
         """Nothing is optimised; what is called is linked in for a caller that is more than a part."""
         self._finalize_dynamic_globals()
         self._finalized = True
 
-    def _within(self) -> list[Any]:
+    def _within(self) -> list[CPUCodeLibrary]:
         """This library and all that it needs, each behind those that need it: the linker drops what nobody asks for."""
-        found: dict[Any, None] = {}
+        found: dict[CPUCodeLibrary, None] = {}
         for library in self._linking_libraries:
             for needed in library._within() if isinstance(library, _Library) else [library]:
                 found.pop(needed, None)
                 found[needed] = None
         return [self, *found]
 
-    def _get_module_for_linking(self) -> Any:
+    def _get_module_for_linking(self) -> binding.ModuleRef:
         if self._merged is None:
             self._merged = super()._get_module_for_linking().clone()
             for library in self._within()[1:]:
                 self._reload_init.update(library._reload_init)
-                small: Any = super(_Library, library) if isinstance(library, _Library) else library
-                self._merged.link_in(small._get_module_for_linking(), preserve=True)
+                module = (
+                    super(_Library, library)._get_module_for_linking()
+                    if isinstance(library, _Library)
+                    else library._get_module_for_linking()
+                )
+                self._merged.link_in(module, preserve=True)
         return self._merged
 
 
 class _Compiler(compiler.CompilerBase):
     """numba's own passes, without machine code and wrappers."""
 
-    def define_pipelines(self) -> list[Any]:
+    def define_pipelines(self) -> list[compiler.PassManager]:
         state = self.state
         state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
         state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -67,14 +88,14 @@ register_model(PartType)(models.OpaqueModel)
 
 
 @lower_constant(PartType)
-def _no_value(context: Any, builder: Any, part_type: Any, value: Any) -> Any:
+def _no_value(context: BaseContext, builder: object, part_type: PartType, value: object) -> ir.Constant:
     return context.get_dummy_value()
 
 
 class Part(CPUDispatcher):
     """A function of compiled functions; called from Python, it is compiled by itself."""
 
-    def __init__(self, function: Callable[..., Any], inline: bool, options: dict[str, Any]) -> None:
+    def __init__(self, function: Callable[..., object], inline: bool, options: dict[str, object]) -> None:
         super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_Compiler)
         self._inline = inline
 
@@ -82,7 +103,7 @@ class Part(CPUDispatcher):
     def _numba_type_(self) -> PartType:
         return PartType(self)
 
-    def add_overload(self, result: Any) -> None:
+    def add_overload(self, result: compiler.CompileResult) -> None:
         """Make a specialisation known to those that call it, under a key of its own in place of an address."""
         result = result._replace(entry_point=object())
         if not self._inline:
@@ -90,20 +111,32 @@ class Part(CPUDispatcher):
         self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
         self.overloads[tuple(result.signature.args)] = result
 
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
+    def __call__(self, *arguments: object, **named: object) -> object:
         return self._alone(*arguments, **named)
 
     @cached_property
-    def _alone(self) -> Any:
+    def _alone(self) -> Callable[..., object]:
         options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
         return njit(**options)(self.py_func)
 
 
-def part(function: Any = None, inline: bool = True, **options: Any) -> Any:
+@overload
+def part(function: Callable[P, R], /) -> Compiled[P, R]: ...
+@overload
+def part(*, inline: bool = True, **options: object) -> Callable[[Callable[P, R]], Compiled[P, R]]: ...
+def part(
+    function: Callable[..., object] | None = None, /, *, inline: bool = True, **options: object
+) -> object:
     """`numba.njit` for a function that others are made of: a decorator, with njit's options or without.
 
     Not `inline`: its machine code is made once, and called, where else each of its callers may have it within its own.
     """
-    return (
-        (lambda inner: Part(inner, inline, options)) if function is None else Part(function, inline, options)
-    )
+    if function is None:
+        return lambda inner: Part(inner, inline, options)
+    return Part(function, inline, options)
+
+
+def njit(**options: object) -> Callable[[Callable[P, R]], Compiled[P, R]]:
+    """`numba.njit`, with options, as a typed decorator."""
+    decorator: Callable[[Callable[P, R]], Compiled[P, R]] = numba.njit(**options)
+    return decorator

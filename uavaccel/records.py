@@ -11,7 +11,6 @@ done and the others can be flown again.
 import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from uavaccel.config import Config, dotted_keys, to_yaml, validate
 from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
+    Plain,
     append_line,
     drop_cut_line,
     file_sha256,
@@ -48,7 +48,7 @@ class RunDirectory:
         cls,
         path: str | Path,
         config: Config,
-        manifest: Mapping[str, Any],
+        manifest: Mapping[str, object],
         resume: bool = False,
         may_grow: Collection[str] = (),
     ) -> "RunDirectory":
@@ -75,7 +75,7 @@ class RunDirectory:
         run._add_manifest(manifest)
         return run
 
-    def append_row(self, row: Mapping[str, Any], on_disk: bool = True) -> None:
+    def append_row(self, row: Mapping[str, object], on_disk: bool = True) -> None:
         """Add the row of a finished case, whole; `row["case"]` is the case's id.
 
         It is on disk on return, with the rows before it, unless the next one that is will follow at once.
@@ -87,9 +87,9 @@ class RunDirectory:
             raise ValueError(f"case {row['case']} has a row already")
         self._refuse_gone()
         append_line(self.path / "rows.jsonl", row, on_disk)
-        self._done.add(row["case"])
+        self._done.add(str(row["case"]))
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Plain]:
         """Every whole row, in the order in which they were added."""
         return read_lines(self.path / "rows.jsonl")
 
@@ -97,11 +97,11 @@ class RunDirectory:
         """Ids of the cases that have a row."""
         return set(self._done)
 
-    def append_timing(self, entry: Mapping[str, Any], on_disk: bool = True) -> None:
+    def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
         """Add an entry to timing.jsonl: host times, loads, retries."""
         append_line(self.path / "timing.jsonl", entry, on_disk)
 
-    def timings(self) -> list[dict[str, Any]]:
+    def timings(self) -> list[dict[str, Plain]]:
         """Every whole entry of timing.jsonl."""
         return read_lines(self.path / "timing.jsonl")
 
@@ -120,7 +120,7 @@ class RunDirectory:
         write_arrays(self.file(name), arrays)
         return {"arrays": name, "arrays_sha256": file_sha256(self.path / name)}
 
-    def load_arrays(self, row: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    def load_arrays(self, row: Mapping[str, object]) -> dict[str, np.ndarray]:
         """The arrays of a row. Raises UserError as `arrays_of`."""
         return arrays_of(self.path, row)
 
@@ -146,11 +146,11 @@ class RunDirectory:
             file.write(content)
         return path
 
-    def write_json(self, name: str, value: Any) -> Path:
+    def write_json(self, name: str, value: object) -> Path:
         """Write plain data and numpy's by the rules of `append_row`; the file's path."""
         return self.write_text(name, to_json(value, indent=2) + "\n")
 
-    def read_json(self, name: str) -> Any:
+    def read_json(self, name: str) -> Plain:
         """The value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         path = self.path / name
         try:
@@ -160,13 +160,13 @@ class RunDirectory:
         except ValueError as error:
             raise UserError(f"{path}: not JSON: {error}") from error
 
-    def config(self) -> dict[str, Any]:
+    def config(self) -> dict[str, Plain]:
         """The mapping in config.yaml."""
         return load_yaml(self.path / "config.yaml")
 
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> dict[str, Plain]:
         """What the run was started with; under "resumed" what it was gone on with, each time."""
-        manifest: dict[str, Any] = self.read_json("manifest.json")
+        manifest: dict[str, Plain] = self.read_json("manifest.json")
         return manifest
 
     def _cases_of_rows(self) -> set[str]:
@@ -187,14 +187,14 @@ class RunDirectory:
                 f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown"
             )
 
-    def _add_manifest(self, manifest: Mapping[str, Any]) -> None:
+    def _add_manifest(self, manifest: Mapping[str, object]) -> None:
         if (self.path / "manifest.json").exists():
             first = self.manifest()
             manifest = {**first, "resumed": [*first.get("resumed", []), manifest]}
         self.write_json("manifest.json", manifest)
 
 
-def arrays_of(folder: Path, row: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def arrays_of(folder: Path, row: Mapping[str, object]) -> dict[str, np.ndarray]:
     """The arrays of a row of the run in `folder`.
 
     Raises UserError if the file is missing or damaged, is named after another case, or is not what the row's hash says.
@@ -261,9 +261,12 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     return grown
 
 
-def _as_of_today(mapping: dict[str, Any], cls: type[Config]) -> dict[str, Any]:
+def _as_of_today(mapping: dict[str, Plain], cls: type[Config]) -> dict[str, Plain]:
     """A run's configuration with keys that there were not yet at their defaults; what no longer is one as it stands."""
     try:
-        return parse_yaml(to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml")
+        today: dict[str, Plain] = parse_yaml(
+            to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml"
+        )
+        return today
     except UserError:
         return mapping

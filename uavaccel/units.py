@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +22,8 @@ _FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
 
 def ned_to_mujoco(vector: ArrayLike) -> NDArray[np.float64]:
     """Turn (..., 3) NED or FRD components into MuJoCo's; positions, velocities and rates alike."""
-    return np.asarray(vector, dtype=np.float64) * _FLIP_VECTOR
+    turned: NDArray[np.float64] = np.asarray(vector, dtype=np.float64) * _FLIP_VECTOR
+    return turned
 
 
 mujoco_to_ned: Callable[[ArrayLike], NDArray[np.float64]] = ned_to_mujoco
@@ -31,7 +31,8 @@ mujoco_to_ned: Callable[[ArrayLike], NDArray[np.float64]] = ned_to_mujoco
 
 def quaternion_ned_to_mujoco(quaternion: ArrayLike) -> NDArray[np.float64]:
     """Turn (..., 4) wxyz attitudes FRD to NED into MuJoCo's FLU to NWU."""
-    return np.asarray(quaternion, dtype=np.float64) * _FLIP_QUATERNION
+    turned: NDArray[np.float64] = np.asarray(quaternion, dtype=np.float64) * _FLIP_QUATERNION
+    return turned
 
 
 quaternion_mujoco_to_ned: Callable[[ArrayLike], NDArray[np.float64]] = quaternion_ned_to_mujoco
@@ -87,6 +88,6 @@ def ceil_div(numerator: int, denominator: int) -> int:
     return -(-numerator // denominator)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """NumPy scalars and arrays as plain Python numbers and lists, for JSON and msgpack."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

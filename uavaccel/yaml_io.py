@@ -5,16 +5,16 @@ that stands twice in one mapping is refused.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import yaml
 from yaml.constructor import ConstructorError
 
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 
 _FLOAT = "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
@@ -37,7 +37,7 @@ MOST_VALUES = 1_000_000
 class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers = _resolvers()
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -52,18 +52,18 @@ class _Loader(yaml.SafeLoader):
 class _Dumper(yaml.SafeDumper):
     yaml_implicit_resolvers = _resolvers()
 
-    def ignore_aliases(self, data: Any) -> bool:
+    def ignore_aliases(self, data: object) -> bool:
         return True  # a value that stands twice is written twice
 
     def represent_sequence(
-        self, tag: str, sequence: Iterable[Any], flow_style: bool | None = None
+        self, tag: str, sequence: Iterable[object], flow_style: bool | None = None
     ) -> yaml.SequenceNode:
         node = super().represent_sequence(tag, sequence, flow_style)
         node.flow_style = all(isinstance(item, yaml.ScalarNode) for item in node.value)
         return node
 
 
-def load_yaml(path: str | Path) -> dict[str, Any]:
+def load_yaml(path: str | Path) -> dict[str, Plain]:
     """The mapping in a YAML file.
 
     Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a
@@ -82,7 +82,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     return value
 
 
-def parse_yaml(text: str, source: str) -> Any:
+def parse_yaml(text: str, source: str) -> Plain:
     """The value of a YAML text; `source` names it in the UserError raised if it is none."""
     try:
         return deepcopy(_bounded(_read(text), source))
@@ -97,12 +97,12 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 @lru_cache(maxsize=8)
-def _read(text: str) -> Any:
+def _read(text: str) -> Plain:
     """The value of a text. A report asks for its run's configuration a dozen times."""
     return yaml.load(text, Loader=_Loader)
 
 
-def _bounded(value: Any, source: str) -> Any:
+def _bounded(value: Plain, source: str) -> Plain:
     """The value. Raises UserError where aliases make it far larger than a text that anybody wrote."""
     pending, count = [value], 0
     while pending:
@@ -117,6 +117,6 @@ def _bounded(value: Any, source: str) -> Any:
     return value
 
 
-def dump_yaml(mapping: Mapping[str, Any]) -> str:
+def dump_yaml(mapping: Mapping[str, object]) -> str:
     """YAML of plain data, keys in their order, short lists on one line; equal data give equal text."""
     return yaml.dump(dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=False, width=110)

@@ -7,12 +7,14 @@ AirSim v1.8.1's PythonClient; it needs msgpack and NumPy alone. What differs: ca
 be arguments, no tornado, and the error of a command that was only joined is told on standard error.
 """
 
-# ruff: noqa: F401, F403  all of it is for scripts
+# ruff: noqa: F403  all of it is for scripts
 
-from uavaccel.airsim.client import CarClient, MultirotorClient, VehicleClient
-from uavaccel.airsim.connection import Future
+from uavaccel.airsim.client import CarClient as CarClient
+from uavaccel.airsim.client import MultirotorClient as MultirotorClient
+from uavaccel.airsim.client import VehicleClient as VehicleClient
+from uavaccel.airsim.connection import Future as Future
 from uavaccel.airsim.types import *
 from uavaccel.airsim.utils import *
-from uavaccel.wire.rpc import RpcError
+from uavaccel.wire.rpc import RpcError as RpcError
 
 __version__ = "1.8.1"  # of the API

@@ -10,15 +10,16 @@ import functools
 import inspect
 import operator
 from collections.abc import Callable
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, TypeVar, get_args, get_origin, get_type_hints
 
 from uavaccel.airsim.connection import Connection, Future
 from uavaccel.airsim.wire_type import MsgpackMixin
+from uavaccel.wire.rpc import Received
 
 CameraName = Annotated[str | int, str]
 Mirrored = Annotated[float, operator.neg]
 """An angle or a rate that is positive the other way round on the wire."""
-Declared = TypeVar("Declared", bound=Callable[..., Any])
+Declared = TypeVar("Declared", bound=Callable[..., object])
 
 
 class Calls:
@@ -45,7 +46,7 @@ def remote(declared: Declared) -> Declared:
     answer = _answer(hints["return"])
 
     @functools.wraps(declared)
-    def call(self: Calls, *arguments: Any, **named: Any) -> Any:
+    def call(self: Calls, *arguments: object, **named: object) -> object:
         if named or not required <= len(arguments) <= len(parameters):
             declared(self, *arguments, **named)  # raises TypeError where they do not fit
             rest = parameters[len(arguments) :]
@@ -60,7 +61,7 @@ def remote(declared: Declared) -> Declared:
     return call  # type: ignore[return-value]
 
 
-def _answer(annotation: Any) -> Callable[[Any], Any] | None:
+def _answer(annotation: type) -> Callable[[Received], object] | None:
     """What makes a server's answer one of the annotated type; None for a `Future`, whose answer is waited for later."""
     if annotation is Future:
         return None
@@ -73,7 +74,4 @@ def _answer(annotation: Any) -> Callable[[Any], Any] | None:
         if issubclass(each, MsgpackMixin):
             return lambda answers: [each.from_msgpack(one) for one in answers]
         return list
-    made: Callable[[Any], Any] = (
-        annotation.from_msgpack if issubclass(annotation, MsgpackMixin) else annotation
-    )
-    return made
+    return annotation.from_msgpack if issubclass(annotation, MsgpackMixin) else annotation

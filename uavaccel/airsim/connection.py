@@ -12,11 +12,12 @@ import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
+from uavaccel.wire.rpc import Received
 
 _READ_BYTES = 1 << 18
 _MESSAGE_BYTES = 1 << 28  # images are large answers
@@ -30,7 +31,7 @@ class Future:
     def __init__(self, method: str, wait: Callable[[Future], None]) -> None:
         self.method = method
         self.done = False
-        self.result: Any = None
+        self.result: Received = None
         self.error: str | None = None
         self._wait = wait
 
@@ -39,7 +40,7 @@ class Future:
         if not self.done:
             self._wait(self)
 
-    def get(self) -> Any:
+    def get(self) -> Received:
         """Wait for the answer, and return it. Raises rpc.RpcError with the server's text."""
         self.join()
         if self.error is not None:
@@ -54,7 +55,7 @@ class Future:
 class Connection(Protocol):
     """What AirSim's clients need: calls by name, with values that msgpack knows or that `plain` makes such."""
 
-    def call(self, method: str, *params: object) -> Any:
+    def call(self, method: str, *params: object) -> Received:
         """Call and wait. Raises rpc.RpcError with the server's text."""
         ...
 
@@ -115,7 +116,7 @@ class SocketConnection:
         self._next_id = 0
         self._read_by_somebody = False
 
-    def call(self, method: str, *params: object) -> Any:
+    def call(self, method: str, *params: object) -> Received:
         future = self._send(method, params, self._wait)
         self._wait(future)
         return future.get()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from uavaccel.airsim.poses import GeoPoint, Pose
 from uavaccel.airsim.vectors import Quaternionr, Vector3r
@@ -29,10 +28,10 @@ class RotorStates(MsgpackMixin):
 class LidarData(MsgpackMixin):
     """A flat list of x, y, z in the sensor's frame, in metres, and an ID per point."""
 
-    point_cloud: Any = 0.0
+    point_cloud: list[float] | float = 0.0
     time_stamp: int = 0
     pose: Pose = field(default_factory=Pose)
-    segmentation: Any = 0
+    segmentation: list[int] | int = 0
 
 
 @dataclass(repr=False, eq=False)
@@ -59,7 +58,7 @@ class MagnetometerData(MsgpackMixin):
 
     time_stamp: int = 0
     magnetic_field_body: Vector3r = field(default_factory=Vector3r)
-    magnetic_field_covariance: Any = 0.0
+    magnetic_field_covariance: list[float] | float = 0.0
 
 
 @dataclass(repr=False, eq=False)

@@ -7,7 +7,6 @@ order of arguments: AirSim v1.8.1, PythonClient/airsim/types.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from uavaccel.airsim.gains import (
     AngleLevelControllerGains,
@@ -181,7 +180,7 @@ class ImageResponse(MsgpackMixin):
     """An image: bytes (PNG, or height x width x 3 in blue, green, red), or a row-major list of floats."""
 
     image_data_uint8: bytes = b""
-    image_data_float: Any = 0.0
+    image_data_float: list[float] | float = 0.0
     camera_position: Vector3r = field(default_factory=Vector3r)
     camera_orientation: Quaternionr = field(default_factory=Quaternionr)
     camera_name: str = ""
@@ -272,8 +271,8 @@ class DetectionInfo(MsgpackMixin):
 class MeshPositionVertexBuffersResponse(MsgpackMixin):
     position: Vector3r = field(default_factory=Vector3r)
     orientation: Quaternionr = field(default_factory=Quaternionr)
-    vertices: Any = 0.0
-    indices: Any = 0.0
+    vertices: list[float] | float = 0.0
+    indices: list[int] | float = 0.0
     name: str = ""
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from pprint import pformat
-from typing import Any, Self
+from typing import Self
+
+from uavaccel.wire.rpc import Received
 
 
 class MsgpackMixin:
@@ -19,7 +21,7 @@ class MsgpackMixin:
         return self.__dict__
 
     @classmethod
-    def from_msgpack(cls, encoded: Mapping[str, Any]) -> Self:
+    def from_msgpack(cls, encoded: Mapping[str, Received]) -> Self:
         """The object of a map; fields that the type does not have are kept, missing ones have their defaults."""
         self = cls.__new__(cls)
         fields = vars(self)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
 from uavaccel.bench.traces import TracingTransport
 from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.files import Plain
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, after_wait
 from uavaccel.wire.session import WallSession
@@ -42,7 +42,7 @@ class Latencies:
         if wait_ns is not None:
             samples[after_wait(channel, wait_ns)].append(latency_ns)
 
-    def block(self) -> dict[str, Any]:
+    def block(self) -> dict[str, Plain]:
         """The YAML block `latency`."""
         return {
             "quantiles": list(QUANTILES),

@@ -56,7 +56,7 @@ class Bare(NamedTuple):
     games: rows.Games
     now: rows.Flights
     view: cpu.View
-    plan: cpu.Command
+    plan: timeline.Command
     clocks: timeline.Clocks
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 from uavaccel.clock import timer_grain_ns
+from uavaccel.files import Plain
 from uavaccel.machine import usable_cores
 
 MAX_LOAD_PER_CORE = 0.5
 MAX_TIMER_P90_US = 200.0
 
 
-def check_machine() -> dict[str, Any]:
+def check_machine() -> dict[str, Plain]:
     """Load, lateness of short sleeps, and a verdict in words, to be written beside the numbers that they qualify."""
     cores = usable_cores()
     late_us = [ns / 1e3 for ns in timer_grain_ns()]

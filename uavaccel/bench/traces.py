@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from uavaccel.clock import WallClock
 from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.files import Plain
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
 from uavaccel.wire.transport import Call, Transport
 
-Event = dict[str, Any]
+Event = dict[str, Plain]
 
 
 class ClientEvent(NamedTuple):
@@ -38,7 +39,7 @@ class TracingTransport:
         self.events: list[ClientEvent] = []
         self._inner = inner
 
-    def send(self, method: str, params: Sequence[Any], blocking: bool, coalesced: bool = False) -> Call:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
         called_ns = self.clock.now_ns()
         call = self._inner.send(method, params, blocking, coalesced)
         self.events.append(ClientEvent("call", method, call.channel, called_ns, coalesced))

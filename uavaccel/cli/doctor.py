@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -15,6 +15,7 @@ from rich.table import Table
 from uavaccel.bench.machine import check_machine
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 from uavaccel.manifest import describe_run
 
 USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
@@ -122,7 +123,7 @@ def renderer() -> Finding:
     return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
 
 
-def probe(program: str) -> dict[str, Any]:
+def probe(program: str) -> dict[str, Plain]:
     """What a Python program prints as JSON. Raises ProbeError with one line."""
     command = [sys.executable, "-c", program]
     try:
@@ -136,5 +137,5 @@ def probe(program: str) -> dict[str, Any]:
         kind, _, text = last.partition(": ")
         advised = kind == USER_ERROR
         raise ProbeError(text if advised else last, advised)
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    found: dict[str, Plain] = json.loads(done.stdout.splitlines()[-1])
     return found

@@ -7,12 +7,11 @@ import re
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions
+from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.runs import Flown, check, fly
 from uavaccel.fly.settings_file import found_settings
 from uavaccel.leftovers import clear_leftovers
@@ -163,6 +162,6 @@ def _say_how_it_went(flown: Flown) -> None:
     print(f"{stopped}{_speed_text(summary)}; {summary['calls']} calls{thinking}; at{place} m", flush=True)
 
 
-def _speed_text(summary: dict[str, Any]) -> str:
+def _speed_text(summary: FlightSummary) -> str:
     simulated_s, wall_s = summary["simulated_s"], summary["wall_s"]
     return f"{simulated_s:.2f} simulated s in {wall_s:.2f} s, {simulated_s / wall_s:.0f} per wall second"

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from uavaccel.errors import UsageError, UserError
+from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.registry import suite_of
 from uavaccel.suites.suite import AnySuite
 
 
-def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple[AnySuite, dict[str, Any]]:
+def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple[AnySuite, dict[str, Plain]]:
     """Suite and YAML of the run in `out`, of the suite of that name if one is given.
 
     Raises UsageError where nothing says what to fly, UserError where the folder holds no such run: none is begun.
@@ -35,7 +35,7 @@ def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple
     return suite, run.config()
 
 
-def going_on(run: RunDirectory, config: Experiment, games: int, now: Mapping[str, Any]) -> Iterator[str]:
+def going_on(run: RunDirectory, config: Experiment, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
     """Lines about a run that is gone on with: from where, and what has changed since it was begun."""
     yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
     manifest = run.manifest()

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any, get_origin
+from typing import get_origin
 
 from pydantic import BaseModel
 from rich import table as rich_table
@@ -23,6 +23,7 @@ from uavaccel.cli.resume import folders_own, going_on
 from uavaccel.clock import calendar_time
 from uavaccel.draw.document import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
+from uavaccel.files import Plain
 from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
@@ -44,7 +45,7 @@ class RunRequest:
 
     experiment: str | None
     """None: that of the run in `out`, to resume."""
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     overrides: Sequence[str] = ()
     jobs: int = 1
     out: Path | None = None
@@ -85,7 +86,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     return run
 
 
-def configure(request: RunRequest) -> tuple[AnySuite, Any]:
+def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
     """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly.
 
     Without an experiment they are those of the folder that is gone on with.
@@ -109,7 +110,7 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
     return suite, configuration(suite, merged(mapping, options, request.overrides), source)
 
 
-def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
+def place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
     """Where the configuration has an option, at its top or in its task, and the option's value as it is wanted there.
 
     Raises UsageError where the suite has no such key, or takes one value and was given several.
@@ -132,11 +133,11 @@ def place(suite: AnySuite, name: str, value: Any) -> tuple[str, Any]:
     return (name if holder is suite.config else f"task.{name}"), value
 
 
-def _values(value: Any) -> list[Any]:
+def _values(value: object) -> list[object]:
     return list(value) if isinstance(value, list | tuple) else [value]
 
 
-def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Any]:
+def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
     """What the run is made with. Looks at the machine first, and at the renderer of a suite that needs one."""
     name = None
     if suite.renders(config):
@@ -185,7 +186,12 @@ def duration(seconds: float) -> str:
 
 
 def fly(
-    suite: AnySuite, config: Any, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str = LOKY
+    suite: AnySuite,
+    config: Experiment,
+    cases: Sequence[Case],
+    run: RunDirectory,
+    jobs: int,
+    engine: str = LOKY,
 ) -> None:
     """Fly what has no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:

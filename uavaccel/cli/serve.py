@@ -6,11 +6,10 @@ import gc
 import ipaddress
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -203,7 +202,7 @@ class Report:
         if sys.stdout.isatty():
             say(self._text(), end="\r")
 
-    def _upkeep(self, work: Any) -> None:
+    def _upkeep(self, work: Callable[[], object]) -> None:
         try:
             work()
         except OSError as error:

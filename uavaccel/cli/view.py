@@ -14,6 +14,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.events import lane_events
 from uavaccel.suites.evaluation.film import best_first, film_lane
@@ -22,7 +23,6 @@ from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import suite_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.vision.event_files import check_format, write_events
-from uavaccel.wire.image_api import HEIGHT, WIDTH
 
 console = Console(highlight=False, soft_wrap=True)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from uavaccel.commands import adsc as _adsc
 from uavaccel.commands import tcsc as _tcsc
 from uavaccel.commands.adsc import adsc
-from uavaccel.commands.protocol import MissionClient
+from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.tcsc import tcsc
 from uavaccel.kinematics import VelocityGoal
 
@@ -20,18 +20,18 @@ class Fly(Protocol):
 
     def __call__(
         self,
-        client: MissionClient,
+        client: MissionClient[FutureT, SampleT],
         velocity: VelocityGoal,
         t_move_s: float,
         t_sample_s: float,
         t_th_ns: int = 0,
-    ) -> Iterator[Any]: ...
+    ) -> Iterator[SampleT]: ...
 
 
 class Command(NamedTuple):
     """A command and what a game has to do before its first one."""
 
-    begin: Callable[[MissionClient], None]
+    begin: Callable[[Pausable], None]
     fly: Fly
 
 

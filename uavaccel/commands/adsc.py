@@ -6,21 +6,24 @@ The simulation runs on while the client waits for the command's end, gathers and
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-from uavaccel.commands.protocol import MissionClient
+from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.slices import samples_due
 from uavaccel.kinematics import VelocityGoal
 
 
-def begin(client: MissionClient) -> None:
+def begin(client: Pausable) -> None:
     """Before the first command of a game: the clock runs from now on."""
     client.run()
 
 
 def adsc(
-    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
-) -> Iterator[Any]:
+    client: MissionClient[FutureT, SampleT],
+    velocity: VelocityGoal,
+    t_move_s: float,
+    t_sample_s: float,
+    t_th_ns: int = 0,
+) -> Iterator[SampleT]:
     """Fly `velocity` for T_move, join, and yield a sample every T_sample; `t_th_ns` is TCSC's and has no part here.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
@@ -40,7 +43,7 @@ def adsc(
     yield gather(client)
 
 
-def gather(client: MissionClient) -> Any:
+def gather(client: MissionClient[FutureT, SampleT]) -> SampleT:
     """One sample: of a moment at which the clock stood."""
     client.pause()
     sample = client.gather(client.kinematics())

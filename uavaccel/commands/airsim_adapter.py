@@ -10,11 +10,13 @@ Nothing here imports airsim: any object with the methods of its MultirotorClient
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.units import NS_PER_S
+
+OfAirSim: TypeAlias = Any  # an object of AirSim's client, which has no types
 
 _MAX_DEGREE_OF_FREEDOM = 0
 
@@ -26,7 +28,7 @@ class AirSimAdapter:
     scheduler's grain early or late, so TCSC wants a `t_th_ns` of the client's latency times ClockSpeed.
     """
 
-    def __init__(self, client: Any, clock_speed: float, vehicle_name: str = "") -> None:
+    def __init__(self, client: OfAirSim, clock_speed: float, vehicle_name: str = "") -> None:
         self.client = client
         self.clock_speed = float(clock_speed)
         self.vehicle_name = vehicle_name
@@ -35,7 +37,7 @@ class AirSimAdapter:
     def now_ns(self) -> int:
         return self._clock.now_ns()
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Any:
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> OfAirSim:
         """Returns the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
         vx, vy, vz = goal.velocity_m_s
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
@@ -44,7 +46,7 @@ class AirSimAdapter:
             move, third = self.client.moveByVelocityZAsync, goal.height_m
         return move(vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, self.vehicle_name)
 
-    def join(self, future: Any, deadline_ns: int | None = None) -> bool:
+    def join(self, future: OfAirSim, deadline_ns: int | None = None) -> bool:
         """Wait for the command's end; with a deadline, for that alone.
 
         AirSim's client cannot wait for both. ADSC's samples fall before the command's end, so it asks for no more.
@@ -79,13 +81,13 @@ class AirSimAdapter:
             _vector(truth.angular_acceleration),
         )
 
-    def gather(self, state: Kinematics) -> Any:
+    def gather(self, state: Kinematics) -> Kinematics:
         return state
 
 
-def _vector(vector: Any) -> Vector:
+def _vector(vector: OfAirSim) -> Vector:
     return vector.x_val, vector.y_val, vector.z_val
 
 
-def _quaternion(quaternion: Any) -> Quaternion:
+def _quaternion(quaternion: OfAirSim) -> Quaternion:
     return quaternion.w_val, quaternion.x_val, quaternion.y_val, quaternion.z_val

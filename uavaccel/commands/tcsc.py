@@ -6,22 +6,25 @@ The clock is stopped whenever the client is not flying, so no latency reaches th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-from uavaccel.commands.protocol import MissionClient
+from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.slices import slice_of
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.units import seconds_to_ns
 
 
-def begin(client: MissionClient) -> None:
+def begin(client: Pausable) -> None:
     """Before the first command of a game: the clock stands still between commands."""
     client.pause()
 
 
 def tcsc(
-    client: MissionClient, velocity: VelocityGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
-) -> Iterator[Any]:
+    client: MissionClient[FutureT, SampleT],
+    velocity: VelocityGoal,
+    t_move_s: float,
+    t_sample_s: float,
+    t_th_ns: int = 0,
+) -> Iterator[SampleT]:
     """Fly `velocity` for T_move and yield the state every T_sample, the simulation paused before and after.
 
     `t_th_ns`: simulated time below which a slice that ended early counts as complete; the client's latency times

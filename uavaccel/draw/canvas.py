@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ def to_bgr(image: NDArray[np.uint8], size: tuple[int, int]) -> Bgr:
 
 
 def write(
-    page: Bgr, text: str, at: tuple[int, int], size: float, colour: Any = INK, anchor: float = 0.0
+    page: Bgr, text: str, at: tuple[int, int], size: float, colour: Sequence[float] = INK, anchor: float = 0.0
 ) -> None:
     """Text with its baseline at `at`, which is its left end, or with `anchor` 0.5 its middle, 1 its right end."""
     font = cv2.FONT_HERSHEY_SIMPLEX

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from uavaccel.files import replacing
+from uavaccel.files import Plain, replacing
 from uavaccel.metrics.intervals import Proportion
 
 # Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
@@ -23,6 +23,9 @@ BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#7F7F7F"
 CYCLE = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 COMMAND_COLOUR = {"adsc": VERMILION, "tcsc": BLUE}
+
+Axes3D: TypeAlias = Any  # of mpl_toolkits, which has no types
+LineStyle = dict[str, Any]  # keywords of matplotlib's for a line
 
 _SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -88,7 +91,7 @@ def clock_label(clock_speed: float) -> str:
     return f"{clock_speed:g}x"
 
 
-def command_at_clock(game: Mapping[str, Any]) -> str:
+def command_at_clock(game: Mapping[str, Plain]) -> str:
     """Command and ClockSpeed of a row or a task: TCSC at 5x."""
     return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
 

@@ -7,18 +7,20 @@ one process draws for all of them, since contexts only take turns on it; in soft
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
 from uavaccel.envs.checks import make_task, seeds_of
-from uavaccel.envs.environment_processes import BatchError, EnvironmentProcesses
+from uavaccel.envs.environment_processes import BatchError, BatchOptions, EnvironmentProcesses
 from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import Actions, Answer, Batch, Frame, Info, Steps
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
 from uavaccel.sim.camera.gl import known_renderer
@@ -29,10 +31,8 @@ Renderer = Literal["auto", "shared", "own"]
 RENDERERS = ("auto", "shared", "own")
 MOST_TILES = 64
 
-Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
-
-class EnvironmentBatch(VectorEnv[Any, Any, Any]):
+class EnvironmentBatch(Batch):
     """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
 
     They fly in `processes` processes (two a core, at most) and draw with a `renderer` that is "shared", or
@@ -42,7 +42,7 @@ class EnvironmentBatch(VectorEnv[Any, Any, Any]):
 
     def __init__(
         self,
-        environment: type[FlightEnv],
+        environment: type[FlightEnv[Any]],
         num_envs: int = 1,
         processes: int | None = None,
         renderer: Renderer = "auto",
@@ -63,7 +63,7 @@ class EnvironmentBatch(VectorEnv[Any, Any, Any]):
         self._observations = Observations.made(num_envs, one.shape, one.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
-        options = {
+        options: BatchOptions = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
             "memory": self._observations.descriptor,
@@ -77,37 +77,39 @@ class EnvironmentBatch(VectorEnv[Any, Any, Any]):
     # --- Gymnasium --------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
+    ) -> tuple[Frame, Info]:
         """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
         infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    def step(
+        self, actions: Actions
+    ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """One command each."""
         self.step_async(actions)
         observations, rewards, terminated, truncated, infos = self.step_wait()
         return observations, rewards, terminated, truncated, self._merged(infos)
 
-    def render(self) -> tuple[Any, ...] | None:
+    def render(self) -> tuple[Answer, ...] | None:
         """What each front camera sees."""
         return self.call("render") if self.render_mode is not None else None
 
-    def call(self, name: str, *arguments: Any) -> tuple[Any, ...]:
+    def call(self, name: str, *arguments: object) -> tuple[Answer, ...]:
         """A method of every environment with the same arguments, or the values of an attribute."""
         return tuple(self.call_each(name, [arguments] * self.num_envs))
 
-    def get_attr(self, name: str) -> tuple[Any, ...]:
+    def get_attr(self, name: str) -> tuple[Answer, ...]:
         """The values of an attribute."""
         return self.call(name)
 
-    def set_attr(self, name: str, values: Any) -> None:
+    def set_attr(self, name: str, values: object) -> None:
         """Give an attribute one value, or as a list, one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
         for slot, value in enumerate(each):
             self.set_each(name, value, [slot])
 
-    def close_extras(self, **_: Any) -> None:
+    def close_extras(self, **_: object) -> None:
         """End the processes."""
         if hasattr(self, "_slots"):
             self._slots.close()
@@ -125,7 +127,7 @@ class EnvironmentBatch(VectorEnv[Any, Any, Any]):
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def step_async(self, actions: Any, slots: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
         """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
         for slot, action in zip(self._all(slots), iterate(self.action_space, actions), strict=False):
             self._slots.ask(slot, "step", action)
@@ -143,39 +145,41 @@ class EnvironmentBatch(VectorEnv[Any, Any, Any]):
         seen = self._observations.present[which]
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any] | None]) -> list[Any]:
+    def reset_each(
+        self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
+    ) -> list[Info]:
         """A new game everywhere, each with its own seed and options; the infos."""
         return self._slots.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
 
     def call_each(
-        self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
-    ) -> list[Any]:
+        self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
+    ) -> list[Answer]:
         """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
         return self._slots.ask_all("call", [(name, *each) for each in arguments], self._all(slots))
 
-    def call_async(self, slot: int, name: str, *arguments: Any) -> None:
+    def call_async(self, slot: int, name: str, *arguments: object) -> None:
         """Have one environment begin a method, and come back at once: `call_wait` has the result."""
         self._slots.ask(slot, "call", name, *arguments)
 
-    def call_wait(self) -> tuple[int, Any]:
+    def call_wait(self) -> tuple[int, Answer]:
         """The first environment that is done of those that `call_async` sent off, and its result."""
         slot = self._slots.first_answered()
         return slot, self._slots.answer(slot)
 
-    def set_each(self, name: str, value: Any, slots: Sequence[int] | None = None) -> None:
+    def set_each(self, name: str, value: object, slots: Sequence[int] | None = None) -> None:
         """Give an attribute of some environments (all) a value."""
         self._slots.ask_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
 
-    def observations(self) -> NDArray[Any]:
+    def observations(self) -> Frame:
         """The present observation of every environment."""
         return self._observations.present.copy()
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
 
-    def _merged(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def _merged(self, infos: Sequence[Info]) -> Info:
         """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
-        merged: dict[str, Any] = {}
+        merged: Info = {}
         for slot, info in enumerate(infos):
             merged = self._add_info(merged, info, slot)
         return merged
@@ -193,7 +197,7 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
         )
 
 
-def _service(task: Any, cameras: int, tiles: int, renderer: str) -> RenderService | None:
+def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderService | None:
     if renderer == "own" or task.sensor().picture is None:
         return None
     known = known_renderer()

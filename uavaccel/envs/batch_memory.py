@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import mmap
-from typing import Any, Self
+from typing import Self, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
+from uavaccel.envs.values import Frame
 from uavaccel.sim.rendering.slots import anonymous_memory
+
+
+class Size(TypedDict):
+    """Of what is shared: slots, and the shape and type of an observation."""
+
+    slots: int
+    shape: list[int]
+    dtype: str
 
 
 class Observations:
@@ -18,24 +26,24 @@ class Observations:
         self.descriptor = descriptor
         self._size = slots, shape, dtype
         both = np.frombuffer(mmap.mmap(descriptor, _bytes(*self._size)), dtype).reshape(2, slots, *shape)
-        self.present: NDArray[Any] = both[0]
-        self.last: NDArray[Any] = both[1]
+        self.present: Frame = both[0]
+        self.last: Frame = both[1]
 
     @classmethod
     def made(cls, slots: int, shape: tuple[int, ...], dtype: str) -> Self:
         return cls(anonymous_memory(_bytes(slots, shape, dtype)), slots, shape, dtype)
 
     @classmethod
-    def opened(cls, descriptor: int, size: dict[str, Any]) -> Self:
+    def opened(cls, descriptor: int, size: Size) -> Self:
         """Those that another process made; `size` is its `size`."""
         return cls(descriptor, size["slots"], tuple(size["shape"]), size["dtype"])
 
     @property
-    def size(self) -> dict[str, Any]:
+    def size(self) -> Size:
         slots, shape, dtype = self._size
         return {"slots": slots, "shape": list(shape), "dtype": dtype}
 
-    def of(self, slot: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    def of(self, slot: int) -> tuple[Frame, Frame]:
         """Present and last observation of a slot."""
         return self.present[slot], self.last[slot]
 

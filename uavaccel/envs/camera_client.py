@@ -5,16 +5,18 @@ This is the paper's mission computer (sections II-A, III-B and III-C1): state of
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.camera.view import AnyImage
 from uavaccel.vision.exposure import AutoExposure
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.perturb import PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
+from uavaccel.wire.transport import Call
 
 
 class Sample(NamedTuple):
@@ -25,8 +27,8 @@ class Sample(NamedTuple):
     retries: int
 
 
-class CameraClient:
-    """A `MissionClient` around `client` that gathers pictures of `kind`, gray or colour, through the guard.
+class GuardedClient:
+    """A client around `client` that takes pictures of `kind` through the guard; a subclass says what a sample is.
 
     `perturbation` spoils a share of the pictures on their way, `exposure` changes their brightness; both are off by
     default.
@@ -47,14 +49,14 @@ class CameraClient:
         self._ran_ns = 0  # wall time for which the simulation ran
         self._received = 0
 
-    def gather(self, state: Kinematics) -> Any:
+    def take(self, state: Kinematics) -> Sample:
         """The picture of this moment, as a `Sample`. The simulation has to stand still."""
         self._ran_ns = round(state.time_ns / self.clock_speed)
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
         return Sample(state, acquisition.image, acquisition.retries)
 
-    def _receive(self) -> NDArray[Any]:
+    def _receive(self) -> AnyImage:
         image = self.client.image(self._kind)
         self._received += 1
         if self._exposure is not None:
@@ -72,10 +74,10 @@ class CameraClient:
     def now_ns(self) -> int:
         return self.client.now_ns()
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Any:
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Call:
         return self.client.move_async(goal, t_move_s)
 
-    def join(self, future: Any, deadline_ns: int | None = None) -> bool:
+    def join(self, future: Call, deadline_ns: int | None = None) -> bool:
         return self.client.join(future, deadline_ns)
 
     def pause(self) -> None:
@@ -89,3 +91,10 @@ class CameraClient:
 
     def kinematics(self) -> Kinematics:
         return self.client.kinematics()
+
+
+class CameraClient(GuardedClient):
+    """A `MissionClient` whose samples are states and pictures."""
+
+    def gather(self, state: Kinematics) -> Sample:
+        return self.take(state)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from gymnasium import spaces
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
+from uavaccel.envs.values import Action
 from uavaccel.errors import UserError
 
 TaskT = TypeVar("TaskT", bound=Task)
@@ -20,7 +21,7 @@ class UnexpectedKeyword(UserError, TypeError):
     """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
 
 
-def make_task(task_class: type[TaskT], keys: Mapping[str, Any], name: str) -> TaskT:
+def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) -> TaskT:
     """A task of these keys. Raises UserError, which begins with `name`, for what does not fit."""
     try:
         return validate(task_class, keys, name)
@@ -31,7 +32,7 @@ def make_task(task_class: type[TaskT], keys: Mapping[str, Any], name: str) -> Ta
         raise
 
 
-def within(space: spaces.Space[Any], action: Any) -> Any:
+def within(space: spaces.Space[Action], action: Action) -> Action:
     """The action as the space has it. Raises UserError for one that is not in it."""
     if isinstance(space, spaces.Box):
         given = np.asarray(action)
@@ -44,7 +45,7 @@ def within(space: spaces.Space[Any], action: Any) -> Any:
     raise UserError(f"action {action!r} is not in the action space: {space}")
 
 
-def known_options(options: Mapping[str, Any], known: Sequence[str]) -> Mapping[str, Any]:
+def known_options(options: Mapping[str, object], known: Sequence[str]) -> Mapping[str, object]:
     """The options of a reset, if the task knows them all. Raises UserError."""
     unknown = [str(key) for key in options if key not in known]
     if unknown:

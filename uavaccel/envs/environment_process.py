@@ -13,15 +13,19 @@ import os
 import sys
 import threading
 import traceback
+from collections.abc import Mapping
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
 import cv2
+import mujoco
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from uavaccel.envs.batch_memory import Observations
+from uavaccel.envs.environment_processes import Place, ProcessOptions
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
 from uavaccel.parent import end_with_parent
 from uavaccel.sim.camera.camera import make_cameras_with
@@ -34,19 +38,19 @@ class Slot:
     """One environment of a batch: what is asked for over its connection is a method of this."""
 
     def __init__(
-        self, environment: Any, seen: NDArray[Any], last: NDArray[Any], autoreset: AutoresetMode
+        self, environment: FlightEnv[Any], seen: Frame, last: Frame, autoreset: AutoresetMode
     ) -> None:
         self._environment, self._autoreset = environment, autoreset
         self._seen, self._last = seen, last
         self._over = False
 
-    def reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
+    def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """The info of a new game, whose observation is in the shared memory."""
         self._seen[:], info = self._environment.reset(seed=seed, options=options)
         self._over = False
         return info
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Action) -> tuple[float, bool, bool, Info, Info | None]:
         """Reward, end, truncation and info of a command; beside a new game's info, that of the one that is over."""
         if self._over and self._autoreset == AutoresetMode.NEXT_STEP:
             return 0.0, False, False, self.reset(None, None), None
@@ -59,7 +63,7 @@ class Slot:
             self._seen[:] = observation
         return reward, terminated, truncated, info, last
 
-    def call(self, name: str, *arguments: Any) -> Any:
+    def call(self, name: str, *arguments: object) -> object:
         """A method of the environment, or the value of an attribute."""
         attribute = getattr(self._environment, name)
         result = attribute(*arguments) if callable(attribute) else attribute
@@ -67,14 +71,14 @@ class Slot:
             self._seen[:], self._over = result, False
         return result
 
-    def set_attribute(self, name: str, value: Any) -> None:
+    def set_attribute(self, name: str, value: object) -> None:
         setattr(self._environment, name, value)
 
     def close(self) -> None:
         self._environment.close()
 
 
-def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
+def fly(options: ProcessOptions, place: Place) -> None:
     """One slot, until its connection ends. Errors are answers too: (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
@@ -101,7 +105,7 @@ def fly(options: dict[str, Any], place: dict[str, Any]) -> None:
             slot.close()
 
 
-def _remote_camera(renderer: dict[str, int], model: Any, width: int, height: int) -> RemoteCamera:
+def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, height: int) -> RemoteCamera:
     if (width, height) != (RemoteCamera.width, RemoteCamera.height):
         raise UserError(f"pictures of {width} x {height} need renderer = own: a shared one draws 256 x 144")
     return RemoteCamera(model, **renderer)

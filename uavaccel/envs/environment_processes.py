@@ -10,9 +10,11 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import TypedDict
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch_memory import Size
+from uavaccel.envs.values import Answer
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
@@ -27,6 +29,33 @@ def _poll_of(connection: Connection) -> select.poll:
     return poll
 
 
+class Place(TypedDict):
+    """One environment's: its slot, its end of a connection, and, where one is shared, its place at the renderer."""
+
+    slot: int
+    connection: int
+    renderer: dict[str, int] | None
+
+
+class BatchOptions(TypedDict):
+    """What the processes of a batch are told."""
+
+    environment: str
+    """Its module and class."""
+    keys: dict[str, object]
+    memory: int
+    """Of the observations, as a file descriptor."""
+    observations: Size
+    autoreset: str
+
+
+class ProcessOptions(BatchOptions):
+    """What one of them is told."""
+
+    slots: list[Place]
+    parent: int
+
+
 class BatchError(RuntimeError):
     """An environment of a batch failed, or its process has ended."""
 
@@ -35,7 +64,7 @@ class EnvironmentProcesses:
     """`slots` environments over `processes` processes; `options` are environment_process's, but for slots."""
 
     def __init__(
-        self, options: dict[str, Any], slots: int, processes: int, service: RenderService | None
+        self, options: BatchOptions, slots: int, processes: int, service: RenderService | None
     ) -> None:
         self._connections: list[Connection] = []
         self._asked = [False] * slots
@@ -49,7 +78,7 @@ class EnvironmentProcesses:
         self._answered_once = False
         self._standstill, self._clock = Standstill(), MonotonicClock()
         self._looked_ns = self._clock.now_ns()
-        self._processes: list[subprocess.Popen[Any]] = []
+        self._processes: list[subprocess.Popen[bytes]] = []
         self._process_of = [slot % processes for slot in range(slots)]
         for process in range(processes):
             flown = [slot for slot in range(slots) if self._process_of[slot] == process]
@@ -57,8 +86,9 @@ class EnvironmentProcesses:
         for descriptor in theirs:
             os.close(descriptor)
 
-    def _start(self, options: dict[str, Any], flown: dict[int, int]) -> subprocess.Popen[Any]:
-        service, places, inherited = self._service, [], {options["memory"], *flown.values()}
+    def _start(self, options: BatchOptions, flown: dict[int, int]) -> subprocess.Popen[bytes]:
+        service, inherited = self._service, {options["memory"], *flown.values()}
+        places: list[Place] = []
         for slot, connection in flown.items():
             renderer = None
             if service is not None:
@@ -66,7 +96,7 @@ class EnvironmentProcesses:
                 inherited |= set(descriptors.values())
                 renderer = {"number": slot, "count": service.cameras, **descriptors}
             places.append({"slot": slot, "connection": connection, "renderer": renderer})
-        told = {**options, "slots": places, "parent": os.getpid()}
+        told: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
         return subprocess.Popen(
             [sys.executable, "-m", "uavaccel.envs.environment_process", json.dumps(told)],
             pass_fds=sorted(inherited),
@@ -74,7 +104,7 @@ class EnvironmentProcesses:
             start_new_session=True,  # Ctrl-C is for the process that flies the batch
         )
 
-    def ask(self, slot: int, method: str, *arguments: Any) -> None:
+    def ask(self, slot: int, method: str, *arguments: object) -> None:
         """Send a question; its `answer` has to be taken before the next."""
         if not self._connections:
             raise self._ended(slot)
@@ -88,7 +118,7 @@ class EnvironmentProcesses:
             raise self._ended(slot) from None
         self._asked[slot] = True
 
-    def answer(self, slot: int) -> Any:
+    def answer(self, slot: int) -> Answer:
         """The answer to the last question. Raises UserError or BatchError where there is none."""
         try:
             while self._connections and not self._polls[slot].poll(LOOK_S * 1e3):
@@ -135,13 +165,15 @@ class EnvironmentProcesses:
             self._processes[pids[pid]].kill()
         raise BatchError(f"the process of environment {slots[0]} stands still: it {how}")
 
-    def ask_all(self, method: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int]) -> list[Any]:
+    def ask_all(
+        self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]
+    ) -> list[Answer]:
         """A question to each of some slots, all asked before the first answer is taken."""
         for slot, each in zip(slots, arguments, strict=True):
             self.ask(slot, method, *each)
         return self.answers(slots)
 
-    def answers(self, slots: Sequence[int]) -> list[Any]:
+    def answers(self, slots: Sequence[int]) -> list[Answer]:
         """The answers of some slots. Raises the first error, after all have been taken."""
         answers, errors = [], []
         for slot in slots:

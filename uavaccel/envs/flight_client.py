@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uavaccel.envs.camera_client import CameraClient
+from uavaccel.envs.camera_client import GuardedClient
 from uavaccel.envs.sensors import from_arrays
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.saved import State
+from uavaccel.sim.camera.view import AnyImage
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.vision.guard import GuardState
 from uavaccel.vision.image_noise import ImageNoise
 from uavaccel.wire.client import Client
+from uavaccel.wire.game_api import Collision
 
 NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 
 class FlightSample(NamedTuple):
-    """One gathered sample; `collision` as Client.collision has it, empty without one."""
+    """One gathered sample; `collision` as Client.collision has it."""
 
     state: Kinematics
-    image: NDArray[Any]
-    collision: dict[str, Any]
+    image: AnyImage
+    collision: Collision | None
 
 
-class FlightClient(CameraClient):
+class FlightClient(GuardedClient):
     """Gathers flight samples, with noisy pictures of `kind` unless it is None; tells the stopwatches when it renders.
 
     The guard sees pictures as they were drawn.
@@ -45,7 +46,7 @@ class FlightClient(CameraClient):
         image = NO_IMAGE
         if self._wants_image and not collision:
             self._switch("rendering")
-            image = self.noise.add(super().gather(state).image, state.time_ns)
+            image = self.noise.add(self.take(state).image, state.time_ns)
             self._switch("simulation")
         return FlightSample(state, image, collision)
 
@@ -58,6 +59,6 @@ class FlightClient(CameraClient):
         state = self._guard_state._asdict()
         return {name: value for name, value in state.items() if value is not None}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         self._guard_state = GuardState(**from_arrays(state))

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple
-from typing import Any, Generic
+from typing import Final, Generic
 
 import gymnasium
 import numpy as np
@@ -20,22 +20,21 @@ from uavaccel.envs.flight_client import FlightClient, FlightSample
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Course, Moment
+from uavaccel.envs.task import Moment
+from uavaccel.envs.values import Action, Course, Frame, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
-from uavaccel.sim.saved import State, part, under
+from uavaccel.sim.saved import SavedState, State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import ImageNoise, noise_seed
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session, open_session
 
-Observation = NDArray[Any]
-Info = dict[str, Any]
-CONDITIONS = "conditions"  # of a game, where they were drawn: in its course
+CONDITIONS: Final = "conditions"  # of a game, where they were drawn: in its course
 
 
-class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
+class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     """An environment made of a task, whose keys are the keywords of `gymnasium.make`. A subclass says which task.
 
     `reset` takes `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (what it
@@ -43,10 +42,10 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
     the task adds. Raises UserError for keywords that do not fit.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
+    metadata: Info = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
     task_class: type[TaskT]
 
-    def __init__(self, render_mode: str | None = None, **keys: Any) -> None:
+    def __init__(self, render_mode: str | None = None, **keys: object) -> None:
         self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
         self.flown: TaskT = self.task
         """The task under the running game's conditions."""
@@ -57,7 +56,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         self.sensor = self.task.sensor()
         self._told = self.task.told()
         self._command = COMMANDS[self.task.command]
-        self._frames: deque[NDArray[Any]] = deque(maxlen=self.task.frames_per_command * self.task.history)
+        self._frames: deque[Frame] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
         self._client: FlightClient | None = None
         self._noise = ImageNoise()
@@ -67,8 +66,8 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
     # --- Gymnasium --------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, Info]:
+        self, *, seed: int | None = None, options: Mapping[str, object] | None = None
+    ) -> tuple[Frame, Info]:
         """A settled hover at the start; all frames of the first observation are of it, or blank.
 
         Raises UserError for options that the task does not know.
@@ -81,7 +80,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+    def step(self, action: Action) -> tuple[Frame, float, bool, bool, Info]:
         """Fly one command. Raises UserError before the first `reset`, and for an action that is not in the space."""
         if self._client is None:
             raise UserError("reset the environment before its first step")
@@ -101,7 +100,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
             self._info() | (self._host_disturbances() if terminated or truncated else {}),
         )
 
-    def render(self) -> Any:
+    def render(self) -> NDArray[np.uint8] | None:
         """What the front camera sees: (144, 256, 3) uint8."""
         if self._client is None or self.render_mode is None:
             return None
@@ -159,7 +158,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         assert self._client is not None
         return state | under("guard", self._client.get_state())
 
-    def set_state(self, state: Mapping[str, Any]) -> Observation:
+    def set_state(self, state: SavedState) -> Frame:
         """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
         self.np_random.bit_generator.state = json.loads(str(state["generator"]))
         self._games = int(state.get("games", 0))
@@ -170,7 +169,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
-        numbers: list[Any] = [
+        numbers: list[Number] = [
             tuple(value) if isinstance(value, list) else value for value in game.pop("state")
         ]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
@@ -227,7 +226,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
             self._stopwatches.append(Stopwatch(MonotonicClock()))
         self._client = FlightClient(client, self.sensor.picture, self._stopwatches)
 
-    def _start_game(self, course: Any, latencies: np.random.SeedSequence) -> None:
+    def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
         session = self._opened()
         self._take_on(course)
         task, start_z_m = self.flown, -self.flown.altitude_m
@@ -248,7 +247,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         for observer in self._observers:
             observer.game_begun(game)
 
-    def _fly(self, client: FlightClient, action: Any) -> Moment:
+    def _fly(self, client: FlightClient, action: Action) -> Moment:
         """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
         task, now = self.flown, self._now
         goal, missing = task.goal(action), task.frames_per_command
@@ -259,8 +258,8 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)
             if sample.collision:
-                hit, position_m = str(sample.collision["object"]), tuple(sample.collision["position_m"])
-                now = now._replace(position_m=position_m, collision=hit)
+                north, east, down = sample.collision["position_m"]
+                now = now._replace(position_m=(north, east, down), collision=sample.collision["object"])
                 break
             self._frames.append(self._see(sample))
             taken_ns.append(sample.state.time_ns)
@@ -272,7 +271,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
             self._told.flown(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
 
-    def _see(self, sample: FlightSample) -> NDArray[Any]:
+    def _see(self, sample: FlightSample) -> Frame:
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:
@@ -286,7 +285,7 @@ class FlightEnv(gymnasium.Env[Observation, Any], Generic[TaskT]):
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
 
-    def _observation(self) -> Observation:
+    def _observation(self) -> Frame:
         told = () if self._told is None else (self._told.seen(),)
         return np.concatenate([*self._frames, *told])
 

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import (
-    AnyMoment,
-    Count,
-    Course,
-    NotNegative,
-    Positive,
-    Task,
-    distance,
-    position_option,
-)
+from uavaccel.envs.task import AnyMoment, Count, NotNegative, Positive, Task, distance, position_option
+from uavaccel.envs.values import Course, Number
 from uavaccel.kinematics import Kinematics
 
 POST_M = 0.2  # half the side of a post
@@ -38,18 +30,18 @@ class GatesTask(Task):
     half_width_m: Positive = 1.0
     half_height_m: Positive = 1.0
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+    def draw(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         north = self.spacing_m * np.arange(1, self.gates + 1)
         east = random.uniform(-self.spread_m, self.spread_m, self.gates)
         drawn = np.stack([north, east, np.full(self.gates, -self.altitude_m)], axis=1)
         return {"gates_m": position_option(options, "gates_m", drawn), "passed": 0, "missed": False}
 
-    def layout(self, course: Course) -> Any:
+    def layout(self, course: Course) -> object:
         beside_m = self.half_width_m + POST_M
         places = [(x, y + side) for x, y, _ in course["gates_m"] for side in (-beside_m, beside_m)]
         return {"obstacles": [{"x_m": x, "y_m": y, "half_side_m": POST_M} for x, y in places]}
 
-    def fields(self, state: Any, course: Course) -> Sequence[Any]:
+    def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
         """The ways to the next two gates, the last one's twice, and the state but for its place."""
         gates, passed = course["gates_m"], course["passed"]
         coming = [*_gate(gates, passed), *_gate(gates, passed + 1)]
@@ -57,7 +49,8 @@ class GatesTask(Task):
         return [*ways_m, *super().fields(state, course)[3:]]
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        return super().features(state, course)[0]
+        features: NDArray[np.float32] = super().features(state, course)[0]
+        return features
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         passed, start, end = now.course["passed"], before.position_m, now.position_m
@@ -73,21 +66,21 @@ class GatesTask(Task):
             passed = passed + (due & (outside == 0))
         return {**now.course, "passed": passed, "missed": missed}
 
-    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         """A point for each metre nearer to the gate that was next, five for each passed; five less for a failure."""
         passed = before.course["passed"]
         gate_m = _gate(before.course["gates_m"], passed)
         nearer_m = distance(gate_m, before.position_m) - distance(gate_m, now.position_m)
         return nearer_m + 5.0 * (now.course["passed"] - passed) - 5.0 * self.failure(now)
 
-    def success(self, now: AnyMoment) -> Any:
+    def success(self, now: AnyMoment) -> Number:
         return now.free & (now.course["passed"] == len(now.course["gates_m"]))
 
-    def failure(self, now: AnyMoment) -> Any:
+    def failure(self, now: AnyMoment) -> Number:
         return now.touched | now.course["missed"]
 
 
-def _gate(gates: Sequence[Sequence[Any]], number: Any) -> list[Any]:
+def _gate(gates: Sequence[Sequence[Number]], number: Number) -> list[Number]:
     """Where the gate of that number is, beyond the last one the last: a choice by arithmetic, game by game."""
     last = len(gates) - 1
     chosen = [number == each for each in range(last)] + [number >= last]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from uavaccel.envs.task import Course, Moments, Task
+from uavaccel.envs.task import Moments, Task
+from uavaccel.envs.values import Course, Number
 
 
 class Judged(NamedTuple):
     """Arrays (n,) of a command's games."""
 
     course: Course
-    reward: Any
-    success: Any
-    terminated: Any
-    truncated: Any
+    reward: Number
+    success: Number
+    terminated: Number
+    truncated: Number
 
 
 def judge(task: Task, before: Moments, flown: Moments) -> Judged:

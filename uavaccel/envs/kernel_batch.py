@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -24,8 +24,9 @@ from uavaccel.envs.judged import Judged, judge
 from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Moment, Moments
+from uavaccel.envs.task import Moment, Moments, Task
 from uavaccel.envs.told import NO_ACTION, age_levels
+from uavaccel.envs.values import Action, Actions, Answer, Batch, Frame, Info, Number, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -33,14 +34,13 @@ from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kinematics import Kinematics
 from uavaccel.machine import usable_cores
-from uavaccel.sim.saved import State
+from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.vehicle.quadrotor import NEVER
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 
-Steps = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[dict[str, Any]]]
 
-
-class KernelBatch(VectorEnv[Any, Any, Any]):
+class KernelBatch(Batch):
     """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
 
     They fly in `threads` threads (as many as there are cores). Raises UserError for keywords that do not fit, and for
@@ -49,13 +49,13 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     def __init__(
         self,
-        environment: type[FlightEnv],
+        environment: type[FlightEnv[Any]],
         num_envs: int = 1,
         threads: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        **keys: Any,
+        **keys: object,
     ) -> None:
-        self.task: Any = make_task(environment.task_class, keys, environment.__name__)
+        self.task: Task = make_task(environment.task_class, keys, environment.__name__)
         check_flyable(self.task, num_envs, CPU)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
@@ -72,10 +72,12 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
         self._clock = MonotonicClock()
-        self._generators: list[Any] = [None] * num_envs
+        self._generators: dict[int, np.random.Generator] = {}
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
-        self._drawn_by: list[Any] = [None] * num_envs  # states of the generators before the running games
+        self._drawn_by: list[Mapping[str, object] | None] = [
+            None
+        ] * num_envs  # states of the generators before the running games
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
@@ -108,36 +110,40 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
     # --- Gymnasium --------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
+    ) -> tuple[Frame, Info]:
         """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
         infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    def step(
+        self, actions: Actions
+    ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """One command each."""
         self.step_async(actions)
         observations, rewards, terminated, truncated, infos = self.step_wait()
         return observations, rewards, terminated, truncated, self._merged(infos)
 
-    def close_extras(self, **_: Any) -> None:
+    def close_extras(self, **_: object) -> None:
         """End the threads."""
         if hasattr(self, "_pool"):
             self._pool.shutdown()
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any] | None]) -> list[Any]:
+    def reset_each(
+        self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
+    ) -> list[Info]:
         """A new game everywhere, each with its own seed and options; the infos."""
         for lane, seed in enumerate(seeds):
-            if seed is not None or self._generators[lane] is None:
+            if seed is not None or lane not in self._generators:
                 self._generators[lane] = seeding.np_random(seed)[0]
             self._games[lane] = self._games[lane] + 1 if seed is None else 1
         drawn = [self._draw(lane, options[lane]) for lane in range(self.num_envs)]
         self._drawn, self._course = drawn, stacked([each.course for each in drawn])
         return self._begin(np.arange(self.num_envs))
 
-    def step_async(self, actions: Any, lanes: Sequence[int] | None = None) -> None:
+    def step_async(self, actions: Actions, lanes: Sequence[int] | None = None) -> None:
         """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
@@ -163,7 +169,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         idle = which[self._over[which]]
         rewards = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
-        infos: dict[int, dict[str, Any]] = {}
+        infos: dict[int, Info] = {}
         if len(going):
             judged = self._land(going)
             rewards[going], terminated[going], truncated[going] = (
@@ -194,13 +200,13 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
-    def observations(self) -> NDArray[Any]:
+    def observations(self) -> Frame:
         """The present observation of every environment."""
         return self._observations.copy()
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
-    ) -> list[Any]:
+    ) -> list[Answer]:
         """`charge`, `get_state`, or `set_state` with a state each, of some environments (all)."""
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
@@ -217,7 +223,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         state["course"] = json.dumps(one_course(self._course, lane))
         return state | {name: array[lane].copy() for name, array in self._rows_of_lanes().items()}
 
-    def _set_state(self, lane: int, state: Mapping[str, Any]) -> NDArray[Any]:
+    def _set_state(self, lane: int, state: SavedState) -> Frame:
         """Go on with what `_get_state` gave; the last observation."""
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
@@ -231,13 +237,14 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         for name, array in self._rows_of_lanes().items():
             array[lane] = state[name]
         self._find(np.array([lane]))
-        return self._observations[lane].copy()
+        observation: Frame = self._observations[lane].copy()
+        return observation
 
     def _draw_anything(self) -> Drawn:
         """A game that nobody flies, for the shape of its course."""
         return self._maker.draw(np.random.default_rng(0), 0)
 
-    def _rows_of_lanes(self) -> dict[str, NDArray[Any]]:
+    def _rows_of_lanes(self) -> dict[str, NDArray[np.generic]]:
         """All that changes while games are flown: arrays (L, ...)."""
         arrays = {
             f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
@@ -250,13 +257,13 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
 
     # --- inside -----------------------------------------------------------------------------------
 
-    def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> Drawn:
+    def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
         self._drawn_by[lane] = self._generators[lane].bit_generator.state
         drawn = self._maker.draw(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn
 
-    def _renew(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
+    def _renew(self, lanes: NDArray[np.int64]) -> list[Info]:
         """New games where one is over."""
         for lane in lanes.tolist():
             self._games[lane] += 1
@@ -265,7 +272,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             put_course(self._course, lane, course)
         return self._begin(lanes)
 
-    def _begin(self, lanes: NDArray[np.int64]) -> list[dict[str, Any]]:
+    def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
         cpu.CPU.look_at_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
@@ -284,7 +291,7 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._show(lanes, np.concatenate([first] * frames, axis=1))
         return [self._info(int(lane), False) for lane in lanes]
 
-    def _first_frames(self, lanes: NDArray[np.int64]) -> NDArray[Any]:
+    def _first_frames(self, lanes: NDArray[np.int64]) -> Frame:
         """What the frames of a first observation show (n, ...)."""
         blank = np.repeat(self._blank[None], len(lanes), axis=0)
         if not self.task.sees_start or self.task.blank_images:
@@ -295,9 +302,10 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             return blank
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
         cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
-        return frames[lanes, 0]
+        drawn: Frame = frames[lanes, 0]
+        return drawn
 
-    def _take(self, lane: int, action: Any) -> None:
+    def _take(self, lane: int, action: Action) -> None:
         """An action as a direction."""
         directions = self.task.directions
         if directions is None:
@@ -351,13 +359,13 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
         self._present_ns[lanes] = now_ns
         self._taken_ns[lanes] = np.concatenate([self._taken_ns[lanes], taken_ns], axis=1)[:, seen.shape[1] :]
 
-    def _show(self, lanes: NDArray[np.int64], frames: NDArray[Any]) -> None:
+    def _show(self, lanes: NDArray[np.int64], frames: Frame) -> None:
         """An observation of frames, oldest first, and of what the agent is told."""
         self._observations[lanes, : frames.shape[1]] = frames
         if self._told is None:
             return
         ages = age_levels(self._present_ns[lanes, None] - self._taken_ns[lanes])
-        for plane, what in enumerate(self.task.knows, frames.shape[1]):
+        for plane, what in enumerate(self._told.knows, frames.shape[1]):
             if what == "last_action":
                 self._observations[lanes, plane] = self._told.actions_shown()[self._actions[lanes]]
             else:
@@ -366,17 +374,17 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
     def _find(self, lanes: NDArray[np.int64]) -> None:
         """Note where vehicles are, or where they touched something; others may be flying."""
         state = self._now.state[lanes]
-        touched = state["collision_tick"] != rows.NEVER
+        touched = state["collision_tick"] != NEVER
         places = np.where(touched[:, None], state["contact_position"], state["position"])
         for axis in range(3):
             self._place[axis][lanes] = places[:, axis]
 
     def _moments(self, lanes: NDArray[np.int64]) -> Moments:
-        touched = self._now.state["collision_tick"][lanes] != rows.NEVER
+        touched = self._now.state["collision_tick"][lanes] != NEVER
         place = [axis[lanes] for axis in self._place]
         return Moments(None, place, touched, self._commands[lanes], self._course_of(lanes))
 
-    def _course_of(self, lanes: NDArray[np.int64]) -> dict[str, Any]:
+    def _course_of(self, lanes: NDArray[np.int64]) -> dict[str, Number]:
         return {name: _pick(value, lanes) for name, value in self._course.items()}
 
     def _state_fields(self, lanes: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -400,10 +408,10 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             if len(seen):
                 self._frames[seen, sample] = self._features(seen, self._samples[seen, sample])
 
-    def _info(self, lane: int, won: Any) -> dict[str, Any]:
+    def _info(self, lane: int, won: bool) -> Info:
         drawn, state = self._drawn[lane], self._now.state[lane]
         hit = None
-        if state["collision_tick"] != rows.NEVER:
+        if state["collision_tick"] != NEVER:
             hit = self._maker.name_of(int(self._now.watch[lane, TOUCHED]), drawn.layout)
         place = tuple(float(axis[lane]) for axis in self._place)
         course = one_course(self._course, lane)
@@ -425,19 +433,19 @@ class KernelBatch(VectorEnv[Any, Any, Any]):
             info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
         return info
 
-    def _merged(self, infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def _merged(self, infos: Sequence[Info]) -> Info:
         """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
-        merged: dict[str, Any] = {}
+        merged: Info = {}
         for lane, info in enumerate(infos):
             merged = self._add_info(merged, info, lane)
         return merged
 
 
-def _pick(value: Any, lanes: Any) -> Any:
+def _pick(value: Number, lanes: NDArray[np.int64]) -> Number:
     return [_pick(each, lanes) for each in value] if isinstance(value, list) else value[lanes]
 
 
-def _assign(whole: Any, lanes: Any, part: Any) -> None:
+def _assign(whole: Number, lanes: NDArray[np.int64], part: Number) -> None:
     if isinstance(whole, list):
         for each, new in zip(whole, part, strict=True):
             _assign(each, lanes, new)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import profile_of
-from uavaccel.envs.task import Course, Task
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import Course, Number
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row
 from uavaccel.kernels.fields import Looks
@@ -27,7 +28,7 @@ class Drawn(NamedTuple):
     """A game before it begins."""
 
     course: Course
-    task: Any
+    task: Task
     """The task under the game's conditions."""
     layout: LaneLayout | None
     latencies: np.random.SeedSequence
@@ -45,7 +46,7 @@ class GameMaker:
         self._start = lru_cache(maxsize=64)(self._settled)
 
     def draw(
-        self, random: np.random.Generator, games: int, options: Mapping[str, Any] | None = None
+        self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None
     ) -> Drawn:
         """The game after so many of an environment whose generator this is. Raises UserError for wrong options."""
         course = self.task.draw(random, known_options(options or {}, self.task.reset_options))
@@ -86,20 +87,20 @@ class GameMaker:
         return self.surroundings.name_of(solid, 0 if layout is None else len(layout))
 
 
-def stacked(courses: Sequence[Course]) -> dict[str, Any]:
+def stacked(courses: Sequence[Course]) -> dict[str, Number]:
     """Courses of many games as one of arrays: a list of numbers becomes a list of arrays (n,), and so on."""
     names = [name for name in courses[0] if name != CONDITIONS]
     return {name: _components(np.array([course[name] for course in courses])) for name in names}
 
 
-def _components(values: NDArray[Any]) -> Any:
+def _components(values: NDArray[np.generic]) -> Number:
     """(n, a, b) as a list of a lists of b arrays (n,)."""
     if values.ndim == 1:
         return values
     return [_components(values[:, each]) for each in range(values.shape[1])]
 
 
-def put_course(course: Any, lane: int, value: Any) -> None:
+def put_course(course: Number, lane: int, value: Number) -> None:
     """Let a lane's part of a course of arrays be that of a game of its own."""
     if isinstance(course, Mapping):
         for name in course:
@@ -111,7 +112,7 @@ def put_course(course: Any, lane: int, value: Any) -> None:
             put_course(part, lane, each) if isinstance(part, list) else part.__setitem__(lane, each)
 
 
-def one_course(course: Any, lane: int) -> Any:
+def one_course(course: Number, lane: int) -> Number:
     """A lane's part of a course of arrays, as plain numbers."""
     if isinstance(course, Mapping):
         return {name: one_course(each, lane) for name, each in course.items()}

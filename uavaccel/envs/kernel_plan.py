@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(ticks), np.array(wall_ns)
 
 
-def plan_of(task: Task, hull: Any, pictures: bool) -> Command:
+def plan_of(task: Task, hull: NDArray[np.float64], pictures: bool) -> Command:
     """A command of the task's, for vehicles with this hull; `pictures`: whether the lanes draw any."""
     profile = profile_of(task)
     hold = profile.command_ticks(task.t_move_s) + profile.hover_after_ticks

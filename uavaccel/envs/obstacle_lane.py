@@ -17,8 +17,9 @@ from pydantic import Field, field_validator, model_validator
 from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, Course, Moment, Task
+from uavaccel.envs.task import AnyMoment, Count, Moment, Task
 from uavaccel.envs.told import Knowledge, Told
+from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.limits import Height, Seconds
@@ -83,7 +84,7 @@ class LaneTask(Task):
 
     @field_validator("lane", mode="before", json_schema_input_type=LaneFile | str | None)
     @classmethod
-    def _written_out(cls, lane: Any) -> Any:
+    def _written_out(cls, lane: object) -> object:
         return parse_lane(lane)
 
     @field_validator("headings_deg")
@@ -140,7 +141,7 @@ class LaneTask(Task):
         """Simulated seconds of a game that gets far, for estimates."""
         return min(self.max_commands * self.t_move_s, 1.3 * LENGTH_M / self.speed_m_s)
 
-    def wire_lane(self, index: int) -> dict[str, Any]:
+    def wire_lane(self, index: int) -> dict[str, object]:
         """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""
         if self.lane is not None:
             return self.lane.model_dump(mode="json")
@@ -193,7 +194,7 @@ class LaneTask(Task):
             keys[part] = getattr(self, part).model_copy(update=keys[part])
         return self.model_copy(update=keys)
 
-    def layout(self, course: Course) -> Any:
+    def layout(self, course: Course) -> object:
         return self.wire_lane(course["lane"])
 
     def drawn(self, course: Course) -> LaneLayout | None:
@@ -202,17 +203,17 @@ class LaneTask(Task):
             return super().drawn(course)
         return draw_layout(self._seed_of(course["lane"]), self.difficulty)
 
-    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         progress_m = now.position_m[0] - before.position_m[0]
         ends = self.goal_reward * self.success(now) + self.collision_reward * self.failure(now)
         from_middle = 2.0 * now.position_m[1] / WIDTH_M
         return self.progress_reward * progress_m + self.wall_reward * (from_middle * from_middle) + ends
 
-    def success(self, now: AnyMoment) -> Any:
+    def success(self, now: AnyMoment) -> Number:
         """The lane's end without a collision (paper, section III-C3)."""
         return now.free & (now.position_m[0] >= LENGTH_M)
 
-    def info(self, now: Moment) -> dict[str, Any]:
+    def info(self, now: Moment) -> Info:
         """How far north it got, the lane's index, and the conditions, where they were drawn."""
         drawn = {name: now.course[name] for name in (CONDITIONS,) if name in now.course}
         return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"], **drawn}

@@ -6,39 +6,40 @@ Pictures are rendered at 256 x 144 and reduced to 64 x 36 by area, since a netwo
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.saved import State
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.vision.dvs import DvsParameters
 from uavaccel.vision.dvs import make_sensor as make_dvs
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
-from uavaccel.wire.image_api import HEIGHT, WIDTH
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
 DEPTH_FAR_M = 50.0  # seen as 255
 STATE_FIELDS = ("position_m", "orientation_wxyz", "linear_velocity_m_s", "angular_velocity_rad_s")
 
-Features = Callable[[Kinematics, Mapping[str, Any]], NDArray[np.float32]]
+Features = Callable[[Kinematics, Course], NDArray[np.float32]]
 
 
 class Sensor(Protocol):
     """Turns samples into frames. `picture`: the kind to ask for, None for none; `blank` stands for a missing frame."""
 
     picture: str | None
-    blank: NDArray[Any]
+    blank: Frame
 
-    def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def reset(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Begin a game; the frame of its start."""
         ...
 
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """The frame of a sample, of the shape and type of `blank`."""
         ...
 
@@ -46,7 +47,7 @@ class Sensor(Protocol):
         """What it remembers of the running game, for np.savez."""
         ...
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         ...
 
@@ -54,17 +55,17 @@ class Sensor(Protocol):
 class Memoryless(ABC):
     """A sensor whose frames depend on their own sample alone: it has no state."""
 
-    def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def reset(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         return self.frame(state, image, course)
 
     @abstractmethod
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """As `Sensor.frame`."""
 
     def get_state(self) -> State:
         return {}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         assert not state
 
 
@@ -78,15 +79,15 @@ class EventCamera:
     noise_seed = 0
 
     def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
-        self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
+        self.blank: Frame = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
         self.counter = EventCounter(make_dvs(parameters, (HEIGHT, WIDTH), seed), listed)
 
-    def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def reset(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Nothing has moved: no events."""
         self.counter.start(image, state.time_ns, self.noise_seed)
         return self.blank
 
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """The events since the last sample, this picture's and those of pictures that `counter` saw between."""
         if not self.counter.has_seen(state.time_ns):
             self.counter.look(image, state.time_ns)
@@ -95,7 +96,7 @@ class EventCamera:
     def get_state(self) -> State:
         return self.counter.get_state()
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         self.counter.set_state(from_arrays(state))
 
 
@@ -105,9 +106,9 @@ class ColourCamera(Memoryless):
     picture: str | None = "colour"
 
     def __init__(self) -> None:
-        self.blank: NDArray[Any] = np.zeros((3, *SIZE), np.uint8)
+        self.blank: Frame = np.zeros((3, *SIZE), np.uint8)
 
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         return np.ascontiguousarray(_reduced(image).transpose(2, 0, 1))
 
 
@@ -117,11 +118,12 @@ class DepthCamera(Memoryless):
     picture: str | None = "depth"
 
     def __init__(self) -> None:
-        self.blank: NDArray[Any] = np.zeros((1, *SIZE), np.uint8)
+        self.blank: Frame = np.zeros((1, *SIZE), np.uint8)
 
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         depth = _reduced(np.minimum(image, np.float32(DEPTH_FAR_M)))
-        return np.rint(depth * (255 / DEPTH_FAR_M)).astype(np.uint8)[None]
+        levels: Frame = np.rint(depth * (255 / DEPTH_FAR_M)).astype(np.uint8)
+        return levels[None]
 
 
 class StateSensor(Memoryless):
@@ -130,10 +132,10 @@ class StateSensor(Memoryless):
     picture: str | None = None
 
     def __init__(self, features: Features, blank: NDArray[np.float32]) -> None:
-        self.blank: NDArray[Any] = blank
+        self.blank: Frame = blank
         self._features = features
 
-    def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
+    def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         return self._features(state, course)
 
 
@@ -154,16 +156,16 @@ def make_sensor(
     return cameras[observation]()
 
 
-def from_arrays(state: Mapping[str, Any]) -> dict[str, Any]:
+def from_arrays(state: SavedState) -> State:
     """Arrays as they are, and single numbers, which np.load gives back as arrays without a shape, as numbers."""
     arrays = {name: np.asarray(value) for name, value in state.items()}
     return {name: each if each.ndim else each.item() for name, each in arrays.items()}
 
 
-def state_fields(state: Any) -> list[Any]:
+def state_fields(state: Kinematics) -> list[Number]:
     """Position, attitude, velocity and body rate, 13 numbers, in the units of `Kinematics`; or 13 arrays."""
     return [number for name in STATE_FIELDS for number in getattr(state, name)]
 
 
-def _reduced(image: NDArray[Any]) -> NDArray[Any]:
+def _reduced(image: AnyImage) -> AnyImage:
     return np.asarray(cv2.resize(image, (SIZE[1], SIZE[0]), interpolation=cv2.INTER_AREA))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Any, get_args
 
-from gymnasium.vector import VectorEnv
-
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CPU, CUDA, Device, Simulator
+from uavaccel.envs.values import Batch
 from uavaccel.errors import UserError
 
 EXACT, KERNELS = get_args(Simulator)
@@ -16,12 +15,12 @@ OF_LANES = ("processes", "renderer", "tiles")  # keywords of EnvironmentBatch al
 
 
 def make_batch(
-    environment: type[FlightEnv],
+    environment: type[FlightEnv[Any]],
     num_envs: int = 1,
     simulator: Simulator = "mujoco",
     device: Device = "cpu",
     **keys: Any,
-) -> VectorEnv[Any, Any, Any]:
+) -> Batch:
     """`num_envs` environments of a kind, flown by `simulator` on `device`, with the keywords that those take.
 
     Raises UserError for what there is not, and as the batches themselves.
@@ -76,21 +75,21 @@ def flown_by(simulator: str, device: str) -> str:
     return "" if simulator == EXACT else f"simulator kernels on {'a GPU' if device == CUDA else 'the CPU'}"
 
 
-def obstacle_lanes(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+def obstacle_lanes(num_envs: int = 1, **keys: Any) -> Batch:
     """`gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=...)`."""
     from uavaccel.envs.obstacle_lane import ObstacleLane
 
     return make_batch(ObstacleLane, num_envs, **keys)
 
 
-def hovers(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+def hovers(num_envs: int = 1, **keys: Any) -> Batch:
     """`gymnasium.make_vec("uavaccel/Hover-v0", num_envs=...)`."""
     from uavaccel.envs.hover import Hover
 
     return make_batch(Hover, num_envs, **keys)
 
 
-def gates(num_envs: int = 1, **keys: Any) -> VectorEnv[Any, Any, Any]:
+def gates(num_envs: int = 1, **keys: Any) -> Batch:
     """`gymnasium.make_vec("uavaccel/Gates-v0", num_envs=...)`."""
     from uavaccel.envs.gates import Gates
 

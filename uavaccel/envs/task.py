@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
@@ -20,6 +20,7 @@ from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
 from uavaccel.envs.told import Told
+from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
@@ -33,7 +34,7 @@ from uavaccel.wire.latency import LatencyModel, of_the_profile
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
-Course = Mapping[str, Any]
+
 RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -68,21 +69,21 @@ class Moment(NamedTuple):
 class Moments(NamedTuple):
     """The same of many games: where `Moment` has a number, an array (n,) of NumPy or a tensor of PyTorch."""
 
-    state: Any
-    """A `Kinematics` of arrays."""
-    position_m: Any
+    state: Kinematics | None
+    """Of arrays."""
+    position_m: Sequence[Number]
     """Three arrays: north, east, down."""
-    touched: Any
-    commands: Any
-    course: Mapping[str, Any]
+    touched: Number
+    commands: Number
+    course: Course
     """What is a list of numbers in a game's course is a list of arrays."""
 
     @property
-    def free(self) -> Any:
+    def free(self) -> Number:
         return ~self.touched
 
 
-AnyMoment = Any  # a Moment, or Moments
+AnyMoment: TypeAlias = Any  # a Moment or Moments; a task of one's own may be written for either alone
 
 
 class Task(Config):
@@ -220,7 +221,7 @@ class Task(Config):
         """What the agent is told beside its frames."""
         return None
 
-    def fields(self, state: Any, course: Course) -> Sequence[Any]:
+    def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
         """The numbers of a frame of observation "state", of one state or of a `Kinematics` of arrays."""
         return state_fields(state)
 
@@ -230,7 +231,7 @@ class Task(Config):
 
     # --- actions: by default a velocity ---------------------------------------------------------------
 
-    def action_space(self) -> spaces.Space[Any]:
+    def action_space(self) -> spaces.Space[Action]:
         """North, east and down: shares of `speed_m_s`."""
         return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -244,7 +245,7 @@ class Task(Config):
         """The NED height that every command holds; None: commands fly up and down too."""
         return None
 
-    def goal(self, action: Any) -> VelocityGoal:
+    def goal(self, action: Action) -> VelocityGoal:
         """The velocity that an action of the space asks for."""
         direction = action if self.directions is None else self.directions[int(action)]
         north, east, down = (float(share) * self.speed_m_s for share in direction)
@@ -252,7 +253,7 @@ class Task(Config):
 
     # --- a game ---------------------------------------------------------------------------------------
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+    def draw(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         """What a game is about. Raises UserError for an option that cannot be."""
         return {}
 
@@ -264,7 +265,7 @@ class Task(Config):
         """The task as it is under conditions of `draw_conditions`."""
         return self
 
-    def layout(self, course: Course) -> Any:
+    def layout(self, course: Course) -> object:
         """The scene of a game as Client.set_lane takes it; None: as it is."""
         return None
 
@@ -275,21 +276,22 @@ class Task(Config):
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         """The course after a command."""
-        return now.course
+        course: Course = now.course
+        return course
 
-    def reward(self, before: AnyMoment, now: AnyMoment) -> Any:
+    def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         """Of one command."""
         return 0.0 * now.commands
 
-    def success(self, now: AnyMoment) -> Any:
+    def success(self, now: AnyMoment) -> Number:
         """Whether the game is won; it is over then."""
         return now.touched & now.free
 
-    def failure(self, now: AnyMoment) -> Any:
+    def failure(self, now: AnyMoment) -> Number:
         """Whether it is lost."""
         return now.touched
 
-    def info(self, now: Moment) -> dict[str, Any]:
+    def info(self, now: Moment) -> Info:
         """What infos have beside the keys of `FlightEnv`."""
         return dict(now.course)
 
@@ -311,7 +313,7 @@ def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:
     return ticks
 
 
-def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.float64]) -> list[Any]:
+def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.float64]) -> list[Number]:
     """A reset option of positions (..., 3), NED, in the shape of `drawn`'s; `drawn` where it is not given.
 
     Raises UserError where it is no list of finite numbers of that form.
@@ -323,11 +325,11 @@ def position_option(options: Mapping[str, Any], name: str, drawn: NDArray[np.flo
     if given.ndim != drawn.ndim or given.shape[-1:] != (3,) or not np.isfinite(given).all() or not given.size:
         form = "[north, east, down]" if drawn.ndim == 1 else "[[north, east, down], ...]"
         raise UserError(f"reset: option {name} = {options[name]!r} must be {form} in metres")
-    positions: list[Any] = given.tolist()
+    positions: list[Number] = given.tolist()
     return positions
 
 
-def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
+def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     """Metres between two places, of one game or of many."""
     squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
     return math.sqrt(squared) if isinstance(squared, float) else squared**0.5

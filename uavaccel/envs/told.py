@@ -8,14 +8,15 @@ and the age of what is seen the task is Markov again (Katsikopoulos and Engelbre
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.envs.sensors import SIZE
-from uavaccel.sim.saved import State
+from uavaccel.envs.values import Number
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
@@ -34,7 +35,7 @@ class Told:
     """
 
     def __init__(self, knows: Sequence[Knowledge], headings_deg: Sequence[float], frames: int) -> None:
-        self._knows, self._frames = tuple(knows), frames
+        self.knows, self._frames = tuple(knows), frames
         ranks = np.argsort(np.argsort(headings_deg))
         self._columns = [_part(SIZE[1], int(rank), len(headings_deg)) for rank in ranks]
         self._bands = np.array_split(np.arange(SIZE[0]), frames)
@@ -42,7 +43,7 @@ class Told:
 
     @property
     def planes(self) -> int:
-        return len(self._knows)
+        return len(self.knows)
 
     def start(self, time_ns: int) -> None:
         """A game begins: all frames are of its start, and nothing has been flown."""
@@ -57,7 +58,7 @@ class Told:
     def seen(self) -> NDArray[np.uint8]:
         """The planes of this moment."""
         drawn = {"last_action": self._last_action, "frame_age": self._frame_age}
-        return np.stack([drawn[each]() for each in self._knows])
+        return np.stack([drawn[each]() for each in self.knows])
 
     def _last_action(self) -> NDArray[np.uint8]:
         plane = np.full(SIZE, NEUTRAL_LEVEL, np.uint8)
@@ -87,13 +88,13 @@ class Told:
         """What it remembers of the running game, for np.savez."""
         return {"action": self._action, "now_ns": self._now_ns, "taken_ns": list(self._taken_ns)}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         self._action, self._now_ns = int(state["action"]), int(state["now_ns"])
         self._taken_ns.extend(int(each) for each in state["taken_ns"])
 
 
-def age_levels(ages_ns: Any) -> Any:
+def age_levels(ages_ns: Number) -> Number:
     """What `frame_age` shows of ages in simulated ns, an array of them: 128 to 255."""
     return NEUTRAL_LEVEL + (ages_ns // AGE_LEVEL_NS).clip(0, FULL_LEVEL - NEUTRAL_LEVEL)
 

@@ -12,13 +12,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError
 from uavaccel.fly.modules import Exchanged, client_modules
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.parent import end_with_parent
+
+if TYPE_CHECKING:
+    from uavaccel.airsim.connection import SocketConnection
 
 PORT = (
     "UAVACCEL_FLY_PORT"  # of the flight's server, for the programs that a script starts; "" if there is none
@@ -79,7 +82,7 @@ def enter(name: str) -> None:
     sys.modules[name] = client_modules()[name]()
 
 
-def _connect(host: str, port: int, timeout_s: float) -> Any:
+def _connect(host: str, port: int, timeout_s: float) -> SocketConnection:
     from uavaccel.airsim.connection import SocketConnection
 
     if not (served := os.environ.get(PORT)):

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import selectors
 from collections.abc import Callable
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
+
+if TYPE_CHECKING:
+    import asyncio
 
 FREE_TURNS = (
     100  # of a loop while the clock stands; each one more looks at the clock, so that one that polls ends
@@ -26,8 +30,8 @@ class SimulatedSelector:
         self._selector, self._turns, self._look = selector, turns, look
         self._stood_ns, self._turns_since = 0, 0
 
-    def select(self, timeout: float | None = None) -> list[Any]:
-        ready: list[Any] = []
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready: list[tuple[selectors.SelectorKey, int]] = []
 
         def happened() -> bool:
             ready[:] = self._selector.select(0)
@@ -48,18 +52,20 @@ class SimulatedSelector:
         self._stood_ns = self._turns.now_ns()
         self._turns.wait_until(self._stood_ns)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._selector, name)
 
 
-def loops_taking_turns(module: Any, patches: Patches, turns: Turns, look: Callable[[], object]) -> None:
+def loops_taking_turns(
+    module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]
+) -> None:
     """Let event loops of asyncio.selector_events that a script makes live on its clock."""
-    original = module.BaseSelectorEventLoop.__init__
+    original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
 
-    def init(self: Any, selector: Any = None) -> None:
-        if turns.is_mine() and called_by_a_script():
-            selector = SimulatedSelector(selector or selectors.DefaultSelector(), turns, look)
-            self.time = lambda: turns.now_ns() / NS_PER_S
-        original(self, selector)
+    def init(self: asyncio.BaseEventLoop, selector: selectors.BaseSelector | None = None) -> None:
+        if not (turns.is_mine() and called_by_a_script()):
+            return original(self, selector)
+        self.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
+        return original(self, SimulatedSelector(selector or selectors.DefaultSelector(), turns, look))
 
     patches.set(module.BaseSelectorEventLoop, "__init__", init)

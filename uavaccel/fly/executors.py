@@ -7,11 +7,12 @@ else, such as a library that has pools of its own, Python's.
 
 from __future__ import annotations
 
+import concurrent.futures
+import logging
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
-from typing import Any
 
 from uavaccel.fly.event_loop import loops_taking_turns
 from uavaccel.fly.modules import called_by_a_script
@@ -39,10 +40,10 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
             if vars(module).get(original.__name__) is original:
                 patches.set(module, original.__name__, stand_in)
 
-    def change_thread_pool(module: Any) -> None:
+    def change_thread_pool(module: ModuleType) -> None:
         patches.set(module, "ThreadPool", _thread_pool(module.ThreadPool, turns))
 
-    def change_scheduler(module: Any) -> None:
+    def change_scheduler(module: ModuleType) -> None:
         patches.set(module.scheduler.__init__, "__defaults__", (now_s, sleep))
 
     for name in ("concurrent.futures._base", "asyncio.log"):
@@ -58,10 +59,10 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
     )
 
 
-def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> ModuleType:
+def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
     """A copy of a module some of whose names mean `own` for a script."""
 
-    def chosen(name: str, kind: Any) -> Callable[..., Any]:
+    def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
         return lambda *arguments, **options: (kind if _of_a_script(turns) else original)(
             *arguments, **options
@@ -70,14 +71,14 @@ def dispatching(module: ModuleType, own: Mapping[str, Any], turns: Turns) -> Mod
     return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
 
 
-def _leave_ends_unsaid(module: Any, patches: Patches) -> None:
+def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
     """A pool, or an event loop, whose worker a flight's end reaches has nothing to log."""
     logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
     logger.addFilter(_is_no_end)
     patches.undo(lambda: logger.removeFilter(_is_no_end))
 
 
-def _is_no_end(record: Any) -> bool:
+def _is_no_end(record: logging.LogRecord) -> bool:
     """Whether a logger's record is of anything but a flight's end."""
     return not (record.exc_info and isinstance(record.exc_info[1], Enough))
 
@@ -86,11 +87,11 @@ def _of_a_script(turns: Turns) -> bool:
     return turns.is_mine() and called_by_a_script()
 
 
-def _wait_for_the_machine(module: Any, patches: Patches) -> None:
+def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
     """Processes compute in the machine's time: their futures are waited for in it."""
     condition = threading.Condition
 
-    class Future(module._base.Future):
+    class Future(concurrent.futures.Future[object]):
         def __init__(self) -> None:
             super().__init__()
             self._condition = condition()
@@ -101,19 +102,19 @@ def _wait_for_the_machine(module: Any, patches: Patches) -> None:
 def _thread_pool(original: type, turns: Turns) -> type:
     """multiprocessing's ThreadPool, which for a script is ours."""
 
-    def new(cls: type, *arguments: Any, **options: Any) -> Any:
+    def new(cls: type, *arguments: object, **options: object) -> object:
         if not _of_a_script(turns):
             return object.__new__(cls)
         from uavaccel.fly.thread_pool import ThreadPool
 
-        return ThreadPool(*arguments, **options)
+        make: Callable[..., ThreadPool] = ThreadPool
+        return make(*arguments, **options)
 
     return type(original.__name__, (original,), {"__new__": new})
 
 
 def end_pools() -> None:
     """What Python does to executors that nobody has shut down, before it waits for threads: it lets them finish."""
-    pools: Any = sys.modules.get("concurrent.futures.thread")
-    if pools is not None:
+    if (pools := sys.modules.get("concurrent.futures.thread")) is not None:
         pools._python_exit()
-        pools._shutdown = False
+        vars(pools)["_shutdown"] = False

@@ -8,12 +8,11 @@ from __future__ import annotations
 import string
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
 
 from uavaccel.fly.modules import called_by_a_script
 
@@ -39,7 +38,7 @@ CONSTANTS = (
 
 
 class _OfNothing(type):
-    def __getattr__(cls, name: str) -> Any:
+    def __getattr__(cls, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
         return Nothing()
@@ -48,24 +47,24 @@ class _OfNothing(type):
 class Nothing(metaclass=_OfNothing):
     """Whatever else a script asks such a module for: it can be called, read, drawn on, and does nothing."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments: object, **options: object) -> None:
         pass
 
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
+    def __call__(self, *arguments: object, **options: object) -> object:
         return Nothing()
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
         return Nothing()
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         pass
 
-    def __getitem__(self, key: Any) -> Any:
+    def __getitem__(self, key: object) -> object:
         return False
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[object]:
         return iter(())
 
     def __len__(self) -> int:
@@ -79,7 +78,7 @@ class Nothing(metaclass=_OfNothing):
     def __float__(self) -> float:
         return 0.0
 
-    def __enter__(self) -> Any:
+    def __enter__(self) -> object:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -89,11 +88,11 @@ class Nothing(metaclass=_OfNothing):
 class Silent(ModuleType):
     """A module whose other names mean nothing; its constants, in capitals, are numbers of their own."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
         if name.isupper() or name.startswith("K_"):
-            value: Any = _number_of(name)
+            value: object = _number_of(name)
         else:
             value = Nothing if name[:1].isupper() else Nothing()
         setattr(self, name, value)
@@ -138,7 +137,9 @@ class _Finder(Loader, MetaPathFinder):
     def __init__(self, sleep: Sleep, now_s: Now) -> None:
         self._clock = sleep, now_s
 
-    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         if name.partition(".")[0] not in ROOTS or not called_by_a_script({"importlib", "_frozen_importlib"}):
             return None
         return ModuleSpec(name, self, is_package=True)
@@ -158,10 +159,10 @@ class _Finder(Loader, MetaPathFinder):
             setattr(module, name, part_of_it)
 
 
-def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, Any]:
+def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
     """What of a module is more than nothing."""
 
-    def read(value: Any) -> Callable[..., Any]:
+    def read(value: object) -> Callable[..., object]:
         return lambda *arguments, **options: (sleep(KEY_S), value)[1]
 
     def wait_ms(milliseconds: float) -> None:
@@ -169,7 +170,7 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, Any]:
 
     no: Callable[..., bool] = lambda *arguments, **options: False  # noqa: E731
     begun_s = now_s()
-    names: dict[str, dict[str, Any]] = {
+    names: dict[str, dict[str, object]] = {
         "keyboard": {"is_pressed": no, "wait": read(None), "read_key": read("enter"), "record": read([])},
         "msvcrt": {"kbhit": no, "getch": read(b"\r"), "getche": read(b"\r"), "getwch": read("\r")},
         "pygame": {"init": lambda: (0, 0), "error": type("error", (RuntimeError,), {})},

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import msgpack
 
@@ -39,19 +39,19 @@ class MessageLog:
         self._expected = None if reference is None else _lines(reference / FILE_NAME)
         self.calls = 0
 
-    def call(self, wall_ns: int, time_ns: int | None, method: str, params: Sequence[Any]) -> int:
+    def call(self, wall_ns: int, time_ns: int | None, method: str, params: Sequence[object]) -> int:
         """A call as it is handled, at wall and simulated time; returns its number."""
         self.calls += 1
         row = {"call": self.calls, "wall_ns": wall_ns, "time_ns": time_ns, "method": method}
         self._write(row | {"params": [brief(value) for value in params]})
         return self.calls
 
-    def answer(self, number: int, wall_ns: int, error: str | None, result: Any) -> None:
+    def answer(self, number: int, wall_ns: int, error: str | None, result: object) -> None:
         """An answer, at the wall time from which it is on its way."""
         outcome = {"result": brief(result)} if error is None else {"error": error}
         self._write({"answer": number, "wall_ns": wall_ns, **outcome})
 
-    def _write(self, row: Mapping[str, Any]) -> None:
+    def _write(self, row: Mapping[str, object]) -> None:
         line = _encode(row)
         self._check()
         try:
@@ -100,7 +100,7 @@ def differs(call: int, first: str, second: str) -> DifferenceError:
     return DifferenceError(f"the flights differ at call {call}\n  first:  {first}\n  second: {second}")
 
 
-def brief(value: Any) -> Any:
+def brief(value: object) -> object:
     """A value as it is, or, of what is long on the wire, the length there and a digest."""
     packed = msgpack.packb(value)
     if len(packed) <= LONG_BYTES:

@@ -9,14 +9,13 @@ from __future__ import annotations
 import builtins
 import sys
 import sysconfig
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import FrameType, ModuleType
-from typing import Any
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.units import NS_PER_S
@@ -55,7 +54,7 @@ def _msgpackrpc() -> ModuleType:
     return named_module("msgpackrpc", error=error, __path__=[])
 
 
-def named_module(name: str, **attributes: Any) -> ModuleType:
+def named_module(name: str, **attributes: object) -> ModuleType:
     module = ModuleType(name)
     vars(module).update(attributes)
     return module
@@ -68,7 +67,9 @@ class Exchanged(Loader, MetaPathFinder):
         self._modules, self._clock = modules, MonotonicClock()
         self.spent_s = 0.0
 
-    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         if name not in self._modules:
             return None
         return ModuleSpec(name, self, is_package=name in (*CLIENTS, "gym"))
@@ -88,7 +89,11 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
     original = builtins.__import__
 
     def import_for(
-        name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+        name: str,
+        globals: Mapping[str, object] | None = None,
+        locals: Mapping[str, object] | None = None,
+        fromlist: Sequence[str] | None = (),
+        level: int = 0,
     ) -> ModuleType:
         if level == 0 and name in in_scripts and of_a_script(globals):
             return in_scripts[name]
@@ -107,12 +112,12 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
                 sys.modules[name] = module
 
 
-def of_a_script(namespace: Mapping[str, Any] | None) -> bool:
+def of_a_script(namespace: Mapping[str, object] | None) -> bool:
     """Whether a module's names are those of a file that neither Python, nor a package, nor this one installed."""
     file = (namespace or {}).get("__file__")
     if not file:
         return False
-    path = str(Path(file).absolute())
+    path = str(Path(str(file)).absolute())
     return not path.startswith(_LIBRARIES) and "site-packages" not in path and not path.startswith(_OWN)
 
 

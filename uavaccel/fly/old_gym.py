@@ -9,9 +9,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium
 from gymnasium import spaces
@@ -19,29 +19,35 @@ from gymnasium.utils import seeding
 
 from uavaccel.fly.modules import named_module, of_a_script
 
+Action: TypeAlias = Any
+"""As an environment of the script's wants it."""
+
+OldStep = tuple[object, float, bool, Mapping[str, object]]
+"""Observation, reward, done and info."""
+
 
 class Env:
     """gym.Env: what a script's own environments derive from."""
 
-    metadata: dict[str, Any] = {"render.modes": []}  # noqa: RUF012  as scripts read it
+    metadata: Mapping[str, Sequence[str]] = {"render.modes": []}
     reward_range = (-float("inf"), float("inf"))
-    spec: Any = None
-    action_space: spaces.Space[Any]
-    observation_space: spaces.Space[Any]
+    spec: object = None
+    action_space: spaces.Space[object]
+    observation_space: spaces.Space[object]
 
-    def step(self, action: Any) -> tuple[Any, float, bool, dict[str, Any]]:
+    def step(self, action: Action) -> OldStep:
         raise NotImplementedError
 
-    def reset(self) -> Any:
+    def reset(self) -> object:
         raise NotImplementedError
 
-    def render(self, mode: str = "human") -> Any:
+    def render(self, mode: str = "human", **options: object) -> object:
         raise NotImplementedError
 
     def close(self) -> None:
         pass
 
-    def seed(self, seed: int | None = None) -> list[int | None]:
+    def seed(self, seed: int | None = None) -> object:
         return [seed]
 
     @property
@@ -55,10 +61,10 @@ class Env:
         self.close()
 
 
-class Adapted(gymnasium.Env[Any, Any]):
+class Adapted(gymnasium.Env[object, object]):
     """An old environment, for libraries of today; to a script's own file it stays an old one."""
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Env) -> None:
         self.env = env
         self.action_space, self.observation_space = env.action_space, env.observation_space
         self.metadata = {"render_modes": [*env.metadata.get("render.modes", ())]}
@@ -70,7 +76,7 @@ class Adapted(gymnasium.Env[Any, Any]):
             self.env.seed(seed)
         return self.env.reset(), {}
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Action) -> Any:
         observation, reward, done, info = self.env.step(action)
         if of_a_script(sys._getframe(1).f_globals):
             return observation, reward, done, info
@@ -83,10 +89,10 @@ class Adapted(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         self.env.close()
 
-    def seed(self, seed: int | None = None) -> Any:
+    def seed(self, seed: int | None = None) -> object:
         return self.env.seed(seed)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name == "env":
             raise AttributeError(name)
         return getattr(self.env, name)
@@ -95,50 +101,51 @@ class Adapted(gymnasium.Env[Any, Any]):
 class Wrapper(Env):
     """gym.Wrapper, in the old interface."""
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Env | Adapted) -> None:
         self.env = env.env if isinstance(env, Adapted) else env
         self.action_space, self.observation_space = env.action_space, env.observation_space
         self.metadata = env.metadata
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Action) -> OldStep:
         return self.env.step(action)
 
-    def reset(self, **options: Any) -> Any:
-        return self.env.reset(**options)
+    def reset(self, **options: object) -> object:
+        reset: Callable[..., object] = self.env.reset
+        return reset(**options)
 
-    def render(self, mode: str = "human", **options: Any) -> Any:
+    def render(self, mode: str = "human", **options: object) -> object:
         return self.env.render(mode, **options)
 
     def close(self) -> None:
         self.env.close()
 
     @property
-    def unwrapped(self) -> Any:
+    def unwrapped(self) -> Env:
         return self.env.unwrapped
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name == "env":
             raise AttributeError(name)
         return getattr(self.env, name)
 
 
 class ObservationWrapper(Wrapper):
-    def observation(self, observation: Any) -> Any:
+    def observation(self, observation: object) -> object:
         raise NotImplementedError
 
-    def reset(self, **options: Any) -> Any:
-        return self.observation(self.env.reset(**options))
+    def reset(self, **options: object) -> object:
+        return self.observation(super().reset(**options))
 
-    def step(self, action: Any) -> Any:
-        observation, *rest = self.env.step(action)
-        return self.observation(observation), *rest
+    def step(self, action: Action) -> OldStep:
+        observation, reward, done, info = self.env.step(action)
+        return self.observation(observation), reward, done, info
 
 
 class ActionWrapper(Wrapper):
-    def action(self, action: Any) -> Any:
+    def action(self, action: Action) -> object:
         raise NotImplementedError
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Action) -> OldStep:
         return self.env.step(self.action(action))
 
 
@@ -146,20 +153,25 @@ class RewardWrapper(Wrapper):
     def reward(self, reward: float) -> float:
         raise NotImplementedError
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Action) -> OldStep:
         observation, reward, done, info = self.env.step(action)
         return observation, self.reward(reward), done, info
 
 
-_registered: dict[str, tuple[Any, Mapping[str, Any]]] = {}
+_registered: dict[str, tuple[str | Callable[..., Env], Mapping[str, object]]] = {}
 
 
-def register(id: str, entry_point: str | Callable[..., Any] = "", **options: Any) -> None:
+def register(
+    id: str,
+    entry_point: str | Callable[..., Env] = "",
+    kwargs: Mapping[str, object] | None = None,
+    **options: object,
+) -> None:
     """Keep where an environment is made; `kwargs` are its arguments."""
-    _registered[id] = entry_point, options.get("kwargs") or {}
+    _registered[id] = entry_point, kwargs or {}
 
 
-def make(id: str, **arguments: Any) -> Adapted:
+def make(id: str, **arguments: object) -> Adapted:
     """An environment that was registered; "module:id" imports the module first, which registers it.
 
     Raises ValueError for an id that nobody registered.

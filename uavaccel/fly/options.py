@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Self
+from typing import Self, TypedDict
 
 THINK_S = {"wall": 0.0, "virtual": 0.001, "lockstep": 0.0}
 """By timing, the script's wall time that a flight charges before each call.
@@ -18,6 +18,23 @@ SUMMARY = "flight.json"
 DIFFERENCE = "difference.txt"  # in it, how a flight differs from its reference; not there where it does not
 HEEDED = "interrupted"  # in the temporary folder: the script has got an interruption
 SCRATCH = "uavaccel-fly-"  # then the number of the process to which a temporary folder belongs
+
+
+class FlightSummary(TypedDict, total=False):
+    """What a flight says of itself in SUMMARY: SI units, NED; `position_m` is None where no client connected."""
+
+    clock_speed: float
+    calls: int
+    status: int
+    finished: bool
+    wall_s: float
+    simulated_s: float
+    position_m: list[float] | None
+    failure: str | None
+    refused: list[str]
+    script_s: float
+    slept_s: float
+    think_s: float
 
 
 @dataclass(frozen=True)

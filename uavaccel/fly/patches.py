@@ -6,7 +6,7 @@ So a script pays for the modules that it uses, and for no others.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -31,7 +31,7 @@ class Patches:
     def __exit__(self, *exception: object) -> None:
         self._undo.close()
 
-    def set(self, owner: Any, name: str, value: Any) -> None:
+    def set(self, owner: object, name: str, value: object) -> None:
         """Let an attribute be another one."""
         missing = object()
         before = getattr(owner, "__dict__", {}).get(name, missing)  # a method of a class as it stands there
@@ -63,12 +63,14 @@ class _Finder(MetaPathFinder):
     def __init__(self) -> None:
         self.acts: dict[str, list[Act]] = {}
 
-    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         if name not in self.acts:
             return None
         others = (finder for finder in sys.meta_path if finder is not self)
         found = next((spec for finder in others if (spec := finder.find_spec(name, path, target))), None)
-        loader: Any = None if found is None else found.loader
+        loader: Any = None if found is None else found.loader  # whose method is exchanged
         if hasattr(loader, "exec_module") and hasattr(loader, "__dict__"):
             execute, acts = loader.exec_module, self.acts.pop(name)
 

@@ -15,7 +15,7 @@ import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
@@ -25,6 +25,8 @@ from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
 from uavaccel.parent import end_with_parent
 
 if TYPE_CHECKING:
+    from uavaccel.fly.simulated import SimulatedFlight
+    from uavaccel.fly.wall import WallFlight
     from uavaccel.wire.settings import Settings
 
 
@@ -127,7 +129,9 @@ def settings_of(options: FlightOptions) -> Settings | None:
         return None
 
 
-def _flight(options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> Any:
+def _flight(
+    options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
+) -> SimulatedFlight | WallFlight:
     if options.timing == "wall":
         from uavaccel.fly.wall import WallFlight
 

@@ -10,10 +10,9 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from uavaccel.fly.messages import DifferenceError
-from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions
+from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
 from uavaccel.fly.watch import LOOK_S, Patience, ended_how
 
@@ -29,7 +28,7 @@ class Flown:
     """A flight that has ended: exit status of the script, and the summary that `process` wrote, if it came so far."""
 
     status: int
-    summary: dict[str, Any] | None
+    summary: FlightSummary | None
     differs: bool = False
 
     @property

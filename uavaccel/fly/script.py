@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -38,7 +38,7 @@ class Enough(BaseException):
             os._exit(1)
 
 
-def unraisable(event: Any) -> None:
+def unraisable(event: sys.UnraisableHookArgs) -> None:
     """sys.unraisablehook: an end that reaches a destructor is no news."""
     if not isinstance(event.exc_value, Enough):
         sys.__unraisablehook__(event)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from uavaccel.airsim.connection import plain
 _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
 
-def as_sent(value: Any) -> Any:
+def as_sent(value: object) -> object:
     """AirSim's types as maps, NumPy's numbers as numbers, tuples as lists. Raises TypeError as packing would."""
     if type(value) in _AS_THEY_ARE:
         return value
@@ -25,7 +24,7 @@ def as_sent(value: Any) -> Any:
     return as_sent(plain(value))
 
 
-def as_received(value: Any) -> Any:
+def as_received(value: object) -> object:
     """Arrays of an answer, or of the maps in it, as lists of single precision: what a wire makes of them."""
     if isinstance(value, np.ndarray):
         return value.astype(np.float32).ravel().tolist()

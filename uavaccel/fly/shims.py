@@ -12,10 +12,14 @@ import os
 import warnings
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
 from uavaccel.fly.modules import Modules, named_module
 from uavaccel.fly.patches import Patches
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 OLD_NAMES = {  # of NumPy, gone since 1.24 and 2.0, and what they mean: of Python, or NumPy's name of today
     "bool": bool,
@@ -55,7 +59,7 @@ def supply(patches: Patches, sleep: Callable[[float], None]) -> None:
         patches.when_imported(name, lambda module: patches.set(module, "wait_key", no_key))
 
 
-def supply_numpy(patches: Patches, numpy: Any) -> None:
+def supply_numpy(patches: Patches, numpy: ModuleType) -> None:
     """NumPy's old names, and `fromstring` of bytes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -64,19 +68,22 @@ def supply_numpy(patches: Patches, numpy: Any) -> None:
             patches.set(numpy, "NINF", -numpy.inf)
     for name, now in missing.items():
         patches.set(numpy, name, getattr(numpy, now) if isinstance(now, str) else now)
-    original = numpy.fromstring
+    original: Callable[..., NDArray[np.generic]] = numpy.fromstring
 
     @functools.wraps(original)
-    def fromstring(string: Any, dtype: Any = float, count: int = -1, sep: str = "", **options: Any) -> Any:
+    def fromstring(
+        string: str | bytes, dtype: DTypeLike = float, count: int = -1, sep: str = "", **options: object
+    ) -> NDArray[np.generic]:
         if sep:
             return original(string, dtype, count, sep=sep, **options)
         data = string.encode("latin1") if isinstance(string, str) else string
-        return numpy.frombuffer(data, dtype, count).copy()
+        copied: NDArray[np.generic] = numpy.frombuffer(data, dtype, count).copy()
+        return copied
 
     patches.set(numpy, "fromstring", fromstring)
 
 
-def supply_windows(patches: Patches, cv2: Any, sleep: Callable[[float], None]) -> None:
+def supply_windows(patches: Patches, cv2: ModuleType, sleep: Callable[[float], None]) -> None:
     """OpenCV's windows, shown nowhere; no key is ever pressed."""
 
     def wait_key(delay: int = 0) -> int:
@@ -89,7 +96,7 @@ def supply_windows(patches: Patches, cv2: Any, sleep: Callable[[float], None]) -
         patches.set(cv2, name, wait_key)
 
 
-def supply_pause(patches: Patches, pyplot: Any, sleep: Callable[[float], None]) -> None:
+def supply_pause(patches: Patches, pyplot: ModuleType, sleep: Callable[[float], None]) -> None:
     """Matplotlib's pause between two pictures, shown nowhere."""
     patches.set(pyplot, "pause", lambda interval: sleep(interval))
 
@@ -115,7 +122,7 @@ def _of_gym(name: str) -> ModuleType:
     return _gym()[name]
 
 
-def _read_image(name: str) -> Any:
+def _read_image(name: str) -> NDArray[np.generic]:
     """Red first. Raises FileNotFoundError where there is no image."""
     import cv2
 
@@ -125,7 +132,7 @@ def _read_image(name: str) -> Any:
     return pixels[..., ::-1]
 
 
-def _save_image(name: str, image: Any) -> None:
+def _save_image(name: str, image: ArrayLike) -> None:
     """Stretched to 0 to 255 where it is not of bytes, red first."""
     import cv2
     import numpy as np

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
 from uavaccel.errors import UserError
@@ -15,7 +15,7 @@ from uavaccel.fly.executors import end_pools, let_executors_take_turns
 from uavaccel.fly.keys import key_modules
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
-from uavaccel.fly.options import THINK_S, FlightOptions
+from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.threads import ThreadKinds
@@ -26,6 +26,7 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import Future
     from uavaccel.fly.world import FlownWorld
+    from uavaccel.wire.rpc import Received
     from uavaccel.wire.settings import Settings
     from uavaccel.wire.transport import Call
 
@@ -116,15 +117,17 @@ class SimulatedFlight:
         if refused := api.refusals.lines():
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> FlightSummary:
         """How long, and where to: SI units, NED; no place where no client connected."""
-        flown = (
-            self._flown.summary()
-            if self._is_flown()
-            else {"simulated_s": 0.0, "position_m": None, "refused": []}
-        )
-        script = {"script_s": self._clock.now_ns() / NS_PER_S, "slept_s": self._slept_ns / NS_PER_S}
-        return flown | script | {"think_s": self._think_ns / NS_PER_S}
+        flown: FlightSummary = {"simulated_s": 0.0, "position_m": None, "refused": []}
+        if self._is_flown():
+            flown = self._flown.summary()
+        return {
+            **flown,
+            "script_s": self._clock.now_ns() / NS_PER_S,
+            "slept_s": self._slept_ns / NS_PER_S,
+            "think_s": self._think_ns / NS_PER_S,
+        }
 
     def _forked(self) -> None:
         """In a process that was forked off: its copy of the world is no world, and its clock is the machine's."""
@@ -164,12 +167,12 @@ class SimulatedFlight:
 
     # --- a Connection of the client ---------------------------------------------------------------
 
-    def call(self, method: str, *params: Any) -> Any:
+    def call(self, method: str, *params: object) -> Received:
         call, number = self._send(method, params, blocking=True)
         self._wait(call, number)
         return call.result()
 
-    def call_async(self, method: str, *params: Any) -> Future:
+    def call_async(self, method: str, *params: object) -> Future:
         from uavaccel.airsim.connection import Future
 
         call, number = self._send(method, params, blocking=False)
@@ -178,13 +181,13 @@ class SimulatedFlight:
     def close(self) -> None:
         pass
 
-    def _send(self, method: str, params: tuple[Any, ...], blocking: bool) -> tuple[Call, int]:
+    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> tuple[Call, int]:
         from uavaccel.fly.sent import as_sent
 
         self._check_process()
         self._turns.check_thread()
         self._think()
-        sent, flown = as_sent(params), self._flown
+        sent, flown = [as_sent(value) for value in params], self._flown
         number = self._log.call(self._clock.now_ns(), flown.simulation.time_ns, method, sent)
         return flown.transport.send(method, sent, blocking), number
 

@@ -8,8 +8,11 @@ from __future__ import annotations
 import concurrent.futures
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Self
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import Self
+
+Options = Mapping[str, object] | None
 
 
 class Result:
@@ -17,9 +20,9 @@ class Result:
 
     def __init__(
         self,
-        futures: list[concurrent.futures.Future[Any]],
+        futures: list[concurrent.futures.Future[object]],
         single: bool = False,
-        callback: Callable[[Any], object] | None = None,
+        callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
     ) -> None:
         self._futures, self._single = futures, single
@@ -27,7 +30,7 @@ class Result:
         for future in futures:
             future.add_done_callback(self._done)
 
-    def _done(self, future: concurrent.futures.Future[Any]) -> None:
+    def _done(self, future: concurrent.futures.Future[object]) -> None:
         self._left -= 1
         if self._left:
             return
@@ -37,7 +40,7 @@ class Result:
         if failed is not None and self._tell_error is not None:
             self._tell_error(failed)
 
-    def get(self, timeout: float | None = None) -> Any:
+    def get(self, timeout: float | None = None) -> object:
         """Raises what a call raised, multiprocessing.TimeoutError where they take longer."""
         self.wait(timeout)
         if not self.ready():
@@ -64,59 +67,71 @@ class ThreadPool:
         self,
         processes: int | None = None,
         initializer: Callable[..., object] | None = None,
-        initargs: Any = (),
+        initargs: Iterable[object] = (),
     ) -> None:
+        begin = None if initializer is None else partial(initializer, *initargs)
         self._executor = concurrent.futures.ThreadPoolExecutor(
-            processes or os.cpu_count() or 1, "ThreadPool", initializer, tuple(initargs)
+            processes or os.cpu_count() or 1, "ThreadPool", begin
         )
 
-    def apply(self, func: Callable[..., Any], args: Any = (), kwds: Any = None) -> Any:
+    def apply(
+        self,
+        func: Callable[..., object],
+        args: Iterable[object] = (),
+        kwds: Options = None,
+    ) -> object:
         return self.apply_async(func, args, kwds).get()
 
     def apply_async(
         self,
-        func: Callable[..., Any],
-        args: Any = (),
-        kwds: Any = None,
-        callback: Any = None,
-        error_callback: Any = None,
+        func: Callable[..., object],
+        args: Iterable[object] = (),
+        kwds: Options = None,
+        callback: Callable[[object], object] | None = None,
+        error_callback: Callable[[BaseException], object] | None = None,
     ) -> Result:
         future = self._executor.submit(func, *args, **(kwds or {}))
         return Result([future], True, callback, error_callback)
 
-    def map(self, func: Callable[..., Any], iterable: Iterable[Any], chunksize: int | None = None) -> Any:
+    def map(
+        self, func: Callable[..., object], iterable: Iterable[object], chunksize: int | None = None
+    ) -> object:
         return self.map_async(func, iterable).get()
 
     def map_async(
         self,
-        func: Callable[..., Any],
-        iterable: Iterable[Any],
+        func: Callable[..., object],
+        iterable: Iterable[object],
         chunksize: int | None = None,
-        callback: Any = None,
-        error_callback: Any = None,
+        callback: Callable[[object], object] | None = None,
+        error_callback: Callable[[BaseException], object] | None = None,
     ) -> Result:
         return self.starmap_async(func, ((item,) for item in iterable), chunksize, callback, error_callback)
 
-    def starmap(self, func: Callable[..., Any], iterable: Iterable[Any], chunksize: int | None = None) -> Any:
+    def starmap(
+        self, func: Callable[..., object], iterable: Iterable[Iterable[object]], chunksize: int | None = None
+    ) -> object:
         return self.starmap_async(func, iterable).get()
 
     def starmap_async(
         self,
-        func: Callable[..., Any],
-        iterable: Iterable[Any],
+        func: Callable[..., object],
+        iterable: Iterable[Iterable[object]],
         chunksize: int | None = None,
-        callback: Any = None,
-        error_callback: Any = None,
+        callback: Callable[[object], object] | None = None,
+        error_callback: Callable[[BaseException], object] | None = None,
     ) -> Result:
         futures = [self._executor.submit(func, *items) for items in iterable]
         return Result(futures, False, callback, error_callback)
 
-    def imap(self, func: Callable[..., Any], iterable: Iterable[Any], chunksize: int = 1) -> Iterator[Any]:
+    def imap(
+        self, func: Callable[..., object], iterable: Iterable[object], chunksize: int = 1
+    ) -> Iterator[object]:
         return self._executor.map(func, iterable)
 
     def imap_unordered(
-        self, func: Callable[..., Any], iterable: Iterable[Any], chunksize: int = 1
-    ) -> Iterator[Any]:
+        self, func: Callable[..., object], iterable: Iterable[object], chunksize: int = 1
+    ) -> Iterator[object]:
         futures = [self._executor.submit(func, item) for item in iterable]
         return (future.result() for future in concurrent.futures.as_completed(futures))
 

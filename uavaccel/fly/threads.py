@@ -8,13 +8,14 @@ from __future__ import annotations
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from types import ModuleType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 from uavaccel.fly.script import Enough
 from uavaccel.fly.tracebacks import hide_ours
-from uavaccel.fly.turns import Turns
+from uavaccel.fly.turns import Turn, Turns
 
 Class = TypeVar("Class", bound=type)
 
@@ -80,7 +81,7 @@ class RLock(Lock):
 class Condition:
     turns: Turns
 
-    def __init__(self, lock: Any = None) -> None:
+    def __init__(self, lock: Lock | None = None) -> None:
         self._lock = bound(RLock, self.turns)() if lock is None else lock
         self.acquire, self.release = self._lock.acquire, self._lock.release
         self._sleepers: deque[object] = deque()
@@ -96,7 +97,7 @@ class Condition:
                 self._sleepers.remove(me)
             self.acquire()
 
-    def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
+    def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> object:
         self.release()
         self.turns.until(lambda: bool(predicate()), timeout)
         self.acquire()
@@ -161,7 +162,9 @@ class Semaphore:
 class Barrier(threading.Barrier):
     turns: Turns
 
-    def __init__(self, parties: int, action: Any = None, timeout: float | None = None) -> None:
+    def __init__(
+        self, parties: int, action: Callable[[], None] | None = None, timeout: float | None = None
+    ) -> None:
         super().__init__(parties, action, timeout)
         self._cond = bound(Condition, self.turns)()
 
@@ -181,7 +184,7 @@ class Thread(threading.Thread):
         self.running.append(self)
         super().start()
 
-    def _in_turns(self, turn: Any, run: Callable[[], None]) -> None:
+    def _in_turns(self, turn: Turn, run: Callable[[], None]) -> None:
         self.turns.begin(turn)
         try:
             run()
@@ -205,11 +208,15 @@ class Thread(threading.Thread):
 
 class Timer(Thread):
     def __init__(
-        self, interval: float, function: Callable[..., Any], args: Any = None, kwargs: Any = None
+        self,
+        interval: float,
+        function: Callable[..., object],
+        args: Iterable[object] | None = None,
+        kwargs: Mapping[str, object] | None = None,
     ) -> None:
         super().__init__()
         self.finished = bound(Event, self.turns)()
-        self._call = lambda: function(*(args or ()), **(kwargs or {}))
+        self._call = partial(function, *(args or ()), **(kwargs or {}))
         self._interval = interval
 
     def cancel(self) -> None:
@@ -221,17 +228,19 @@ class Timer(Thread):
         self.finished.set()
 
 
-class Queue(queue.Queue[Any]):
+class Queue(queue.Queue[object]):
     turns: Turns
 
-    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
-        room = lambda: self.maxsize <= 0 or self._qsize() < self.maxsize  # noqa: E731
-        if not room() and not (block and self.turns.until(room, timeout)):
+    def put(self, item: object, block: bool = True, timeout: float | None = None) -> None:
+        def has_room() -> bool:
+            return self.maxsize <= 0 or self._qsize() < self.maxsize
+
+        if not has_room() and not (block and self.turns.until(has_room, timeout)):
             raise queue.Full
         self._put(item)
         self.unfinished_tasks += 1
 
-    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+    def get(self, block: bool = True, timeout: float | None = None) -> object:
         if not self._qsize() and not (block and self.turns.until(lambda: self._qsize() > 0, timeout)):
             raise queue.Empty
         return self._get()
@@ -240,11 +249,11 @@ class Queue(queue.Queue[Any]):
         self.turns.until(lambda: self.unfinished_tasks == 0)
 
 
-class LifoQueue(Queue, queue.LifoQueue[Any]):
+class LifoQueue(Queue, queue.LifoQueue[object]):
     pass
 
 
-class PriorityQueue(Queue, queue.PriorityQueue[Any]):
+class PriorityQueue(Queue, queue.PriorityQueue[object]):  # type: ignore[type-var]  # what a script orders
     pass
 
 
@@ -252,13 +261,14 @@ class ThreadKinds:
     """The stand-ins, by the name of the module and their own, and the script's threads that run."""
 
     def __init__(self, turns: Turns) -> None:
-        kinds = (Lock, RLock, Condition, Event, Semaphore, Barrier, Thread, Timer)
-        own: dict[str, Any] = {kind.__name__: bound(kind, turns) for kind in kinds}
-        own |= {kind.__name__: bound(kind, turns) for kind in (Queue, LifoQueue, PriorityQueue)}
-        own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
         self.running: list[Thread] = []
-        for name in ("Thread", "Timer"):
-            own[name].running = self.running
+        kinds: tuple[type, ...] = (Lock, RLock, Condition, Event, Semaphore, Barrier)
+        kinds += (Queue, LifoQueue, PriorityQueue)
+        own = {kind.__name__: bound(kind, turns) for kind in kinds}
+        own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
+        for kind in (Thread, Timer):
+            own[kind.__name__] = thread = bound(kind, turns)
+            thread.running = self.running
         self.own = {
             module: {name: kind for name, kind in own.items() if hasattr(module, name)}
             for module in (threading, queue)
@@ -269,7 +279,7 @@ class ThreadKinds:
         return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
 
 
-def changed(module: ModuleType, names: Mapping[str, Any]) -> ModuleType:
+def changed(module: ModuleType, names: Mapping[str, object]) -> ModuleType:
     """A copy of a module in which some names are others."""
     copy = ModuleType(module.__name__, module.__doc__)
     vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.fly.patches import Patches
@@ -37,10 +37,16 @@ def hide_frames(trace: TracebackType | None) -> None:
 
 def hide_frames_everywhere(patches: Patches) -> None:
     """Let what a script prints of an exception itself, or logs, be without them too; a UserError is its line alone."""
-    kind: Any = traceback.TracebackException
-    original = kind.__init__
+    kind = traceback.TracebackException
+    original: Callable[..., None] = kind.__init__
 
-    def init(self: Any, exc_type: Any, exc_value: Any, exc_traceback: Any, **options: Any) -> None:
+    def init(
+        self: traceback.TracebackException,
+        exc_type: type[BaseException],
+        exc_value: BaseException,
+        exc_traceback: TracebackType | None,
+        **options: object,
+    ) -> None:
         hide_frames(exc_traceback)
         if isinstance(exc_value, UserError):
             exc_traceback = None

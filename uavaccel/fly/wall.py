@@ -12,14 +12,15 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.airsim.connection import Future, SocketConnection
+from uavaccel.airsim.connection import Connect, Future, SocketConnection
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
 from uavaccel.fly import shims
@@ -27,7 +28,7 @@ from uavaccel.fly.children import LOOPBACK, children_finding, forked_children
 from uavaccel.fly.keys import key_modules
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
-from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import Enough, Outcome, run_script
 from uavaccel.fly.sent import as_sent
@@ -35,6 +36,7 @@ from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.trajectory import write_trajectory
 from uavaccel.fly.watch import Watch
 from uavaccel.units import NS_PER_S
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.settings import Settings
 
 RECORDINGS = "recordings"
@@ -54,21 +56,21 @@ class LoggedConnection:
     """
 
     def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
-        self._open = lambda: SocketConnection(LOOPBACK, port, timeout_s)
+        self._open = partial(SocketConnection, LOOPBACK, port, timeout_s)
         self._connection, self._pid = self._open(), os.getpid()
         self._log, self._clock, self._lock = log, MonotonicClock(), threading.Lock()
         self._watch = watch
         self._start_ns = self._clock.now_ns()
 
-    def call(self, method: str, *params: Any) -> Any:
+    def call(self, method: str, *params: object) -> Received:
         future = self.call_async(method, *params)
         return future.get()
 
-    def call_async(self, method: str, *params: Any) -> Future:
+    def call_async(self, method: str, *params: object) -> Future:
         if os.getpid() != self._pid:
             self._connection, self._pid, self._log = self._open(), os.getpid(), _Unheard()
         with self._lock:
-            number = self._log.call(self._now_ns(), None, method, as_sent(params))
+            number = self._log.call(self._now_ns(), None, method, [as_sent(value) for value in params])
         with self._ending():
             sent = self._connection.call_async(method, *params)
 
@@ -106,7 +108,7 @@ class _Unheard(MessageLog):
     def __init__(self) -> None:
         self.calls = 0
 
-    def _write(self, row: Any) -> None:
+    def _write(self, row: Mapping[str, object]) -> None:
         pass
 
 
@@ -138,7 +140,7 @@ class WallFlight:
             raise UserError(f"{served.watch.lost}; the script ends too")
         return outcome
 
-    def _prepare(self, stack: contextlib.ExitStack, connect: Callable[..., Any], port: int) -> None:
+    def _prepare(self, stack: contextlib.ExitStack, connect: Connect, port: int) -> None:
         """What the script, and what it starts, find until `stack` is left."""
         patches = stack.enter_context(Patches())
         clock = counted_time_module(self._slept)
@@ -168,7 +170,7 @@ class WallFlight:
         )
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> FlightSummary:
         """How long, and where to: SI units, NED."""
         times = self._time_ns / NS_PER_S
         return {
@@ -239,7 +241,7 @@ def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
         signal.signal(number, before)
 
 
-def _stop(*_: Any) -> None:
+def _stop(*_: object) -> None:
     raise Enough
 
 

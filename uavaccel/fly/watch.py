@@ -7,8 +7,8 @@ import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+Process = subprocess.Popen[bytes] | subprocess.Popen[str]
 LOOK_S = 0.25
 STOPPED_S = 4.0  # a process that has been stopped for so long is not gone on with
 
@@ -34,7 +34,7 @@ def ended_how(status: int) -> str:
 class Patience:
     """With a process that stands still, for STOPPED_S of looks every LOOK_S."""
 
-    def __init__(self, process: subprocess.Popen[Any]) -> None:
+    def __init__(self, process: Process) -> None:
         self._process, self._looks = process, 0
 
     def is_over(self) -> bool:
@@ -46,7 +46,9 @@ class Patience:
 class Watch:
     """Says when a process has gone that should be there, or was stopped; ends that. `lost` says how, in words."""
 
-    def __init__(self, process: subprocess.Popen[Any], name: str, tell: Callable[[], None]) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes] | subprocess.Popen[str], name: str, tell: Callable[[], None]
+    ) -> None:
         self.lost = ""
         self._process, self._name, self._tell = process, name, tell
         self._over, self._found = threading.Event(), threading.Event()

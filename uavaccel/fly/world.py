@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import numpy as np
 
 from uavaccel.clock import VirtualClock
-from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.trajectory import INTERVAL_NS, Trajectory
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -54,7 +53,7 @@ class FlownWorld:
         touch = self.world.lead.touches.latest
         return f"{position} m" + (f", last touched {touch.object}" if touch else "")
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> FlightSummary:
         """How long, and where to: SI units, NED."""
         return {
             "simulated_s": self.simulation.time_ns / NS_PER_S,

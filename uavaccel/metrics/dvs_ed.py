@@ -25,7 +25,7 @@ def dvs_ed_percent(
     )
     shared = min(run.shape[1], reference.shape[1])
     difference = np.abs(run[:, :shared] - reference[:, :shared]).sum(axis=0)
-    return 100.0 * difference / pixels
+    return np.asarray(100.0 * difference / pixels)
 
 
 def _pixels_per_image(*stacks: ArrayLike) -> int:
@@ -34,4 +34,4 @@ def _pixels_per_image(*stacks: ArrayLike) -> int:
         raise ValueError(
             f"event counts must be (n, H, W): {on}, {off} against {reference_on}, {reference_off}"
         )
-    return on[1] * on[2]
+    return int(on[1] * on[2])

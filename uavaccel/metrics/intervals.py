@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from uavaccel.files import Plain
 
 RESAMPLES = 2000
 LEVEL = 0.95
@@ -60,7 +62,7 @@ class Proportion:
             raise ValueError(f"need 0 <= successes <= games > 0, got {self.successes} of {self.games}")
 
     @classmethod
-    def of(cls, keys: Mapping[str, Any]) -> Proportion:
+    def of(cls, keys: Mapping[str, Plain]) -> Proportion:
         """That of a mapping with the keys `successes` and `games`."""
         return cls(keys["successes"], keys["games"])
 
@@ -76,7 +78,7 @@ class Proportion:
         interval = binomtest(self.successes, self.games).proportion_ci(LEVEL, method="wilson")
         return float(interval.low), float(interval.high)
 
-    def as_summary(self) -> dict[str, Any]:
+    def as_summary(self) -> dict[str, float]:
         """What a summary says of it."""
         low, high = self.interval
         return {

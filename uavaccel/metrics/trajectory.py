@@ -55,7 +55,8 @@ def _difference_on_reference_grid(reference: Trajectory, flight: Trajectory) -> 
     inside = (reference.time_s >= flight.time_s[0]) & (reference.time_s <= flight.time_s[-1])
     grid = reference.time_s[inside]
     columns = [np.interp(grid, flight.time_s, column) for column in flight.position_m.T]
-    return np.column_stack(columns) - reference.position_m[inside]
+    difference: FloatArray = np.column_stack(columns) - reference.position_m[inside]
+    return difference
 
 
 def mean_position_rmse(

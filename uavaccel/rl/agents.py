@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.values import Frame, Info
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.rl.algorithms import make_policy
@@ -30,7 +30,7 @@ REACHED_M = 0.3  # from its offset a drone that flies along it turns back
 class Agent(Protocol):
     """Chooses an action from an observation and the info that came with it."""
 
-    def act(self, observation: NDArray[Any], info: dict[str, Any]) -> int: ...
+    def act(self, observation: Frame, info: Info) -> int: ...
 
 
 class PolicyAgent:
@@ -39,7 +39,7 @@ class PolicyAgent:
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
 
-    def act(self, observation: NDArray[Any], info: dict[str, Any]) -> int:
+    def act(self, observation: Frame, info: Info) -> int:
         return int(self.policy.act(observation[None])[0])
 
 
@@ -55,7 +55,7 @@ class OffsetAgent:
             int(headings.argmax()),
         )
 
-    def act(self, observation: NDArray[Any], info: dict[str, Any]) -> int:
+    def act(self, observation: Frame, info: Info) -> int:
         error_m = self._offset_m - info["position_m"][1]
         if abs(error_m) < REACHED_M:
             return self._ahead
@@ -75,7 +75,7 @@ SENSES = (
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
-def trained_keys(name: str) -> dict[str, Any]:
+def trained_keys(name: str) -> dict[str, object]:
     """Keys of the task that the agent was trained with; a baseline needs no pictures. Raises UserError."""
     if is_baseline(name):
         return {"observation": "state", "history": 1}

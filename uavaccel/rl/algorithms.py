@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 
+from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
 from uavaccel.machine import memory_bytes
 from uavaccel.rl.config import LearnerConfig
@@ -92,9 +93,9 @@ def policy_name(config: LearnerConfig) -> str:
     return "MlpPolicy" if config.task.observation == "state" else "CnnPolicy"
 
 
-def policy_keywords(config: LearnerConfig) -> dict[str, Any]:
+def policy_keywords(config: LearnerConfig) -> dict[str, object]:
     """Network layout."""
-    keywords: dict[str, Any] = {"net_arch": list(config.hidden)}
+    keywords: dict[str, object] = {"net_arch": list(config.hidden)}
     if config.task.observation != "state":
         keywords |= {
             "normalize_images": False,  # the network reads grey levels
@@ -110,22 +111,19 @@ def policy_keywords(config: LearnerConfig) -> dict[str, Any]:
 class NoOptimizer:
     """Of a policy that only flies: PyTorch's own load its compiler, which takes longer than all else of a start."""
 
-    def __init__(self, parameters: Iterable[th.nn.Parameter], **_: Any) -> None: ...
+    def __init__(self, parameters: Iterable[th.nn.Parameter], **_: object) -> None: ...
 
 
 def make_policy(config: LearnerConfig, learning_rate: Schedule, learns: bool = True) -> BasePolicy:
     """The untrained policy: networks, and the optimizer of those that learn."""
     found = stable_baselines3.DQN if config.algorithm == OWN else baseline_class(config.algorithm)
-    make: Any = found.policy_aliases[policy_name(config)]
+    make: Callable[..., BasePolicy] = found.policy_aliases[policy_name(config)]
     space, actions = config.task.observation_space(), config.task.action_space()
     keywords = policy_keywords(config) | ({} if learns else {"optimizer_class": NoOptimizer})
-    policy: BasePolicy = make(space, actions, learning_rate, **keywords)
-    return policy
+    return make(space, actions, learning_rate, **keywords)
 
 
-def greedy(
-    policy: BasePolicy, observations: NDArray[Any], turned: Sequence[int] | None = None
-) -> NDArray[np.int64]:
+def greedy(policy: BasePolicy, observations: Frame, turned: Sequence[int] | None = None) -> NDArray[np.int64]:
     """The best actions (n,) for observations (n, ...); with the actions' mirror images `turned`, rated both ways."""
     if not isinstance(policy, DQNPolicy):
         return np.asarray(policy.predict(observations, deterministic=True)[0])
@@ -145,7 +143,7 @@ def action_values(policy: DQNPolicy, seen: th.Tensor, turned: Sequence[int] | No
 
 
 def action_ratings(
-    policy: BasePolicy, observations: NDArray[Any], turned: Sequence[int] | None = None
+    policy: BasePolicy, observations: Frame, turned: Sequence[int] | None = None
 ) -> tuple[str, NDArray[np.float64]]:
     """How a policy rates its actions (n, actions), and what the numbers are: DQN's values, others' probabilities."""
     seen = th.from_numpy(observations).to(policy.device)

@@ -17,7 +17,9 @@ from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 from uavaccel.rl.algorithms import baseline_class, policy_keywords, policy_name
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import Lanes
@@ -104,9 +106,9 @@ class Baseline:
         return 1.0 - self.games / self.config.games
 
     def _watch(self, method: str, phase: str) -> None:
-        work: Callable[..., Any] = getattr(self.algorithm, method)
+        work: Callable[..., object] = getattr(self.algorithm, method)
 
-        def watched(*arguments: Any, **keywords: Any) -> Any:
+        def watched(*arguments: object, **keywords: object) -> object:
             with self.stopwatch.phase(phase):
                 return work(*arguments, **keywords)
 
@@ -122,12 +124,12 @@ class Baseline:
             "optimizer": model.policy.optimizer.state_dict(),
             "torch": th.get_rng_state(),
         }
-        counters: dict[str, Any] = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
+        counters: dict[str, Plain] = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
         counters |= {"returns": self.returns, "games": self.games}
         counters["random"] = plain_generator(np.random.mtrand._rand)
         return LearnerState(tensors, self._buffer_state(), counters)
 
-    def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
+    def set_state(self, state: LearnerState, observations: Frame) -> None:
         """Take what `get_state` gave, and what the lanes show."""
         model: Any = self.algorithm
         model.policy.load_state_dict(state.tensors["policy"])
@@ -142,7 +144,7 @@ class Baseline:
         th.set_rng_state(state.tensors["torch"].cpu())
         self._begun = True
 
-    def _buffer_state(self) -> dict[str, NDArray[Any]]:
+    def _buffer_state(self) -> dict[str, NDArray[np.generic]]:
         buffer = getattr(self.algorithm, "replay_buffer", None)
         if buffer is None:
             return {}
@@ -150,7 +152,7 @@ class Baseline:
         arrays = {name: getattr(buffer, name)[:filled] for name in BUFFER}
         return arrays | {"place": np.array([buffer.pos, buffer.full])}
 
-    def _set_buffer(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def _set_buffer(self, arrays: dict[str, NDArray[np.generic]]) -> None:
         buffer = getattr(self.algorithm, "replay_buffer", None)
         if buffer is None:
             return

@@ -13,14 +13,14 @@ import zipfile
 import zlib
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError, naming
-from uavaccel.files import replacing
+from uavaccel.files import Plain, replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.saved import State, part, under
@@ -102,9 +102,9 @@ def _put_back(checkpoint: Path, learner: Learner) -> None:
         th.cuda.set_rng_state(each.cpu(), device)
 
 
-def _plain(checkpoint: Path) -> dict[str, Any]:
+def _plain(checkpoint: Path) -> dict[str, Plain]:
     try:
-        plain: dict[str, Any] = json.loads((checkpoint / _COMPLETE).read_text(encoding="utf-8"))
+        plain: dict[str, Plain] = json.loads((checkpoint / _COMPLETE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _damaged(checkpoint, error) from error
     return plain
@@ -122,7 +122,7 @@ def _cuda_states() -> list[th.Tensor]:
     return th.cuda.get_rng_state_all() if th.cuda.is_available() else []
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
 
@@ -136,7 +136,7 @@ def _save_games(path: Path, lanes: Lanes) -> None:
         )
 
 
-def _load_games(path: Path, lanes: Lanes) -> NDArray[Any]:
+def _load_games(path: Path, lanes: Lanes) -> Frame:
     """Go on with the games that were under way; what the learner last saw of them, (lanes, ...)."""
     state = _read_arrays(path)
     count = len({name.partition(".")[0] for name in state})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,7 @@ from uavaccel.config import Config
 from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Count
+from uavaccel.files import Plain
 from uavaccel.limits import Cost, Games, Processes, Seed
 
 Channels = Annotated[int, Field(ge=1, le=1_024)]
@@ -31,7 +32,7 @@ class LearnerConfig(Config):
 
     algorithm: str = "double_dqn"
     """double_dqn, or the name of a class of stable-baselines3: dqn, ppo, a2c."""
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: dict[str, Plain] = Field(default_factory=dict)
     """Keywords of that class, over its defaults and, for double_dqn, over those of rl/algorithms.py."""
     final_learning_rate_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02
     """What is left of the learning rate at the last game; it falls linearly over the games, to settle the policy."""

@@ -23,6 +23,8 @@ from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.envs.values import Frame, Info
+from uavaccel.files import Plain
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.config import LearnerConfig
@@ -67,7 +69,7 @@ class DoubleDQN:
         )
         turned = turned_actions(config.task.headings_deg) if config.mirror else None
         self.mirror = None if turned is None else th.tensor(turned, device=self.device)
-        self.observations: NDArray[Any] | None = None
+        self.observations: Frame | None = None
         self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(lanes.num_envs), config.turns)
         self.holding = False
         self._next = 0  # group to take off
@@ -110,7 +112,7 @@ class DoubleDQN:
 
     # --- collect ----------------------------------------------------------------------------------
 
-    def _take_off(self, group: int, observations: NDArray[Any]) -> None:
+    def _take_off(self, group: int, observations: Frame) -> None:
         lanes = self.groups[group]
         charge_learning(self.lanes, self.config, self._charges[group], lanes)
         self._charges[group] = 0
@@ -136,7 +138,7 @@ class DoubleDQN:
         """What to add to a call that is for some lanes; nothing for all of them, which any VecEnv understands."""
         return () if len(self.groups) == 1 else (lanes.tolist(),)
 
-    def _act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+    def _act(self, observations: Frame) -> NDArray[np.int64]:
         with self.stopwatch.phase("inference"):
             unknowing = self.config.start_from is None and self.commands < self.options.learning_starts
             if unknowing or self.random.rand() < self.exploration_rate:
@@ -235,10 +237,10 @@ class DoubleDQN:
     def _keep(
         self,
         lanes: NDArray[np.int64],
-        rewards: Any,
-        seen: NDArray[Any],
-        dones: Any,
-        infos: list[dict[str, Any]],
+        rewards: NDArray[np.float64],
+        seen: Frame,
+        dones: NDArray[np.bool_],
+        infos: list[Info],
     ) -> None:
         """What a group saw, did and brought back, until the last one has landed."""
         assert self.observations is not None
@@ -272,11 +274,11 @@ class DoubleDQN:
             "optimizer": self.policy.optimizer.state_dict(),
             "torch": th.get_rng_state(),
         }
-        counters: dict[str, Any] = {name: getattr(self, name) for name in COUNTERS}
+        counters: dict[str, Plain] = {name: getattr(self, name) for name in COUNTERS}
         counters["random"] = plain_generator(self.random)
         return LearnerState(tensors, self.buffer.get_state(), counters)
 
-    def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
+    def set_state(self, state: LearnerState, observations: Frame) -> None:
         """Take what `get_state` gave, and what the lanes show."""
         self.policy.load_state_dict(state.tensors["policy"])
         self.policy.optimizer.load_state_dict(state.tensors["optimizer"])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+import gymnasium
 import numpy as np
 import torch as th
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
@@ -14,6 +15,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flyable import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.values import Action, Answer, Frame
 
 if TYPE_CHECKING:
     from uavaccel.envs.kernel_batch import KernelBatch
@@ -53,30 +55,32 @@ class BatchVecEnv(VecEnv):
     def close(self) -> None:
         self.batch.close()
 
-    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Answer]:
         if not isinstance(self.batch, EnvironmentBatch) or attr_name == "render_mode":
             # What is asked for first: lanes that are still starting need not answer before a learner is made.
             return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
         return self.env_method(attr_name, indices=indices)
 
-    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: int | Iterable[int] | None = None) -> None:
         assert isinstance(self.batch, EnvironmentBatch), "lanes over arrays have no attributes of their own"
         self.batch.set_each(attr_name, value, list(self._get_indices(indices)))
 
     def env_method(
         self,
         method_name: str,
-        *method_args: Any,
+        *method_args: object,
         indices: int | Iterable[int] | None = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
+        **method_kwargs: object,
+    ) -> list[Answer]:
         if method_kwargs:
             raise TypeError(f"{method_name}: keywords do not travel, pass the arguments by position")
         lanes = list(self._get_indices(indices))
         return self.batch.call_each(method_name, [method_args] * len(lanes), lanes)
 
     def env_is_wrapped(
-        self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
+        self,
+        wrapper_class: type[gymnasium.Wrapper[Frame, Action, Frame, Action]],
+        indices: int | Iterable[int] | None = None,
     ) -> list[bool]:
         return [False for _ in self._get_indices(indices)]
 
@@ -85,9 +89,10 @@ class BatchVecEnv(VecEnv):
 
 
 Lanes = VecEnv  # what a learner flies: step_async, step_wait, env_method
+AnyLanes: TypeAlias = Any  # those, or the lanes of a GPU, on which the learner is too
 
 
-def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", device: str = "cpu") -> Any:
+def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", device: str = "cpu") -> AnyLanes:
     """The environments of a training, whose infos have host times; on a GPU, where the learner is too.
 
     In `wall` the one lane is flown in this process, so that nothing learns beside it and disturbs its clock.
@@ -106,6 +111,6 @@ def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", devi
     return CudaLanes(task, count, th.device(device))
 
 
-def seed_lanes(lanes: Any, seed: int) -> None:
+def seed_lanes(lanes: AnyLanes, seed: int) -> None:
     """Seeds far apart for environments of different trainings, which count up by one from the first."""
     lanes.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.envs.values import Action, Answer, Frame, Info
+from uavaccel.files import Plain
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.lanes import Lanes
+from uavaccel.rl.lanes import AnyLanes, Lanes
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class Game:
 
     number: int
     lane: int
-    info: Mapping[str, Any]
+    info: Info
     reward: float
     exploration_rate: float | None
 
@@ -32,19 +35,21 @@ class LearnerState:
     """All that a learner knows: state dicts of tensors, arrays, and plain values for JSON."""
 
     tensors: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
-    counters: dict[str, Any]
+    arrays: dict[str, NDArray[np.generic]]
+    counters: dict[str, Plain]
 
 
 class SavedLanes(Protocol):
     """What a checkpoint asks of lanes, whoever flies them."""
 
-    action_space: Any
+    action_space: spaces.Space[Action]
 
     @property
     def num_envs(self) -> int: ...
 
-    def env_method(self, name: str, *arguments: Any, indices: Any = None) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: object, indices: int | Iterable[int] | None = None
+    ) -> list[Answer]:
         """`get_state`, or `set_state` with a state, of some lanes (all)."""
         ...
 
@@ -60,7 +65,7 @@ class Learner(Protocol):
     """Whether it is to come to rest soon, for a checkpoint."""
 
     @property
-    def lanes(self) -> Any:
+    def lanes(self) -> AnyLanes:
         """What it flies: `SavedLanes`."""
         ...
 
@@ -89,14 +94,14 @@ class Learner(Protocol):
 
     def get_state(self) -> LearnerState: ...
 
-    def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None: ...
+    def set_state(self, state: LearnerState, observations: Frame) -> None: ...
 
 
 def finished_games(
     learner: Learner,
     rewards: Sequence[float],
     dones: Sequence[bool],
-    infos: Sequence[dict[str, Any]],
+    infos: Sequence[Info],
     lanes: Sequence[int] | None = None,
 ) -> list[Game]:
     """Count the rewards of a step of some lanes (all); the games that ended with it, up to as many as are wanted."""
@@ -137,12 +142,12 @@ def charge_learning(
         lanes.env_method("charge", share_s, "learning", indices=which)
 
 
-def plain_generator(random: np.random.RandomState) -> list[Any]:
+def plain_generator(random: np.random.RandomState) -> list[Plain]:
     """A generator's state, for JSON."""
     name, words, *rest = random.get_state(legacy=True)
     return [name, np.asarray(words).tolist(), *rest]
 
 
-def set_generator(random: np.random.RandomState, state: list[Any]) -> None:
+def set_generator(random: np.random.RandomState, state: list[Plain]) -> None:
     """Put a state of `plain_generator` back."""
     random.set_state((state[0], np.array(state[1], np.uint32), *state[2:]))

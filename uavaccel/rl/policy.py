@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
 
 import numpy as np
 import torch as th
@@ -17,8 +16,9 @@ from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
+from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
-from uavaccel.files import file_sha256, parse_json, replacing, to_json
+from uavaccel.files import Plain, file_sha256, parse_json, replacing, to_json
 from uavaccel.rl.algorithms import OWN, action_ratings, baseline_class, greedy, make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.mirror import turned_actions
@@ -37,13 +37,13 @@ class Policy:
 
     network: BasePolicy
     config: LearnerConfig
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Plain]
 
-    def act(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+    def act(self, observations: Frame) -> NDArray[np.int64]:
         """Actions (n,) for observations (n, ...)."""
         return greedy(self.network, observations, self.turned)
 
-    def rate(self, observations: NDArray[Any]) -> tuple[str, NDArray[np.float64]]:
+    def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
         """What its ratings are, and those of all actions (n, actions) for observations (n, ...)."""
         return action_ratings(self.network, observations, self.turned)
 
@@ -63,7 +63,7 @@ def weights_sha256(policy: BasePolicy) -> str:
 
 
 def export_policy(
-    folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Any]
+    folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]
 ) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
     weights = {
@@ -86,10 +86,10 @@ def export_policy(
         file.write((to_json(manifest, indent=2) + "\n").encode())
 
 
-def trained_with(folder: Path) -> Mapping[str, Any]:
+def trained_with(folder: Path) -> Mapping[str, Plain]:
     """What its manifest says about a policy's training; nothing where there is no policy."""
     try:
-        trained: Mapping[str, Any] = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
+        trained: Mapping[str, Plain] = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
     except (OSError, ValueError, KeyError, TypeError):
         return {}
     return trained
@@ -134,7 +134,7 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
     return Policy(network, config, manifest)
 
 
-def _read_manifest(path: Path) -> Mapping[str, Any]:
+def _read_manifest(path: Path) -> Mapping[str, Plain]:
     try:
         manifest = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
     except OSError as error:
@@ -150,7 +150,7 @@ def _read_manifest(path: Path) -> Mapping[str, Any]:
     return manifest
 
 
-def _read_weights(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, th.Tensor]:
+def _read_weights(path: Path, manifest: Mapping[str, Plain]) -> Mapping[str, th.Tensor]:
     """The tensors in a file. Raises UserError if it is not the one that the manifest means."""
     wanted = manifest.get("weights_file_sha256")
     if wanted is not None and file_sha256(path) != wanted:
@@ -173,7 +173,7 @@ def _read_weights(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, th.Te
     return weights
 
 
-def _is_weight(item: tuple[Any, Any]) -> bool:
+def _is_weight(item: tuple[object, object]) -> bool:
     return isinstance(item[0], str) and isinstance(item[1], th.Tensor)
 
 

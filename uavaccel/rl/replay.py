@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+
+from uavaccel.envs.values import Frame
 
 
 class Batch(NamedTuple):
@@ -23,15 +25,15 @@ class Batch(NamedTuple):
 class Row(NamedTuple):
     """One command of every lane, as the replay buffer takes it; filled group by group."""
 
-    observations: NDArray[Any]
+    observations: Frame
     actions: NDArray[np.int64]
     rewards: NDArray[np.float64]
-    after: NDArray[Any]
+    after: Frame
     dones: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
 
     @classmethod
-    def like(cls, observations: NDArray[Any]) -> Row:
+    def like(cls, observations: Frame) -> Row:
         """An empty one for observations (lanes, ...)."""
         lanes = len(observations)
         return cls(
@@ -72,7 +74,7 @@ class ReplayBuffer:
         self,
         observations: NDArray[np.generic],
         actions: NDArray[np.int64],
-        rewards: NDArray[np.floating[Any]],
+        rewards: NDArray[np.floating],
         next_observations: NDArray[np.generic],
         dones: NDArray[np.bool_],
         truncated: NDArray[np.bool_],

@@ -10,12 +10,12 @@ class DeferredReply:
     """A reply that is not yet due: `join` of a command, or a continue-for."""
 
     def __init__(self) -> None:
-        self.value: Any = None
-        self.encode: Callable[[Any], Any] = lambda value: value  # as the wire wants it
+        self.value: object = None
+        self.encode: Callable[[Any], object] = lambda value: value  # as the wire wants it
         self.due_wall_ns: int | None = None
         self.on_due: Callable[[DeferredReply], None] | None = None
 
-    def resolve(self, value: Any, wall_ns: int) -> None:
+    def resolve(self, value: object, wall_ns: int) -> None:
         """Fix the reply and the wall time before which it may not leave."""
         self.value, self.due_wall_ns = value, wall_ns
         if self.on_due is not None:

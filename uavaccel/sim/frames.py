@@ -9,13 +9,12 @@ an image of a paused game shows the pose of the last tick before the pause.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import mujoco
 
-from uavaccel.sim.saved import State
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.units import ceil_div
 
 
@@ -62,7 +61,7 @@ class Frames:
         """The pose that is shown; empty where nothing has been shown yet."""
         return {"shown": [] if self._shown is None else self._shown.qpos.tolist()}
 
-    def set_state(self, state: Mapping[str, Any], data: mujoco.MjData) -> None:
+    def set_state(self, state: SavedState, data: mujoco.MjData) -> None:
         """Back to what `get_state` gave; `data` is of the same scene."""
         self.forget()
         if len(state["shown"]):

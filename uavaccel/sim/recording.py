@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.saved import State, number_or_none, optional
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional
 from uavaccel.units import NS_PER_S
 
 COMMAND_LOG_LENGTH = 1 << 16
@@ -63,7 +62,7 @@ class CommandLog:
         state: State = {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
         return state | {"latest": np.array(self._latest), "dropped": self.dropped}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         self.origin_tick = number_or_none(state["origin_tick"])
         self._ticks = [(int(first), int(last)) for first, last in state["ticks"]]
@@ -97,6 +96,6 @@ class Recording:
             "command_end_s": self._seconds(self.commands[:, 1]),
         }
 
-    def _seconds(self, ticks: NDArray[Any]) -> NDArray[np.float64]:
+    def _seconds(self, ticks: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Ticks as the float nearest to the exact decimal, so that 25 ticks of 2 ms are 0.05."""
         return np.round(ticks * (self.tick_ns / NS_PER_S), 9)

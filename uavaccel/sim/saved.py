@@ -6,22 +6,24 @@ They survive `np.savez` and, with units.plain, JSON; what reads them takes an ar
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-State = dict[str, Any]
+SavedValue: TypeAlias = Any  # a number, a text or an array, or what NumPy and JSON read one back as
+State = dict[str, SavedValue]
+SavedState = Mapping[str, SavedValue]
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
-def under(name: str, state: Mapping[str, Any]) -> State:
+def under(name: str, state: SavedState) -> State:
     """The state of a part, as the whole keeps it."""
     return {f"{name}.{key}": value for key, value in state.items()}
 
 
-def part(name: str, state: Mapping[str, Any]) -> State:
+def part(name: str, state: SavedState) -> State:
     """The inverse of `under`, out of the state of the whole."""
     prefix = f"{name}."
     return {key[len(prefix) :]: value for key, value in state.items() if key.startswith(prefix)}
@@ -32,7 +34,7 @@ def of_record(record: NDArray[np.void]) -> State:
     return {name: record[name][0].copy() for name in record.dtype.names or ()}
 
 
-def into_record(record: NDArray[np.void], state: Mapping[str, Any]) -> None:
+def into_record(record: NDArray[np.void], state: SavedState) -> None:
     """Set the fields of one structured record (1,), in place; what an older state lacks stays as it is."""
     for name in record.dtype.names or ():
         if name in state:
@@ -44,7 +46,7 @@ def optional(number: int | None) -> NDArray[np.int64]:
     return np.array([] if number is None else [number], np.int64)
 
 
-def number_or_none(array: Any) -> int | None:
+def number_or_none(array: ArrayLike) -> int | None:
     """The inverse of `optional`; a bare number is itself."""
     found = np.ravel(array)
     return int(found[0]) if len(found) else None

@@ -8,10 +8,9 @@ next tick; whatever ends at tick n is seen by messages before tick n + 1.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
@@ -19,11 +18,12 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.executor import UNBOUND, Executor
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
+from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.saved import State, number_or_none, optional, part, under
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional, part, under
 from uavaccel.sim.vehicle.vehicle import Newcomer
-from uavaccel.sim.world import LEVEL, FlightError, World
+from uavaccel.sim.world import FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
 MOST_CATCH_UP_TICKS = 5_000  # flown at once to make good what is behind, of one vehicle: some 30 ms
@@ -353,7 +353,7 @@ class Simulation:
             state |= under(f"pilots.{pilot.vehicle.name}", kept)
         return state | under("frames", self.frames.get_state()) | under("world", self.world.get_state())
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
         self.world.set_state(part("world", state))
         self.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), self.profile.tick_ns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import State, into_physics, of_physics, part, under
+from uavaccel.sim.saved import SavedState, State, into_physics, of_physics, part, under
 from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.scene.model import load_scene, scene_path
 from uavaccel.sim.scene.objects import take_over
@@ -371,7 +371,7 @@ class World:
             state |= under(f"vehicles.{vehicle.name}", vehicle.get_state())
         return state | (under("lane", vars(self.lane)) if self.lane else {})
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
         saved = sorted({key.split(".")[1] for key in state if key.startswith("vehicles.")})
         for name, found, own in (

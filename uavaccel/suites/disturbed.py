@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Literal
 
-from uavaccel.suites.report import Row
+from uavaccel.envs.values import Info
+from uavaccel.suites.report import Disturbances, GameRow, Row
 from uavaccel.units import NS_PER_S
 
-KEYS = ("lost_wall_s", "stalled_wall_s", "restarts")
-"""Wall time that the simulation could not make good; for which the server did not answer; servers started again."""
+KEYS: tuple[Literal["lost_wall_s", "stalled_wall_s", "restarts"], ...] = (
+    "lost_wall_s",
+    "stalled_wall_s",
+    "restarts",
+)
 
 
-def disturbances(row: Row, restarts: int = 0) -> dict[str, Any]:
-    """What the row of a `wall` game has to say about it: nothing where all went well."""
-    found = {"restarts": restarts} if restarts else {}
+def disturbances(row: Row, restarts: int = 0) -> Disturbances:
+    """The entries of a `wall` game's row that say that it was disturbed; none where it was not."""
+    found: Disturbances = {"restarts": restarts} if restarts else {}
     if found or any(row.get(key) for key in KEYS):
         found["disturbed"] = True
     return found
 
 
-def measured_disturbances(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of an environment's last info that it has."""
-    return {key: info[key] for key in KEYS if info.get(key)}
+def note_disturbances(row: GameRow, info: Info) -> None:
+    """Enter into a game's row the disturbances that its last info reports."""
+    for key in KEYS:
+        if found := info.get(key):
+            row[key] = found
 
 
-def stalls(stalled_ns: int) -> dict[str, float]:
-    """A row's entry for a server that did not answer for so long; none where it always did."""
-    return {"stalled_wall_s": stalled_ns / NS_PER_S} if stalled_ns else {}
+def note_stalls(row: GameRow, stalled_ns: int) -> None:
+    """Enter into a game's row for how long the server did not answer, unless it always did."""
+    if stalled_ns:
+        row["stalled_wall_s"] = stalled_ns / NS_PER_S
 
 
 def disturbed_games(rows: Sequence[Row]) -> int:

@@ -10,15 +10,16 @@ import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
 
 from joblib import Parallel, parallel_config
 
 from uavaccel.errors import UsageError, UserError
+from uavaccel.suites.suite import GameResult
 
 LOKY = "loky"
 PACKAGES = {"ray": "ray", "dask": "distributed"}
 ENGINES = (LOKY, *PACKAGES)
+Delayed = tuple[Callable[..., GameResult], tuple[object, ...], dict[str, object]]  # joblib's
 AHEAD = 2  # times the games that all workers together are handed at once
 
 
@@ -31,7 +32,7 @@ def check_engine(engine: str) -> None:
         raise UserError(f"--engine {engine}: needs the package {package}: pip install 'uavaccel[{engine}]'")
 
 
-def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Any]) -> Iterator[Any]:
+def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Delayed]) -> Iterator[GameResult]:
     """The results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
     Raises UserError where a worker is lost.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator
 
 from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
+from uavaccel.files import Plain
 from uavaccel.limits import CLOCK_SPEEDS, Cost, Seed
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
@@ -30,10 +31,10 @@ def within(values: tuple[float, ...], least: float, most: float) -> tuple[float,
     return distinct(values)
 
 
-Values = TypeVar("Values", bound=tuple[Any, ...])
+Distinct = TypeVar("Distinct", bound=tuple[float | str, ...])
 
 
-def distinct(values: Values) -> Values:
+def distinct(values: Distinct) -> Distinct:
     """The values. Raises ValueError unless there is one, and they differ in the six digits that name a game."""
     if not values:
         raise ValueError("needs at least one value")
@@ -82,7 +83,7 @@ def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> 
 ExperimentType = TypeVar("ExperimentType", bound=Experiment)
 
 
-def read_mapping(name: str) -> tuple[dict[str, Any], str]:
+def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     """The mapping of an experiment that ships ("dp1") or of a YAML file of one's own, and what to call it."""
     if is_file(name):
         return load_yaml(Path(name)), name
@@ -95,8 +96,8 @@ def is_file(name: str) -> bool:
 
 
 def merged(
-    mapping: Mapping[str, Any], options: Mapping[str, Any], overrides: Iterable[str] = ()
-) -> dict[str, Any]:
+    mapping: Mapping[str, object], options: Mapping[str, object], overrides: Iterable[str] = ()
+) -> dict[str, Plain]:
     """A YAML's mapping with options by dotted key in it, then each "dotted.key=value" of --set. Raises UserError."""
     result = copy.deepcopy(dict(mapping))
     for key, value in options.items():
@@ -106,9 +107,9 @@ def merged(
 
 def resolve(
     cls: type[ExperimentType],
-    mapping: Mapping[str, Any],
+    mapping: Mapping[str, object],
     source: str,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, object] | None = None,
     overrides: Iterable[str] = (),
 ) -> ExperimentType:
     """The configuration: YAML, then options by dotted key, then --set. Raises UserError."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
 from uavaccel.config import Config
+from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite
@@ -21,7 +21,7 @@ class Part(Config):
 
     experiment: str
     """Of the experiments that ship, or a YAML file's name."""
-    keys: dict[str, Any] = Field(default_factory=dict)
+    keys: dict[str, Plain] = Field(default_factory=dict)
     """By dotted key, as --set takes them."""
 
 

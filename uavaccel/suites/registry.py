@@ -6,7 +6,6 @@ import sys
 from importlib import import_module
 from inspect import getattr_static
 from pathlib import Path
-from typing import Any
 
 from uavaccel.errors import UserError, suggestion
 from uavaccel.records import RunDirectory
@@ -28,7 +27,7 @@ SUITES = {
 }
 
 
-def find_suite(name: Any, source: str, folder: Path | None = None) -> AnySuite:
+def find_suite(name: object, source: str, folder: Path | None = None) -> AnySuite:
     """The suite of that name. One of one's own, "module:name", is looked for in `folder` and the working directory.
 
     Raises UserError, naming `source`, if there is none.

@@ -5,18 +5,57 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 from numpy.typing import NDArray
 
 from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, or_dash, to_html, to_markdown
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
 
-Row = Mapping[str, Any]
-"""A finished game, or a whole part, as rows.jsonl has it."""
-Summary = Mapping[str, Any]
-SummaryCell = Mapping[str, Any]
+Row = Mapping[str, Plain]
+"""A finished game, or a whole part, as rows.jsonl has it; a suite may have a `GameRow` of its own."""
+
+
+class Disturbances(TypedDict, total=False):
+    """What kept a game on the machine's own clock from running as it should: keys that its row has only then."""
+
+    lost_wall_s: float
+    """Wall time that the simulation could not make good."""
+    stalled_wall_s: float
+    """Wall time for which the server did not answer."""
+    restarts: int
+    """Servers that were started again."""
+    disturbed: bool
+
+
+class GameRow(Disturbances):
+    """The keys that the row of a game has in every suite."""
+
+    suite: str
+    case: str
+    arrays: NotRequired[str]
+    arrays_sha256: NotRequired[str]
+
+
+class LaneRow(GameRow):
+    """What is kept of a game in the obstacle lane, in a training as in an evaluation."""
+
+    is_success: bool
+    distance_m: float
+    collision: str | None
+    lane: int
+    commands: int
+    phase_s: dict[str, float]
+    sim_time_s: float
+    conditions: NotRequired[Mapping[str, float]]
+
+
+Summary = Mapping[str, Plain]
+Values = dict[str, Plain]
+"""A row or a summary that is being made."""
+SummaryCell = Mapping[str, Plain]
 """An entry of a summary: the games of one setting, in numbers."""
 Arrays = Mapping[str, NDArray[Any]]
 LoadArrays = Callable[[Row], Arrays]
@@ -38,7 +77,7 @@ class Report(ABC):
         """Raises UserError if the run has no finished game of that suite."""
         self.run = run
         self.config = run.config()
-        self.rows = [row for row in run.rows() if row.get("suite") == suite]
+        self.rows: list[Plain] = [row for row in run.rows() if row.get("suite") == suite]
         if not self.rows:
             raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game of {suite}")
 
@@ -99,6 +138,6 @@ def summary_table(summary: Summary) -> Table:
     return Table(("", ""), plain, folded="summary.json")
 
 
-def listed(values: Sequence[Any]) -> str:
+def listed(values: Sequence[object]) -> str:
     """1, 2, 3."""
     return ", ".join(str(value) for value in values)

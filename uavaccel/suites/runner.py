@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -27,7 +26,7 @@ from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
-from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame
+from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
 from uavaccel.wire.server_watch import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in one game
@@ -57,7 +56,7 @@ def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
         seen.add(name)
 
 
-def _check_result(suite: AnySuite, case: Case, game: Any) -> None:
+def _check_result(suite: AnySuite, case: Case, game: object) -> None:
     """Raises UserError for what a suite of one's own flew, where that is no game's result."""
     where = f"{suite.name}: fly of {case.id}"
     if not isinstance(game, GameResult):
@@ -71,7 +70,7 @@ def _check_result(suite: AnySuite, case: Case, game: Any) -> None:
 
 
 def begin_run(
-    suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, Any], resume: bool = False
+    suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
     folder = own_folder(suite)  # where a report finds the suite again, from whatever folder it is asked for
@@ -132,13 +131,14 @@ def _fly(
         alone = timing == "wall" or (jobs == 1 and engine == LOKY)
         fly_all = _fly_one_by_one if alone else _fly_in_parallel if engine == LOKY else _fly_on_cluster
         for case, game in zip(group, fly_all(suite, config, group, run, jobs, engine), strict=True):
+            row = dict(game.row)
             if timing == "wall":
-                game.row.update(disturbances(game.row, restarts.get(case.id, 0)))
+                row |= disturbances(row, restarts.get(case.id, 0))
             if game.arrays:
-                game.row.update(run.save_arrays(case.id, game.arrays))
-            run.append_row(game.row, on_disk=not game.next_is_ready)
+                row |= run.save_arrays(case.id, game.arrays)
+            run.append_row(row, on_disk=not game.next_is_ready)
             run.append_timing({"case": case.id, **game.host}, on_disk=not game.next_is_ready)
-            on_flown(case, game.row)
+            on_flown(case, row)
 
 
 def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
@@ -193,7 +193,7 @@ def _told_of_dead_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
         ) from None
 
 
-_OPENED: dict[tuple[str, str], tuple[AnySuite, Any]] = {}
+_OPENED: dict[tuple[str, str], tuple[AnySuite, Opened]] = {}
 
 
 def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
@@ -211,7 +211,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
     return fly_case(suite, config, case, opened)
 
 
-def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Any) -> GameResult:
+def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly one case and note the host's time and load, which are never the same twice."""
     game, host = timed(lambda: suite.fly(config, case, opened))
     _check_result(suite, case, game)

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
 from uavaccel.errors import UserError, suggestion
+from uavaccel.files import Plain
 from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
@@ -47,9 +48,9 @@ class Case(Protocol):
 class GameResult:
     """A finished game: its row, its raw samples, and what is never the same twice, for timing.jsonl."""
 
-    row: dict[str, Any]
+    row: Row
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    host: Mapping[str, Any] = field(default_factory=dict)
+    host: Mapping[str, object] = field(default_factory=dict)
     next_is_ready: bool = False
     """Whether the next game has been flown already: this one's row need not be on disk before it is asked for."""
 
@@ -61,8 +62,11 @@ class Cost(NamedTuple):
     disk_bytes: float
 
 
+Opened: TypeAlias = Any  # what a suite's games are flown in
+
 ConfigType = TypeVar("ConfigType", bound=Experiment)
 CaseType = TypeVar("CaseType", bound=Case)
+RowType = TypeVar("RowType", bound=Mapping[str, object])
 
 
 class Suite(ABC, Generic[ConfigType, CaseType]):
@@ -75,7 +79,7 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     """Why its games must be flown one after another in one process; empty where they need not."""
     batch: ClassVar[int] = 4
     """Games that a worker process is handed at once; 1 where each takes minutes."""
-    quick: ClassVar[Mapping[str, Any] | None] = None
+    quick: ClassVar[Mapping[str, object] | None] = None
     """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
 
     @property
@@ -88,11 +92,11 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Every game of a run, in canonical order."""
 
     @abstractmethod
-    def open(self, config: ConfigType, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
+    def open(self, config: ConfigType, timing: str, run: RunDirectory) -> AbstractContextManager[Opened]:
         """What games of that timing are flown in, one process at a time; closed when they are done."""
 
     @abstractmethod
-    def fly(self, config: ConfigType, case: CaseType, opened: Any) -> GameResult:
+    def fly(self, config: ConfigType, case: CaseType, opened: Opened) -> GameResult:
         """Fly one game. Its row has the keys `suite` and `case`; the runner adds the arrays' path."""
 
     def report(self, run: RunDirectory) -> Report:
@@ -129,14 +133,14 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Whether games need OpenGL."""
         return False
 
-    def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
         """A YAML with the keys that it leaves out and that are known from elsewhere. Raises UserError."""
         return mapping
 
     def check(self, config: ConfigType) -> None:
         """Before anything is written: raises UserError for what only looking at other files or classes can tell."""
 
-    def provenance(self, config: ConfigType) -> Mapping[str, Any]:
+    def provenance(self, config: ConfigType) -> Mapping[str, object]:
         """What the manifest has to say beside versions, host and renderer."""
         return {}
 
@@ -173,20 +177,22 @@ def kernels_s(case: Case, device: str, lanes: int) -> float:
     return case.simulated_s() / rate
 
 
-def configuration(suite: AnySuite, mapping: Mapping[str, Any], source: str) -> Any:
+def configuration(
+    suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str
+) -> ConfigType:
     """A suite's checked configuration from a YAML's mapping, what it leaves out completed. Raises UserError."""
     config = resolve(suite.config, suite.complete(mapping), source)
     suite.check(config)
     return config
 
 
-def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[Row]) -> Row:
+def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[RowType]) -> RowType:
     """The row of a case, or without one the most interesting. Raises UserError if there is no such game."""
     if not by_interest:
         raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
     if case is None:
         return by_interest[0]
-    by_name = {row["case"]: row for row in by_interest}
+    by_name = {str(row["case"]): row for row in by_interest}
     if case not in by_name:
         raise UserError(f"--case {case}: not in {run.path}; {suggestion(case, sorted(by_name))}")
     return by_name[case]

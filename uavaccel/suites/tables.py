@@ -10,7 +10,7 @@ import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from uavaccel.files import replacing
 from uavaccel.records import RunDirectory
 from uavaccel.suites.report import Arrays, Row
 
-Columns = dict[str, list[Any] | NDArray[Any]]
+Columns = dict[str, list[object] | NDArray[np.generic]]
 WriteTable = Callable[[Columns, IO[bytes]], None]
 MISSING = "Parquet needs the package pyarrow: pip install 'uavaccel[parquet]'; CSV needs nothing more"
 WIDEST = 64  # numbers per line of an array that becomes columns; images stay in the run
@@ -63,7 +63,7 @@ def row_table(rows: Sequence[Row]) -> Columns:
     return {name: _of_one_kind([line.get(name) for line in flat]) for name in names}
 
 
-def _of_one_kind(values: list[Any]) -> list[Any]:
+def _of_one_kind(values: list[object]) -> list[object]:
     """As they are, or texts where some are and others are none."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) < 2 or kinds <= {int, float}:

@@ -29,6 +29,7 @@ from uavaccel.vision.dvs_sensor import (
 )
 
 __all__ = [
+    "HOT_RATE_HZ",
     "PRESETS",
     "DvsParameters",
     "DvsSensor",

@@ -9,18 +9,15 @@ A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixe
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.parts import njit, part
 from uavaccel.vision.rounding import times
 
 ONE = np.float32(1.0)
 
-Float = Any  # float32, or float64 after a low-pass
+Float = float | np.float32  # float64 after a low-pass
 Floats = NDArray[np.floating]
 Counts = NDArray[np.int32]
 Frame = NDArray[np.uint8]
@@ -85,7 +82,7 @@ def count_double_pixel(log: float, base: float, positive: float, negative: float
 
 
 @part(error_model="numpy")
-def advanced(base: Float, signed: Any, positive: Float, negative: Float) -> Float:
+def advanced(base: Float, signed: int | np.int32, positive: Float, negative: Float) -> Float:
     """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
 
     v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.

@@ -148,4 +148,5 @@ def sensor_from_maps(
 def _thresholds(nominal: float, sigma: float, normal: NDArray[np.float32]) -> Floats:
     if sigma == 0:  # a plain number in v2e: rounded only where it meets a float32
         return np.full(normal.shape, nominal)
-    return np.maximum(np.float32(nominal) + np.float32(sigma) * normal, MIN_THRESHOLD)
+    spread: Floats = np.maximum(np.float32(nominal) + np.float32(sigma) * normal, MIN_THRESHOLD)
+    return spread

@@ -71,10 +71,10 @@ class EventCounter:
         taken, self._events = self._events, None if self._events is None else []
         return np.concatenate([NO_EVENTS, *(taken or [])])
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, object]:
         """All but the listed events, for np.savez."""
         assert self._state is not None
-        state = {"start_ns": self._start_ns, **self._state._asdict()}
+        state: dict[str, object] = {"start_ns": self._start_ns, **self._state._asdict()}
         if self._counts is not None:
             state |= {"on": self._counts[0], "off": self._counts[1], "seen_ns": self._seen_ns}
         return state

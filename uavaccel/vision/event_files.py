@@ -8,7 +8,7 @@ first event at m milliseconds or later, counted without the offset. `width` and 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def write_events(path: Path, events: NDArray[np.floating], height: int, width: i
 def _write_dsec(path: Path, columns: EventColumns, height: int, width: int) -> None:
     import h5py  # what writes no events needs it not
 
-    packed: dict[str, Any] = {"compression": "gzip", "shuffle": True} if len(columns.t) else {}
+    packed: dict[str, str | bool] = {"compression": "gzip", "shuffle": True} if len(columns.t) else {}
     with replacing(path) as file, h5py.File(file, "w") as events:
         for name, values in columns._asdict().items():
             events.create_dataset(f"events/{name}", data=values, **packed)

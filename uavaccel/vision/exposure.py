@@ -36,4 +36,5 @@ class AutoExposure:
         passed_s = (ran_ns - self._last_ns) / NS_PER_S
         step = np.clip(wanted - self.stops, -DOWN_STOPS_PER_S * passed_s, UP_STOPS_PER_S * passed_s)
         self.stops, self._last_ns = self.stops + float(step), ran_ns
-        return np.clip(np.round(image * 2.0**self.stops), 0, 255).astype(np.uint8)
+        exposed: NDArray[np.float64] = np.clip(np.round(image * 2.0**self.stops), 0, 255)
+        return exposed.astype(np.uint8)

@@ -3,11 +3,11 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.files import Plain
 from uavaccel.vision.guard import GuardSettings, GuardState, Verdict, acquire
 from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
 
@@ -26,14 +26,14 @@ class _Tally:
     def share_passed(self, kind: PerturbationKind | None) -> float | None:
         return self.passed[kind] / self.sent[kind] if self.sent[kind] else None
 
-    def of_kind(self, kind: PerturbationKind) -> dict[str, Any]:
+    def of_kind(self, kind: PerturbationKind) -> dict[str, Plain]:
         return {
             "sent": self.sent[kind],
             "passed": self.passed[kind],
             "share_passed": self.share_passed(kind),
         }
 
-    def summary(self, kinds: Sequence[PerturbationKind]) -> dict[str, Any]:
+    def summary(self, kinds: Sequence[PerturbationKind]) -> dict[str, Plain]:
         images = sum(self.passed.values())
         return {
             "by_kind": {str(kind): self.of_kind(kind) for kind in kinds},
@@ -50,7 +50,7 @@ def guard_study(
     seed: int,
     guard: GuardSettings | None = None,
     kinds: tuple[PerturbationKind, ...] = tuple(PerturbationKind),
-) -> dict[str, Any]:
+) -> dict[str, Plain]:
     """Send consecutive images, uint8 (H, W, 3), through the guard, a `share` of them perturbed (MODELLED).
 
     The scene is static while an image is requested again; each request may be perturbed anew. The result,

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.parts import njit, part
 
 LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # what is drawn: streams of their own
 PIXELS = 4  # of a block
@@ -24,12 +23,13 @@ _ROUNDS = 10
 _HALF = np.uint64(8)  # bits that a float32 between 0 and 1 leaves over
 _STEP_32, _STEP_24 = 2.0**-32, np.float32(2.0**-24)
 
+Word = int | np.uint64
 Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 
 @part
-def words(seed: int, frame: int, stream: int, block: int) -> Words:
+def words(seed: Word, frame: Word, stream: int, block: int) -> Words:
     """Four random words of 32 bits."""
     a, b = np.uint64(block) & _LOW, np.uint64(frame) & _LOW
     c, d = np.uint64(frame) >> _WORD, np.uint64(stream)
@@ -42,7 +42,7 @@ def words(seed: int, frame: int, stream: int, block: int) -> Words:
 
 
 @part
-def uniform_block(seed: int, frame: int, stream: int, block: int) -> Four:
+def uniform_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
     """Four numbers of [0, 1)."""
     a, b, c, d = words(seed, frame, stream, block)
     return (
@@ -54,7 +54,7 @@ def uniform_block(seed: int, frame: int, stream: int, block: int) -> Four:
 
 
 @part
-def normal_block(seed: int, frame: int, stream: int, block: int) -> Four:
+def normal_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
     """Four numbers of the standard normal distribution, by Box and Muller in double precision."""
     a, b, c, d = words(seed, frame, stream, block)
     near = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP_32))
@@ -69,7 +69,7 @@ def normal_block(seed: int, frame: int, stream: int, block: int) -> Four:
 
 
 @njit(nogil=True, cache=True)
-def fill_uniform(out: NDArray[np.float32], seed: int, frame: int, stream: int) -> None:
+def fill_uniform(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) -> None:
     """Fill an array (n,) from the first block on."""
     for first in range(0, len(out), PIXELS):
         four = uniform_block(seed, frame, stream, first // PIXELS)
@@ -78,7 +78,7 @@ def fill_uniform(out: NDArray[np.float32], seed: int, frame: int, stream: int) -
 
 
 @njit(nogil=True, cache=True)
-def fill_normal(out: NDArray[np.float32], seed: int, frame: int, stream: int) -> None:
+def fill_normal(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) -> None:
     """Fill an array (n,) from the first block on."""
     for first in range(0, len(out), PIXELS):
         four = normal_block(seed, frame, stream, first // PIXELS)

@@ -1,8 +1,9 @@
 """The policy network's view of the DVS: an event image small enough to learn from."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from uavaccel.parts import njit
 
 BLOCK_SIDE = 4  # pixels; each block is summed into one
 NEUTRAL_LEVEL = 128  # grey level for as many ON as OFF events

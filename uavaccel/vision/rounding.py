@@ -6,12 +6,15 @@ at hand `uavaccel.kernels.cuda` gives `times` its meaning there.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
+import numpy as np
 from numba.extending import overload
 
+Real = TypeVar("Real", float, np.float32)
 
-def times(a: Any, b: Any) -> Any:
+
+def times(a: Real, b: Real) -> Real:
     """a * b."""
     return a * b
 

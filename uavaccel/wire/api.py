@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
@@ -26,6 +25,7 @@ from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.recording_api import RecordingApi
 from uavaccel.wire.refusals import Refusals
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
@@ -77,7 +77,7 @@ class Api:
         for group in GROUPS:
             self.methods |= group(self._context).bound()
 
-    def call(self, method: str, params: Sequence[object], wall_ns: int) -> Any:
+    def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
         """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation has to be advanced to `wall_ns` before.
@@ -96,7 +96,7 @@ class Api:
         except Exception as error:  # costs the caller its call and nobody else
             raise self._failed(method, params, error) from error
 
-    def begin(self, method: str, params: Sequence[object], wall_ns: int) -> Any:
+    def begin(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
         """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
         bound = self.methods.get(method)
         if bound is None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar, get_origin
+from typing import Annotated, TypeVar, get_origin
 
 from uavaccel.kinematics import Vector
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.bounds import LONGEST_NAME, STRONGEST_WIND_M_S
 from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.vehicle.goal import Yaw
+from uavaccel.wire.rpc import Received
 
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # a place that physics still resolves
@@ -95,7 +96,7 @@ def place(value: object, name: str) -> Vector:
     return x, y, z
 
 
-def vector(value: Any, name: str) -> Vector:
+def vector(value: Received, name: str) -> Vector:
     """A Vector3r of finite numbers."""
     try:
         x, y, z = (number(value[key], f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
@@ -104,7 +105,7 @@ def vector(value: Any, name: str) -> Vector:
     return x, y, z
 
 
-def pose(value: Any, name: str) -> Pose:
+def pose(value: Received, name: str) -> Pose:
     """A Pose, its orientation of length 1; NaN is allowed."""
     try:
         position, orientation = value["position"], value["orientation"]
@@ -130,7 +131,7 @@ def finite_pose(value: object, name: str) -> Pose:
     return finite(pose(value, name))
 
 
-def geo_point(value: Any, name: str) -> GeoPoint:
+def geo_point(value: Received, name: str) -> GeoPoint:
     """A GeoPoint on the Earth."""
     try:
         latitude, longitude, altitude = (

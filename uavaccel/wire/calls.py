@@ -14,7 +14,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import ClassVar, TypeVar, get_type_hints
 
 from uavaccel.wire.arguments import coercion_of
 from uavaccel.wire.latency import DEFAULT, Channel
@@ -141,4 +141,4 @@ class BoundCall:
     """A call and the method of one simulation's `Calls` that answers it."""
 
     call: WireCall
-    handler: Callable[..., Any]
+    handler: Callable[..., object]

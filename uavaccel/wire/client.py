@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.camera.view import AnyImage
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.game_api import decode_state
+from uavaccel.wire.game_api import Collision, SpeedReport, decode_state
 from uavaccel.wire.image_api import decode_image
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.transport import Call, Transport
 
 START_HEIGHT_M = -10.0  # NED z: 10 m up
@@ -30,7 +30,7 @@ class Client:
         self.transport = transport
         self.clock_speed = float(clock_speed)
 
-    def call(self, method: str, *params: object) -> Any:
+    def call(self, method: str, *params: object) -> Received:
         """Call any method of the wire and wait for its result."""
         call = self.transport.send(method, params, blocking=True)
         self.transport.wait(call)
@@ -94,23 +94,22 @@ class Client:
         """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
         self.call("uavaccelSetLane", lane)
 
-    def image(self, kind: str) -> NDArray[Any]:
+    def image(self, kind: str) -> AnyImage:
         """The front camera's picture of this moment: gray, colour, depth or segmentation; 144 rows of 256 pixels.
 
         A known state stays known.
         """
         return decode_image(self.call("uavaccelImage", kind))
 
-    def collision(self) -> dict[str, Any]:
-        """What the vehicle has touched since the game's start: time_ns, object, position_m; empty if nothing.
+    def collision(self) -> Collision | None:
+        """What the vehicle has first touched since the game's start. A known state stays known."""
+        collision: Collision | None = self.call("uavaccelCollision") or None
+        return collision
 
-        A known state stays known.
-        """
-        return dict(self.call("uavaccelCollision"))
-
-    def speed(self) -> dict[str, Any]:
+    def speed(self) -> SpeedReport:
         """Requested and achieved speed since the game's start."""
-        return dict(self.call("uavaccelSpeed"))
+        speed: SpeedReport = self.call("uavaccelSpeed")
+        return speed
 
     def recording(self) -> Recording:
         """The game's samples and command log so far."""

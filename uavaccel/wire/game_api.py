@@ -5,8 +5,7 @@ A state on the wire is a flat list of numbers (`encode_state`), smaller and pack
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
@@ -14,6 +13,7 @@ from uavaccel.sim.world import START_M
 from uavaccel.wire.arguments import Coordinate, number
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.image_api import lane_layout
+from uavaccel.wire.rpc import Received
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
@@ -34,6 +34,25 @@ def clock_speed(value: object, name: str) -> float:
 
 
 ClockSpeed = Annotated[float, clock_speed]
+
+
+class Collision(TypedDict):
+    """The first touch of a game: simulated ns and NED."""
+
+    time_ns: int
+    object: str
+    position_m: list[float]
+
+
+class SpeedReport(TypedDict):
+    """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
+
+    clock_speed: float
+    real_time_factor: float
+    simulated_ns: int
+    wall_ns: int
+    lost_wall_ns: int
+    failure: str | None
 
 
 class GameApi(Calls, title="Games"):
@@ -76,7 +95,7 @@ class GameApi(Calls, title="Games"):
             self.scenery.forget()
 
     @call("uavaccelCollision", leaves_state=True)
-    def collision(self) -> dict[str, object]:
+    def collision(self) -> Collision | dict[str, object]:
         """When, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
         touch = world.lead.touches.first
@@ -89,7 +108,7 @@ class GameApi(Calls, title="Games"):
         }
 
     @call("uavaccelSpeed", leaves_state=True)
-    def speed(self) -> dict[str, object]:
+    def speed(self) -> SpeedReport:
         """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
         speed = self.simulation.speed
         return {
@@ -136,7 +155,7 @@ def encode_state(kinematics: Kinematics) -> list[float]:
     ]
 
 
-def decode_state(numbers: Sequence[Any]) -> Kinematics:
+def decode_state(numbers: Received) -> Kinematics:
     """The inverse of `encode_state`."""
     n = tuple(numbers)
     return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])

@@ -8,14 +8,13 @@ uncompressed images as blue, green, red bytes, compressed ones as PNG, float ima
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
@@ -25,6 +24,7 @@ from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import Pixels, png
 from uavaccel.wire.pictures import Scene, known_type
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.steps import Steps
 
 MOST_IMAGES = 64  # of one call
@@ -63,7 +63,7 @@ class ImageApi(Calls, title="Cameras and images"):
         if not self.scenery.render:
             raise ValueError("rendering is switched off")
         camera, world = self.simulation.world.camera(WIDTH, HEIGHT), self.simulation.world
-        image: NDArray[Any] = getattr(camera, str(kind))(self.simulation.frames.scene(world.data))
+        image: AnyImage = getattr(camera, str(kind))(self.simulation.frames.scene(world.data))
         return {"shape": list(image.shape), "dtype": image.dtype.str, "data": image.tobytes()}
 
     @call("simGetImages", "image")
@@ -153,6 +153,7 @@ def lane_layout(lane: object) -> LaneLayout:
     return draw_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
 
 
-def decode_image(reply: Mapping[str, Any]) -> NDArray[Any]:
+def decode_image(reply: Received) -> AnyImage:
     """The picture in a `raw_image` reply."""
-    return np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
+    image: AnyImage = np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
+    return image

@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 import zlib
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
@@ -23,7 +23,7 @@ from uavaccel.config import Config, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
-from uavaccel.sim.saved import State, number_or_none, optional, part, under
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional, part, under
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
@@ -44,11 +44,11 @@ Numbers = Annotated[
 ]
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _row(value: Any) -> Any:
+def _row(value: object) -> object:
     if _is_number(value):
         raise ValueError("a factor needs the model that ships: leave out `quantiles` and rows of one's own")
     return tuple(value) if isinstance(value, list) else value
@@ -108,7 +108,7 @@ class LatencyConfig(Config):
 
     @field_validator("request_us", "reply_us", "issue_us", "timer_us")
     @classmethod
-    def _fit_the_quantiles(cls, value: Any, info: ValidationInfo) -> Any:
+    def _fit_the_quantiles(cls, value: Tables, info: ValidationInfo) -> Tables:
         count = len(info.data.get("quantiles", ()))
         for table in value.values() if isinstance(value, dict) else [value]:
             if count and len(table) != count:
@@ -131,9 +131,9 @@ def shipped_latency(profile: str = "native") -> LatencyConfig:
     return read_latency(experiment(SHIPPED[profile]))
 
 
-def of_the_profile(fields: dict[str, Any]) -> LatencyConfig:
+def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
     """The model that ships for the profile of a configuration's fields."""
-    return shipped_latency(fields.get("profile", "native"))
+    return shipped_latency(str(fields.get("profile", "native")))
 
 
 def read_latency(path: Path) -> LatencyConfig:
@@ -148,7 +148,7 @@ class _LatencyFile(Config):
     latency: LatencyConfig
 
 
-def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str, Any]:
+def _completed(block: Mapping[str, object], shipped: Mapping[str, object]) -> dict[str, object]:
     """The shipped model's block with the keys of `block` in it, however deep; factors multiply their channel's rows."""
     result = dict(shipped)
     for key, value in block.items():
@@ -159,7 +159,9 @@ def _completed(block: Mapping[str, Any], shipped: Mapping[str, Any]) -> dict[str
     return result
 
 
-def _scaled(direction: str, factors: Mapping[str, float], tables: Mapping[str, Any]) -> dict[str, Any]:
+def _scaled(
+    direction: str, factors: Mapping[str, float], tables: Mapping[str, Sequence[float]]
+) -> dict[str, Sequence[float]]:
     """A direction's rows, those of each channel named times its factor, after any wait unless one is named.
 
     A channel that has no row of its own gets one, of what it was drawn from.
@@ -178,7 +180,7 @@ def _scaled(direction: str, factors: Mapping[str, float], tables: Mapping[str, A
     return result
 
 
-def _changes_what_ships(block: Mapping[str, Any]) -> bool:
+def _changes_what_ships(block: Mapping[str, object]) -> bool:
     """Whether a block has neither quantiles nor rows of its own."""
     rows = [block[direction] for direction in DIRECTIONS if direction in block]
     return "quantiles" not in block and all(
@@ -186,7 +188,7 @@ def _changes_what_ships(block: Mapping[str, Any]) -> bool:
     )
 
 
-def _from_block_or_file(value: Any, info: ValidationInfo) -> Any:
+def _from_block_or_file(value: object, info: ValidationInfo) -> object:
     if isinstance(value, Mapping) and "profile" in info.data and _changes_what_ships(value):
         return _completed(value, of_the_profile(info.data).model_dump(mode="json"))
     if not isinstance(value, str | Path):
@@ -290,7 +292,7 @@ class Latency:
         state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
         return state | under("drawn", {" ".join(key): count for key, count in self._drawn.items()})
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError if these are not the quantiles that it drew from."""
         if str(state["config"]) != self._config.model_dump_json():
             raise UserError("latency: the state was saved with other quantiles; open the session with those")

@@ -89,7 +89,8 @@ class Pictures:
 
     def kept(self) -> NDArray[np.float64]:
         """What there is to see now, to be drawn later."""
-        return self._shown(None).qpos.copy()
+        pose: NDArray[np.float64] = self._shown(None).qpos.copy()
+        return pose
 
     def warm_up(self) -> None:
         """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
@@ -104,10 +105,10 @@ class Pictures:
             return pointed.depth_perspective(scene)
         depth_m = pointed.depth(scene)
         if kind == ImageType.DEPTH_VIS:
-            return np.minimum(depth_m / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
+            depth_m = np.minimum(depth_m / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
         if kind == ImageType.DISPARITY_NORMALIZED:
             half_width = math.tan(math.radians(camera.lens(kind).fov_deg) / 2)
-            return np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
+            depth_m = np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
         return depth_m
 
     def _object_ids(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:

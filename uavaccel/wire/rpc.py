@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
+
+Received: TypeAlias = Any  # what a message carries, as msgpack reads it: its reader knows the call
 
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
@@ -57,7 +59,7 @@ class Decoder:
     def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES, max_items: int = MAX_ITEMS) -> None:
         self._unpacker = msgpack.Unpacker(max_buffer_size=max_message_bytes, **_unpacking(max_items))
 
-    def messages(self, data: bytes) -> Iterator[list[Any]]:
+    def messages(self, data: bytes) -> Iterator[list[Received]]:
         """Whole messages that `data` completes."""
         try:
             self._unpacker.feed(data)

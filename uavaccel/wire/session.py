@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol, Self
+from collections.abc import Callable
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES, Profile
-from uavaccel.sim.saved import State
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
-from uavaccel.wire.image_api import HEIGHT, WIDTH
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.server_watch import WatchedServer
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
@@ -34,7 +34,7 @@ class Session(Protocol):
         self,
         clock_speed: float,
         seed: np.random.SeedSequence | None = None,
-        lane: Any = None,
+        lane: object = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
         """A settled hover, paused and recording; `seed` draws the latencies of a simulated wall clock.
@@ -65,7 +65,7 @@ class Session(Protocol):
         """The present game, all of it; None in `wall`, where none can stand still."""
         ...
 
-    def set_state(self, state: Mapping[str, Any]) -> Client:
+    def set_state(self, state: SavedState) -> Client:
         """The client that goes on with a saved game. Raises UserError if it is of another kind of session."""
         ...
 
@@ -100,7 +100,7 @@ class WallSession:
         self,
         clock_speed: float,
         seed: np.random.SeedSequence | None = None,
-        lane: Any = None,
+        lane: object = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
         self._client.transport.stalled_ns = 0
@@ -120,7 +120,7 @@ class WallSession:
     def get_state(self) -> State | None:
         return None
 
-    def set_state(self, state: Mapping[str, Any]) -> Client:
+    def set_state(self, state: SavedState) -> Client:
         raise UserError("timing = 'wall': a game cannot go on from a saved state; take virtual or lockstep")
 
     def close(self) -> None:
@@ -136,7 +136,7 @@ class WallSession:
         self.close()
 
 
-def _start(client: Client, clock_speed: float, lane: Any, height_m: float) -> Client:
+def _start(client: Client, clock_speed: float, lane: object, height_m: float) -> Client:
     if lane is not None:
         client.set_lane(lane)
     client.start_game(clock_speed, height_m)
@@ -161,7 +161,7 @@ class VirtualSession:
         self,
         clock_speed: float,
         seed: np.random.SeedSequence | None = None,
-        lane: Any = None,
+        lane: object = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
         client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
@@ -188,8 +188,7 @@ class VirtualSession:
             frames=platform.new_frames(latency.frame_ns),
         )
         self._transport = VirtualTransport(Api(self._simulation), clock, latency, exclusive=True)
-        transport: Any = self._transport
-        self._client = Client(transport, clock_speed)
+        self._client = Client(self._transport, clock_speed)
         return self._client
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
@@ -217,7 +216,7 @@ class VirtualSession:
         state["client.known_state"] = [] if known is None else encode_state(known)
         return state | self._transport.get_state()
 
-    def set_state(self, state: Mapping[str, Any]) -> Client:
+    def set_state(self, state: SavedState) -> Client:
         client = self._connect(float(state["client.clock_speed"]), np.random.SeedSequence(0))
         self._transport.set_state(state)
         known = [float(number) for number in state["client.known_state"]]

@@ -6,18 +6,19 @@ import contextlib
 import selectors
 import socket
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.saved import State, part, under
+from uavaccel.sim.saved import SavedState, State, part, under
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
+from uavaccel.wire.rpc import Received
 from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
@@ -42,7 +43,7 @@ class Call:
         self.channel = channel
         self.done = False
         self.error: str | None = None
-        self.value: Any = None
+        self.value: Received = None
         self.deferred: DeferredReply | None = None
         self.handled_ns = 0
         self.reply_wall_ns: int | None = None
@@ -55,7 +56,7 @@ class Call:
             return self.sent_ns
         return self.expected_ns if self.channel == "continue_for" else None
 
-    def result(self) -> Any:
+    def result(self) -> Received:
         """The reply's value. Raises rpc.RpcError with the server's text."""
         if self.error is not None:
             raise rpc.RpcError(self.error)
@@ -336,7 +337,7 @@ class VirtualTransport:
         state |= under("latency", self._latency.get_state())
         return state | under("simulation", self._api.simulation.get_state())
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave; the clock of a transport made for this has to stand at 0."""
         self.clock.sleep_until(int(state["wall_ns"]))
         self._handled_ns = int(state["handled_ns"])

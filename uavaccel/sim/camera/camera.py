@@ -13,7 +13,7 @@ import ctypes
 import weakref
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import cv2
 import mujoco
@@ -28,6 +28,7 @@ from uavaccel.sim.camera.view import (
     DepthImage,
     GeomImage,
     Image,
+    Scalar,
     View,
     far_m,
     ray_lengths,
@@ -97,12 +98,11 @@ class Camera:
         self._open()
 
     def _open(self) -> None:
-        self._gl: Any
         self._gl, self.renderer = gl.make_context(self.width, self.height)
         self._turns = gl.turns(self.renderer)
         set_quality(self.model, self.width, self.height)
         with self._turns:
-            self._context: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
             gl.sample_textures_fast(self._context)
             if self.renderer.software:
                 gl.drop_stencil(self._context, self.width, self.height)
@@ -122,7 +122,8 @@ class Camera:
         self._read_colours()
         shape = (self.height, self.width, 3)
         picture = _target(shape, self._pixels.dtype, out)
-        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB, dst=picture), out)
+        cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB, dst=picture)
+        return _turned_over(picture, out)
 
     def render_again(self, out: Image) -> None:
         """The scene of the last picture once more, upside down: the bare loop that ours is measured against."""
@@ -133,7 +134,9 @@ class Camera:
         """Luma of the colour picture (ITU-R BT.601, as OpenCV and v2e take it); (height, width) uint8."""
         self._draw(data)
         self._read_colours()
-        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY), out)
+        picture = np.empty((self.height, self.width), np.uint8)
+        cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY, dst=picture)
+        return _turned_over(picture, out)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
         """Metres along the optical axis (AirSim's DepthPlanar); `far_m` for the sky; (height, width) float32."""
@@ -208,13 +211,13 @@ def object_names(model: mujoco.MjModel, geoms: GeomImage) -> list[str]:
     return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
 
-def _target(shape: tuple[int, ...], dtype: np.dtype[Any], out: NDArray[Any] | None) -> NDArray[Any]:
+def _target(shape: tuple[int, ...], dtype: np.dtype[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
     """Where to read a picture of that form into: `out` itself, if OpenGL can write there, else a fresh array."""
     fits = out is not None and out.flags.c_contiguous and (out.shape, out.dtype) == (shape, dtype)
     return out if out is not None and fits else np.empty(shape, dtype)
 
 
-def _turned_over(picture: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:
+def _turned_over(picture: NDArray[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
     """The top row first: turned over in place, a third of the time that a second picture takes."""
     cv2.flip(picture, 0, dst=picture)
     if out is None or out is picture:

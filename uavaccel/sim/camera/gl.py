@@ -10,10 +10,10 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import mujoco
 
@@ -50,12 +50,12 @@ class GlRenderer:
     software: bool
 
 
-def turns(renderer: GlRenderer) -> AbstractContextManager[Any]:
+def turns(renderer: GlRenderer) -> AbstractContextManager[object]:
     """Lets the threads of this process draw one at a time in software: Mesa crashes now and then where many do."""
     return _driver if renderer.software else nullcontext()
 
 
-def make_context(width: int, height: int) -> tuple[Any, GlRenderer]:
+def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]:
     """A GL context of MuJoCo's, made current in this thread, and who draws in it.
 
     Raises UserError where nothing can draw, one line that names the packages to install, and in a process that was
@@ -89,7 +89,7 @@ def _current_renderer(backend: str) -> GlRenderer:
     return GlRenderer(backend, text, any(software in text.lower() for software in SOFTWARE_RENDERERS))
 
 
-def sample_textures_fast(context: Any) -> None:
+def sample_textures_fast(context: mujoco.MjrContext) -> None:
     """Read one texel a pixel instead of MuJoCo's eight: a third of the frame, in software.
 
     The nearest texel of the nearest mipmap; with one pixel a texel or less it looks the same, only crisper.
@@ -103,7 +103,7 @@ def sample_textures_fast(context: Any) -> None:
         GL.glTexParameteri(target, GL.GL_TEXTURE_MAG_FILTER, GL.GL_NEAREST)
 
 
-def drop_stencil(context: Any, width: int, height: int) -> None:
+def drop_stencil(context: mujoco.MjrContext, width: int, height: int) -> None:
     """Give the off-screen buffer depths without MuJoCo's stencil beside them: a fifth of the frame, in software.
 
     The stencil is for reflections, of which there are none; depths have the same 32 bits, so pixels are the same. The
@@ -119,12 +119,13 @@ def drop_stencil(context: Any, width: int, height: int) -> None:
         GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
 
 
-def pixel_reader() -> Any:
+def pixel_reader() -> Callable[..., None]:
     """glReadPixels of the present context's library, without PyOpenGL's checks, which take longer than the call."""
     from OpenGL.platform import PLATFORM  # that of the first context, so not before there is one
 
-    read_pixels = PLATFORM.GL.glReadPixels
-    read_pixels.restype = None
+    function = PLATFORM.GL.glReadPixels
+    function.restype = None
+    read_pixels: Callable[..., None] = function
     return read_pixels
 
 
@@ -140,7 +141,7 @@ def known_renderer() -> GlRenderer | None:
     return _found
 
 
-def bind(context: Any) -> None:
+def bind(context: mujoco.GLContext) -> None:
     """Make a context current in this thread, unless it is: the driver takes 10 µs to find out."""
     if getattr(_in_thread, "context", None) is not context:
         context.make_current()
@@ -170,7 +171,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_note_fork)
 
 
-def release(context: Any) -> None:
+def release(context: mujoco.GLContext) -> None:
     """Free a context; whatever it held must be freed before."""
     context.free()
     _in_thread.context = None

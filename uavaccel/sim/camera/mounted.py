@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.sim.camera.camera import Camera
-from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
+from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, Scalar, ray_lengths, to_metres
 from uavaccel.sim.poses import Pose
 
 MOST_LENSES = 8  # whose rays are kept
@@ -67,10 +67,11 @@ class MountedCamera(Camera):
             if len(self._rays) >= MOST_LENSES:  # clients may set any field of view
                 self._rays.clear()
             self._rays[self._lens] = ray_lengths(self.width, self.height, half_width)
-        return np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
+        np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
+        return depth
 
 
-def _into(picture: NDArray[Any], out: NDArray[Any] | None) -> NDArray[Any]:
+def _into(picture: NDArray[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
     if out is None:
         return picture
     np.copyto(out, picture)

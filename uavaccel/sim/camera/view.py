@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -17,6 +17,9 @@ from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ne
 Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 GeomImage = NDArray[np.int32]
+AnyImage = NDArray[Any]
+"""Any of them: an `Image`, a `DepthImage` or a `GeomImage`, by the kind that was asked for."""
+Scalar = TypeVar("Scalar", bound=np.integer | np.floating)
 
 WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
 _RENDER_FLAGS = {
@@ -105,7 +108,7 @@ class View:
     def _models_own_view(self, width: int) -> bool:
         """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
         half_height = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
-        return abs(half_height / self._half_height - 1) * width < 1e-3
+        return bool(abs(half_height / self._half_height - 1) * width < 1e-3)
 
     def _set_field_of_view(self) -> None:
         near = self._eyes[0].frustum_near
@@ -144,7 +147,7 @@ def ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
 
 def set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
     """What MjrContext reads once, when it is made: no shadow map and no multisampling, each several frames' worth."""
-    quality: Any = model.vis.quality
+    quality = model.vis.quality
     quality.shadowsize = quality.offsamples = 0
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
 

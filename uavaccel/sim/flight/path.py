@@ -122,7 +122,8 @@ class FollowPath:
 
     def _place(self, segment: int, offset_m: float) -> Array:
         if segment == len(self._lengths) or self._lengths[segment] == 0:
-            return self.points[segment]
+            corner: Array = self.points[segment]
+            return corner
         along = (self.points[segment + 1] - self.points[segment]) / self._lengths[segment]
         return np.asarray(self.points[segment] + along * offset_m)
 

@@ -6,9 +6,8 @@ has no effect (OffboardApi.hpp).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from uavaccel.sim.flight.saved_task import state_of, task_of
 from uavaccel.sim.flight.task import Task
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
-from uavaccel.sim.saved import State, number_or_none, optional
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional
 from uavaccel.sim.vehicle.goal import Goal
 from uavaccel.sim.vehicle.sticks import IDLE, STICKS, VALID, Sticks, stick_goal
 from uavaccel.sim.vehicle.vehicle import Vehicle
@@ -179,7 +178,7 @@ class Pilot:
             state |= {"begin_tick": command.begin_tick, "goal_tick": optional(command.goal_tick)}
         return state
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave, for a reply that nobody waits for."""
         end_tick = number_or_none(state["command_end_tick"])
         self.sticks = np.array(state["sticks"], float)

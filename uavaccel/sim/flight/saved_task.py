@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 
 from uavaccel.sim.flight.manual import MoveByManual
 from uavaccel.sim.flight.path import FollowPath
 from uavaccel.sim.flight.task import Land, RotateToYaw, Task
-from uavaccel.sim.saved import State, part, under
+from uavaccel.sim.saved import SavedState, SavedValue, State, part, under
 
-TASKS: dict[str, type[Any]] = {kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)}
+TASKS: dict[str, type[Task]] = {kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)}
 
 
-def _numbers(value: Any) -> tuple[float, ...]:
+def _numbers(value: Iterable[float]) -> tuple[float, ...]:
     return tuple(float(number) for number in value)
 
 
-_READ: dict[str, Callable[[Any], Any]] = {  # by the annotation of a task's field
+_READ: dict[str, Callable[[SavedValue], object]] = {  # by the annotation of a task's field
     "float": float,
     "int": int,
     "bool": bool,
@@ -39,10 +38,9 @@ def state_of(task: Task | None) -> State:
     return {"task": type(task).__name__} | under("task", kept)
 
 
-def task_of(state: Mapping[str, Any]) -> Task | None:
+def task_of(state: SavedState) -> Task | None:
     """The inverse of `state_of`."""
     if "task" not in state:
         return None
     kind, kept = TASKS[str(state["task"])], part("task", state)
-    task: Task = kind(**{field.name: _READ[str(field.type)](kept[field.name]) for field in fields(kind)})
-    return task
+    return kind(**{field.name: _READ[str(field.type)](kept[field.name]) for field in fields(kind)})  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -93,7 +93,7 @@ class LaneFile(Config):
         )
 
 
-def parse_lane(lane: Any) -> Any:
+def parse_lane(lane: object) -> object:
     """A mapping, or the name of a YAML file that holds one, as a LaneFile; anything else, such as a seed, unchanged.
 
     For use in validators, inside which pydantic refuses a list for a tuple. Raises UserError naming file and key.
@@ -104,7 +104,7 @@ def parse_lane(lane: Any) -> Any:
     return written
 
 
-def layout_from(mapping: Mapping[str, Any], source: str) -> LaneLayout:
+def layout_from(mapping: Mapping[str, object], source: str) -> LaneLayout:
     """The layout that a mapping describes; errors call it `source`.
 
     Raises UserError if a key or a value is wrong, or if an obstacle stands where the drone starts.

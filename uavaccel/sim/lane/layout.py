@@ -6,16 +6,16 @@ Rows of obstacles stand at fixed distances; their lateral positions are random. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
+from uavaccel.sim.saved import SavedState, State
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation"]
@@ -192,7 +192,8 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
     north = np.maximum(np.abs(position[..., :1] - layout.x_m) - flat, 0.0)
     east = np.maximum(np.abs(position[..., 1:] - layout.y_m) - flat, 0.0)
     distance = np.hypot(north, east) - (layout.half_width_m - flat)
-    return np.minimum(distance.min(axis=-1), wall) - HULL_RADIUS_M
+    nearest: NDArray[np.float64] = np.minimum(distance.min(axis=-1), wall) - HULL_RADIUS_M
+    return nearest
 
 
 def free_distance_m(layout: LaneLayout, y_m: float) -> float:
@@ -211,9 +212,9 @@ _NONE = np.zeros(0)
 _NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
 
 
-def layout_of(state: Mapping[str, Any]) -> LaneLayout:
+def layout_of(state: SavedState) -> LaneLayout:
     """The lane's layout from its fields."""
-    fields: dict[str, Any] = {}
+    fields: State = {}
     for name, like in vars(_NO_LANE).items():
         value = np.asarray(state.get(name, like))
         fields[name] = (

@@ -43,7 +43,9 @@ def _trunk_meshes(model: mujoco.MjModel, layout: LaneLayout) -> NDArray[np.int64
     meshes = [mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")]
     radii_m = model.numeric("trunk_radii_m").data
     wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
-    return np.array(meshes)[np.abs(np.log(wanted[:, None] / radii_m)).argmin(axis=1)]
+    nearest = np.abs(np.log(wanted[:, None] / radii_m)).argmin(axis=1)
+    chosen: NDArray[np.int64] = np.array(meshes)[nearest]
+    return chosen
 
 
 def _place(

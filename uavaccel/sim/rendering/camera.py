@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 import select
-from typing import Any
 
-import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.sim.camera.camera import object_names
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
     WIDTH,
+    AnyImage,
     DepthImage,
     GeomImage,
     Image,
@@ -96,13 +94,13 @@ class RemoteCamera:
         self._draw("colour")
         np.copyto(out, self._pictures["colour"])
 
-    def _picture(self, kind: str, data: mujoco.MjData, out: NDArray[Any] | None) -> NDArray[Any]:
+    def _picture(self, kind: str, data: mujoco.MjData, out: AnyImage | None) -> AnyImage:
         self._pose[:] = data.qpos
         self._draw(kind)
-        turned = np.asarray(cv2.flip(self._pictures[kind], 0))
+        picture = self._pictures[kind]
         if out is None:
-            return turned
-        np.copyto(out, turned)
+            return picture[::-1].copy()
+        np.copyto(out, picture[::-1])
         return out
 
     def _draw(self, kind: str) -> None:

@@ -16,15 +16,14 @@ import sys
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.camera.view import View
+from uavaccel.sim.camera.view import AnyImage, View
 from uavaccel.sim.rendering.slots import (
     DONE,
     KINDS,
@@ -40,10 +39,10 @@ from uavaccel.sim.scene.model import load_scene
 _READ_BYTES = 1 << 12
 
 
-class Eye:
+class ServedCamera:
     """One camera as the renderer knows it: a model that looks as its simulation's, and its slot."""
 
-    def __init__(self, model: mujoco.MjModel, slot: Any, reply: int) -> None:
+    def __init__(self, model: mujoco.MjModel, slot: np.void, reply: int) -> None:
         self._model, self._data = copy.copy(model), mujoco.MjData(model)
         self._slot, self._reply = slot, reply
         self._qpos, self._pose = self._data.qpos, slot["pose"]
@@ -63,7 +62,7 @@ class Eye:
         self._qpos[:] = self._pose
         return self.view.update(self._data, as_ids)
 
-    def hand_over(self, kind: str, drawn: NDArray[Any]) -> None:
+    def hand_over(self, kind: str, drawn: AnyImage) -> None:
         """Write what was drawn into the slot, as a picture of its kind, and say so."""
         picture = self._pictures[kind]
         if kind == "gray":
@@ -83,10 +82,10 @@ class Sheet(NamedTuple):
 
     number: int
     kind: str
-    eyes: list[Eye]
+    eyes: list[ServedCamera]
 
 
-def serve(tiles: Tiles, eyes: list[Eye], requests: int) -> None:
+def serve(tiles: Tiles, eyes: list[ServedCamera], requests: int) -> None:
     """Draw for whoever waits, as many at once as there are tiles; until every simulation has ended.
 
     A GPU draws while the pictures before are handed over; in software nothing is gained by letting these wait.
@@ -110,9 +109,9 @@ def serve(tiles: Tiles, eyes: list[Eye], requests: int) -> None:
                 _hand_over(tiles, drawn.popleft())
 
 
-def _batches(asking: list[Eye], most: int) -> Iterator[tuple[str, list[Eye]]]:
+def _batches(asking: list[ServedCamera], most: int) -> Iterator[tuple[str, list[ServedCamera]]]:
     """Those who ask for one kind of picture, as many at once as are drawn together."""
-    by_kind: dict[str, list[Eye]] = {}
+    by_kind: dict[str, list[ServedCamera]] = {}
     for eye in asking:
         by_kind.setdefault(eye.kind, []).append(eye)
     for kind, eyes in by_kind.items():
@@ -143,7 +142,7 @@ def main() -> None:
         print(json.dumps({"error": str(error)}), flush=True)
         return
     slots = map_records(options["memory"], slot_dtype(model), options["cameras"])
-    eyes = [Eye(model, slot, reply) for slot, reply in zip(slots, options["replies"], strict=True)]
+    eyes = [ServedCamera(model, slot, reply) for slot, reply in zip(slots, options["replies"], strict=True)]
     print(json.dumps(asdict(tiles.renderer)), flush=True)
     serve(tiles, eyes, options["requests"])
     tiles.close()

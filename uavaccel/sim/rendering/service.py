@@ -7,7 +7,6 @@ import os
 import select
 import subprocess
 import sys
-from typing import Any
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -101,7 +100,7 @@ class RenderService:
         stop(self.process)
 
 
-def stop(*processes: subprocess.Popen[Any]) -> None:
+def stop(*processes: subprocess.Popen[bytes]) -> None:
     """Wait for processes that are about to end; kill those that do not, after STOP_S for all together."""
     clock = MonotonicClock()
     end_ns = clock.now_ns() + round(STOP_S * NS_PER_S)

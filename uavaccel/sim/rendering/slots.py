@@ -10,13 +10,12 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 
 KINDS = ("gray", "colour", "depth", "segmentation")
 REQUEST_BYTES = 2  # the camera's number, little-endian: writes of so few bytes are whole
@@ -29,7 +28,7 @@ _LOOKS = (  # all of the model that a lane's layout changes and that is seen
 )
 
 
-def slot_dtype(model: mujoco.MjModel) -> np.dtype[Any]:
+def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
     """One camera's slot: kind of picture, qpos, looks and how often they changed, picture bottom row first."""
     looks = sum(getattr(model, name).nbytes for name in _LOOKS)
     return np.dtype(
@@ -62,7 +61,7 @@ def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
         start += len(values)
 
 
-def pixels(slot: Any, kind: str) -> NDArray[Any]:
+def pixels(slot: np.void, kind: str) -> AnyImage:
     """The picture in a slot, as an array of its kind: (H, W) uint8, float32 or int32, or (H, W, 3) uint8."""
     if kind in ("gray", "colour"):
         shape = (HEIGHT, WIDTH) if kind == "gray" else (HEIGHT, WIDTH, 3)
@@ -82,6 +81,6 @@ def anonymous_memory(size: int) -> int:
     return descriptor
 
 
-def map_records(descriptor: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+def map_records(descriptor: int, dtype: np.dtype[np.void], count: int) -> NDArray[np.void]:
     """Records in shared memory."""
     return np.frombuffer(mmap.mmap(descriptor, dtype.itemsize * count), dtype)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -31,10 +31,9 @@ class Tiles:
 
     def __init__(self, model: mujoco.MjModel, count: int) -> None:
         self.count = count
-        self._gl: Any
         self._gl, self.renderer = gl.make_context(WIDTH, HEIGHT)
         set_quality(model, WIDTH, HEIGHT)
-        self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         gl.sample_textures_fast(self._context)
         if self.renderer.software:
             gl.drop_stencil(self._context, WIDTH, HEIGHT)
@@ -44,7 +43,7 @@ class Tiles:
         self._read_pixels = gl.pixel_reader()
         from OpenGL import GL  # takes the platform of the first context, so not before there is one
 
-        self._api: Any = GL
+        self._api: ModuleType = GL
         self._sheets = [int(sheet) for sheet in self._api.glGenBuffers(SHEETS)]
         self._bound = -1
         for sheet in range(SHEETS):
@@ -66,7 +65,9 @@ class Tiles:
         self._read_pixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
 
     @contextmanager
-    def read(self, sheet: int, count: int, depth: bool = False) -> Iterator[NDArray[Any]]:
+    def read(
+        self, sheet: int, count: int, depth: bool = False
+    ) -> Iterator[NDArray[np.uint8] | NDArray[np.float32]]:
         """The first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, for as long as the block lasts."""
         self._bind(sheet)
         api = self._api

@@ -77,7 +77,7 @@ def atmosphere(altitude_m: float) -> Atmosphere:
 
 def pressure_altitude_m(pressure_pa: float) -> float:
     """What an altimeter shows (BarometerSimple.hpp)."""
-    return (1 - (pressure_pa / SEA_LEVEL_PA) ** 0.190284) * 145366.45 * 0.3048
+    return float(1 - (pressure_pa / SEA_LEVEL_PA) ** 0.190284) * 145366.45 * 0.3048
 
 
 def magnetic_field_gauss(point: GeoPoint) -> Vector:

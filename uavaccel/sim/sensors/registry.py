@@ -6,12 +6,14 @@ import importlib
 import pkgutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 
-Made = TypeVar("Made", bound=Callable[[Any, int, str], object])
-_sensors: dict[type[AirSimKeys], Callable[[Any, int, str], object]] = {}
+Settings: TypeAlias = Any  # each class of sensors takes its own
+MakeSensor = Callable[[Settings, int, str], object]
+Made = TypeVar("Made", bound=MakeSensor)
+_sensors: dict[type[AirSimKeys], MakeSensor] = {}
 
 
 def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
@@ -27,7 +29,7 @@ def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
     return register
 
 
-def sensors() -> dict[type[AirSimKeys], Callable[[Any, int, str], object]]:
+def sensors() -> dict[type[AirSimKeys], MakeSensor]:
     """All classes of sensors by their settings, in the order of AirSim's numbers."""
     for module in pkgutil.iter_modules([str(Path(__file__).parent)], f"{__package__}."):
         importlib.import_module(module.name)

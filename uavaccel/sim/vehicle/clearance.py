@@ -6,15 +6,13 @@ Nothing is estimated: no flight within the rotors', the air's and gravity's stro
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.parts import njit, part
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -78,11 +76,11 @@ class Clearance:
         """Whether contacts are not looked for."""
         return bool(self._model.opt.disableflags != self._with_contacts)
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> State:
         """The schedule."""
         return {"next_look_tick": self._next_look_tick, "left_out": self.left_out}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         self._next_look_tick = int(state["next_look_tick"])
         left_out = bool(state["left_out"])
@@ -161,9 +159,9 @@ def _distance(
     position: NDArray[np.float64],
     orientation: NDArray[np.float64],
     box: NDArray[np.float64],
-) -> Any:
+) -> float:
     """At most the distance, in m, from a point to any of the geoms: to the planes, and to the others' boxes."""
-    nearest = np.inf
+    nearest: float = np.inf
     for geom in geoms:
         squared, height = 0.0, 0.0
         for axis in range(3):

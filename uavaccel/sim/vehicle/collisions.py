@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
+from uavaccel.sim.saved import SavedState, State
 from uavaccel.units import mujoco_to_ned
 
 
@@ -82,9 +82,9 @@ class Touches:
         unread, self._unread = self._unread, False
         return unread
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self) -> State:
         """All of it, as numbers, texts and arrays."""
-        state: dict[str, Any] = {"count": self.count, "unread": self._unread}
+        state: State = {"count": self.count, "unread": self._unread}
         state["in_touch"] = np.array(sorted(self._in_touch), np.int64)
         for name, touch in (("first", self.first), ("latest", self.latest)):
             if touch is not None:
@@ -93,7 +93,7 @@ class Touches:
                 state[f"{name}.numbers"] = np.array(numbers)
         return state
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         self.count, self._unread = int(state["count"]), bool(state["unread"])
         self._in_touch = frozenset(int(geom) for geom in state["in_touch"])
@@ -106,7 +106,7 @@ def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) ->
     return (0.0, -1) if found is None else (-float(found[1].dist), found[0])
 
 
-def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[tuple[int, Any]]:
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[tuple[int, mujoco.MjContact]]:
     """The contacts of a vehicle's body, each with the geom at its other side."""
     found = []
     for contact in data.contact[: data.ncon]:
@@ -116,7 +116,7 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[
     return found
 
 
-def _touch(state: Mapping[str, Any], name: str) -> Touch | None:
+def _touch(state: SavedState, name: str) -> Touch | None:
     if f"{name}.tick" not in state:
         return None
     n = [float(number) for number in state[f"{name}.numbers"]]
@@ -124,6 +124,6 @@ def _touch(state: Mapping[str, Any], name: str) -> Touch | None:
     return Touch(int(state[f"{name}.tick"]), str(state[f"{name}.object"]), *vectors, n[9])
 
 
-def _vector(numbers: Any) -> Vector:
+def _vector(numbers: Iterable[float]) -> Vector:
     x, y, z = (float(number) for number in numbers)
     return x, y, z

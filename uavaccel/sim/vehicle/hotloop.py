@@ -20,7 +20,7 @@ import ctypes
 import sys
 import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -41,6 +41,13 @@ from uavaccel.sim.vehicle.quadrotor import (
     turn_rotors,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numba.core.base import BaseContext
+
+    Intrinsic = tuple[types.Type, Callable[..., ir.Value]]  # numba's: a signature, and what writes the code
+
 PACKAGE = __name__.partition(".")[0] + "."
 
 # One row of the recorder: tick, position, quaternion, velocity, body rate.
@@ -57,10 +64,14 @@ def mj_step_address() -> int:
 
 
 @intrinsic
-def _call_mj_step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
+def _call_mj_step(
+    typing_context: object, address: types.Type, model: types.Type, data: types.Type
+) -> Intrinsic:
     """`mj_step(model, data)` through its address: an argument, since numba cannot cache a global pointer."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(
+        context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
+    ) -> ir.Value:
         pointer = ir.IntType(8).as_pointer()
         function_type = ir.FunctionType(ir.VoidType(), [pointer, pointer])
         function = builder.inttoptr(arguments[0], function_type.as_pointer())
@@ -71,17 +82,19 @@ def _call_mj_step(typing_context: Any, address: Any, model: Any, data: Any) -> A
 
 
 @intrinsic
-def _pointer(typing_context: Any, address: Any) -> Any:
+def _pointer(typing_context: object, address: types.Type) -> Intrinsic:
     """An address as a pointer, for `carray`."""
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def codegen(
+        context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
+    ) -> ir.Value:
         return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), codegen
 
 
-call_mj_step: Any = _call_mj_step
-pointer: Any = _pointer
+call_mj_step: Callable[[int, int, int], None] = _call_mj_step
+pointer: Callable[[int], int] = _pointer
 
 
 @part
@@ -216,8 +229,14 @@ def arrive(
 HANDLES = 15  # of one vehicle
 
 
+class CompiledLoop(Protocol):
+    """Machine code, called through `ctypes(handles, ticks)`."""
+
+    def ctypes(self, handles: ctypes._Pointer[ctypes.c_int64], ticks: int) -> int: ...
+
+
 @part(inline=False)
-def views(handles: Any, first: int) -> Any:
+def views(handles: NDArray[np.int64], first: int) -> tuple[Record, ...]:
     """What the entry points work on. `handles` are int64 addresses from `first` on, but for a count of rows.
 
     In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor, qfrc_constraint; parameters, flight,
@@ -239,7 +258,7 @@ def views(handles: Any, first: int) -> Any:
 
 
 @part
-def steps_without_mujoco(handles: Any, ticks: int) -> int:
+def steps_without_mujoco(handles: NDArray[np.int64], ticks: int) -> int:
     """How many of `ticks` were flown where nothing is touched; `handles` as views'."""
     qpos, qvel, force, _, _, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
     parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
@@ -255,7 +274,7 @@ def steps_without_mujoco(handles: Any, ticks: int) -> int:
 
 
 @part
-def after_step_of_all(handles: Any) -> bool:
+def after_step_of_all(handles: NDArray[np.int64]) -> bool:
     """`after_step` of every vehicle; `handles` as fly_all's."""
     changed = False
     for vehicle in range(handles[0]):
@@ -268,15 +287,15 @@ def after_step_of_all(handles: Any) -> bool:
 class EntryPoints(NamedTuple):
     """Machine code, called through `.ctypes(handles, ticks)`, without the GIL."""
 
-    fly: Any
+    fly: CompiledLoop
     """Fly up to `ticks` ticks; returns how many: fewer where contacts begin or end."""
-    fly_free: Any
+    fly_free: CompiledLoop
     """`fly` where nothing can be touched, without MuJoCo; fewer where numbers come up that it would warn of."""
-    fly_all: Any
+    fly_all: CompiledLoop
     """`fly` for several vehicles of one model: `handles` are their count, and then those of each."""
-    stand_still: Any
+    stand_still: CompiledLoop
     """Let `ticks` ticks pass without moving; the recorder takes this tick, if it is due, and goes on."""
-    look: Any
+    look: CompiledLoop
     """Read MuJoCo's pose and compute the next kick, after either was changed from outside."""
 
 
@@ -288,7 +307,7 @@ def _compile(sources: int) -> EntryPoints:
     entry_point = cfunc(types.int64(types.CPointer(types.int64), types.int64), cache=True)
 
     @entry_point
-    def fly(handles: Any, ticks: int) -> int:
+    def fly(handles: NDArray[np.int64], ticks: int) -> int:
         qpos, qvel, force, contact, push, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
         parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
         for flown in range(ticks * (sources != 0)):
@@ -298,11 +317,11 @@ def _compile(sources: int) -> EntryPoints:
         return ticks
 
     @entry_point
-    def fly_free(handles: Any, ticks: int) -> int:
+    def fly_free(handles: NDArray[np.int64], ticks: int) -> int:
         return steps_without_mujoco(handles, ticks * (sources != 0))
 
     @entry_point
-    def fly_all(handles: Any, ticks: int) -> int:
+    def fly_all(handles: NDArray[np.int64], ticks: int) -> int:
         for flown in range(ticks * (sources != 0)):
             call_mj_step(handles[1], handles[2], handles[3])
             if after_step_of_all(handles):
@@ -310,13 +329,13 @@ def _compile(sources: int) -> EntryPoints:
         return ticks
 
     @entry_point
-    def stand_still(handles: Any, ticks: int) -> int:
+    def stand_still(handles: NDArray[np.int64], ticks: int) -> int:
         _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles, 0)
         pass_ticks(of_flight[0], of_recorder[0], samples, ticks * (sources != 0))
         return ticks
 
     @entry_point
-    def look(handles: Any, ticks: int) -> int:
+    def look(handles: NDArray[np.int64], ticks: int) -> int:
         qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles, 0)
         read_pose(of_flight[0], qpos)
         kick(of_parameters[0], of_flight[0], qvel, force)

@@ -8,15 +8,14 @@ SimpleFlight's Params.hpp (gains and limits). Mass and inertia come from the MJC
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.parts import njit, part
 
-Record = Any  # one element of a structured array, which numba knows field by field
+Record: TypeAlias = Any  # one element of a structured array, which numba knows field by field
 
 ROTORS = 4
 NEVER = np.iinfo(np.int64).max

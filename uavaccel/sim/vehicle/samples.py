@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.saved import State, into_record, of_record
+from uavaccel.sim.saved import SavedState, State, into_record, of_record
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.quadrotor import NEVER
 
@@ -54,7 +51,7 @@ class Samples:
     def get_state(self) -> State:
         return of_record(self.record) | {"rows": self.rows()}
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         into_record(self.record, state)
         rows = np.asarray(state["rows"], float).reshape(-1, hotloop.SAMPLE_COLUMNS)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import State, into_record, of_record, part, under
+from uavaccel.sim.saved import SavedState, State, into_record, of_record, part, under
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.airframe import set_airframe
 from uavaccel.sim.vehicle.collisions import Touches
@@ -131,7 +131,7 @@ class Vehicle:
         return self._flight[0]
 
     @property
-    def field(self) -> dict[str, NDArray[Any]]:
+    def field(self) -> dict[str, NDArray[np.generic]]:
         """The state's fields, (1, ...) each, to be changed in place."""
         return self._field
 
@@ -302,12 +302,12 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.look()
 
-    def carry(self) -> dict[str, Any]:
+    def carry(self) -> State:
         """What of the flight is in the model, to be taken over into the next."""
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
         return {name: array.copy() for name, array in arrays.items()} | {"touches": self.touches.get_state()}
 
-    def take_over(self, carried: Mapping[str, Any]) -> None:
+    def take_over(self, carried: SavedState) -> None:
         """The inverse of `carry`; what stands still keeps its geoms' numbers where vehicles are added behind it."""
         for name in ("qpos", "qvel", "_force", "_push"):
             getattr(self, name)[:] = carried[name]
@@ -339,7 +339,7 @@ class Vehicle:
         state = under("flight", of_record(self._flight)) | under("touches", self.touches.get_state())
         return state | under("gains", {name: self.parameters[name].copy() for name in GAINS})
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         into_record(self._flight, part("flight", state))
         self.touches.set_state(part("touches", state))

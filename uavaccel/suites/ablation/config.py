@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config, validate
+from uavaccel.files import Plain
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.experiment import Experiment, merged
 
@@ -16,7 +17,7 @@ class Variant(Config):
 
     name: str
     """In the table and on the figure's axis; where all names are numbers, they are values on it."""
-    changes: dict[str, Any] = Field(default_factory=dict)
+    changes: dict[str, Plain] = Field(default_factory=dict)
     """Values by dotted key of the DP1 configuration, as for --set."""
 
 
@@ -29,7 +30,7 @@ class AblationConfig(Experiment):
     """What the variants' names are values of; the figure's axis."""
     times_clock_speed: bool = False
     """The figure's axis is the variants' value times ClockSpeed."""
-    base: dict[str, Any]
+    base: dict[str, Plain]
     """A DP1 configuration; `suite` and `seed` may be left out. Its latency is a block or what ships for the profile."""
     variants: Annotated[tuple[Variant, ...], Field(min_length=1)]
 

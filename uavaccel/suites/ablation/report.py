@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1 import summary as dp1_summary
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.report import Report, Summary, SummaryCell, number
+from uavaccel.suites.report import Report, Summary, SummaryCell, Values, number
 from uavaccel.suites.source_line import source_line
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
@@ -24,7 +23,7 @@ class AblationReport(Report):
     """Of `uavaccel run ablation`."""
 
     def summarise(self) -> Summary:
-        entries: list[dict[str, Any]] = []
+        entries: list[Values] = []
         for variant in self.config["variants"]:
             own = [row for row in self.rows if row["variant"] == variant["name"]]
             if own:
@@ -49,9 +48,7 @@ class AblationReport(Report):
         return [self.overview(), Paragraph(_READING), *figures]
 
 
-def summarise(
-    variant: str, scores: Sequence[CellScores], cells: Sequence[SummaryCell]
-) -> list[dict[str, Any]]:
+def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[SummaryCell]) -> list[Values]:
     """An entry a command and ClockSpeed: games of all T_moves and rounds pooled, games without latency left out.
 
     The speed-up is the mean over the T_moves of the most rounds, as the paper averages it.

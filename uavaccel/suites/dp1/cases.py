@@ -13,6 +13,7 @@ from uavaccel.commands.paths import velocities
 from uavaccel.kinematics import Vector
 from uavaccel.suites.dp1.config import Dp1Config, Path
 from uavaccel.suites.experiment import CommandName, Timing
+from uavaccel.suites.report import GameRow
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,29 @@ class Case:
         """The game's own generator: the same in any subset of a run, and in any order."""
         name = f"{self.command} {self.clock_speed:g} {self.t_move_s:g} {self.rounds} {self.game} {self.path}"
         return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
+
+
+class Dp1Row(GameRow):
+    """What is kept of a game beside its arrays."""
+
+    role: str
+    command: CommandName
+    clock_speed: float
+    t_move_s: float
+    rounds: int
+    game: int
+    timing: Timing
+    profile: str
+    seed: int
+    commands: int
+    samples_dropped: int
+    wall_s: float
+    sim_time_s: float
+    duration_s: float
+    """Simulated, from the first command's start to the last one's end."""
+    real_time_factor: float
+    error: str | None
+    """What ended the flight, if anything did."""
 
 
 def cases(config: Dp1Config) -> Iterator[Case]:

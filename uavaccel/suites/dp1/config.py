@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sized
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -57,7 +58,7 @@ class Dp1Config(FlightExperiment):
 
     @field_validator("path")
     @classmethod
-    def _not_empty(cls, path: Any) -> Any:
+    def _not_empty(cls, path: Sized) -> Sized:
         if not path:
             raise ValueError(f"needs at least one velocity, or one of {', '.join(PATHS)}")
         return path

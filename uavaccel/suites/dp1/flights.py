@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import velocities
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.suites.disturbed import stalls
-from uavaccel.suites.dp1.cases import Case
+from uavaccel.suites.disturbed import note_stalls
+from uavaccel.suites.dp1.cases import Case, Dp1Row
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.units import NS_PER_S
@@ -20,13 +18,13 @@ from uavaccel.wire.session import Session
 SCENE = "blocks"
 
 
-def fly_game(config: Dp1Config, case: Case, session: Session) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def fly_game(config: Dp1Config, case: Case, session: Session) -> tuple[Dp1Row, dict[str, np.ndarray]]:
     """Fly one game: its row, without the arrays' path, and its arrays."""
     client = session.start_game(case.clock_speed, case.seed(config.seed))
     wall_s = fly_path(config, case, client)
     speed, recording = client.speed(), client.recording()
     tick_s = recording.tick_ns / NS_PER_S
-    row = {
+    row: Dp1Row = {
         "suite": "dp1",
         "case": case.id,
         "role": case.role,
@@ -46,8 +44,8 @@ def fly_game(config: Dp1Config, case: Case, session: Session) -> tuple[dict[str,
         "real_time_factor": speed["real_time_factor"],
         "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
         "error": speed["failure"],
-        **stalls(client.transport.stalled_ns),
     }
+    note_stalls(row, client.transport.stalled_ns)
     return row, recording.arrays()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
-from typing import Any
 
 import joblib
 
@@ -19,7 +18,7 @@ from uavaccel.suites.dp1.table import overview, table
 from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
 from uavaccel.suites.dp1.velocity import velocity_figure
-from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.report import Report, Summary, Values
 from uavaccel.suites.source_line import source_line
 
 PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
@@ -73,7 +72,7 @@ class Dp1Report(Report):
         ]
 
 
-def _games(score: CellScores) -> dict[str, Any]:
+def _games(score: CellScores) -> Values:
     return {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
 
 

@@ -7,9 +7,8 @@ run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -23,7 +22,8 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     trajectory,
 )
-from uavaccel.suites.report import Arrays, LoadArrays, Row
+from uavaccel.suites.dp1.cases import Dp1Row
+from uavaccel.suites.report import Arrays, LoadArrays
 
 
 @dataclass(frozen=True, order=True)
@@ -42,10 +42,10 @@ class Cell:
     """A cell's finished games and what they are compared with; `is_reference`: with each other."""
 
     key: CellKey
-    rows: tuple[Row, ...]
+    rows: tuple[Dp1Row, ...]
     failed: int
-    reference_rows: tuple[Row, ...]
-    lockstep_row: Row | None
+    reference_rows: tuple[Dp1Row, ...]
+    lockstep_row: Dp1Row | None
     is_reference: bool
 
 
@@ -64,12 +64,12 @@ class CellScores:
     distinct_games: int
 
 
-def cells_of(rows: Sequence[Row]) -> list[Cell]:
+def cells_of(rows: Sequence[Dp1Row]) -> list[Cell]:
     """The run's cells in canonical order, made of the rows of role "game" and "reference".
 
     Where a cell holds references, these are its games: ADSC at 1x is not counted twice.
     """
-    grouped: dict[CellKey, list[Row]] = defaultdict(list)
+    grouped: dict[CellKey, list[Dp1Row]] = defaultdict(list)
     for row in rows:
         if row["role"] in ("game", "reference"):
             grouped[_key(row)].append(row)
@@ -107,7 +107,7 @@ def score_cell(cell: Cell, load_arrays: LoadArrays) -> CellScores:
     return CellScores(cell, stlc, rmse_m, lockstep_rmse_m, gap_s, len(distinct(games)[0]))
 
 
-def _key(row: Row) -> CellKey:
+def _key(row: Dp1Row) -> CellKey:
     return CellKey(
         str(row["command"]),
         float(row["clock_speed"]),
@@ -117,7 +117,7 @@ def _key(row: Row) -> CellKey:
     )
 
 
-def _cell(key: CellKey, cell_rows: Sequence[Row], rows: Sequence[Row]) -> Cell:
+def _cell(key: CellKey, cell_rows: Sequence[Dp1Row], rows: Sequence[Dp1Row]) -> Cell:
     same_path = [row for row in rows if row["t_move_s"] == key.t_move_s and row["rounds"] == key.rounds]
     references = _finished(row for row in same_path if row["role"] == "reference")
     own_references = [row for row in cell_rows if row["role"] == "reference"]
@@ -133,12 +133,12 @@ def _cell(key: CellKey, cell_rows: Sequence[Row], rows: Sequence[Row]) -> Cell:
     )
 
 
-def _finished(rows: Any) -> tuple[Row, ...]:
+def _finished(rows: Iterable[Dp1Row]) -> tuple[Dp1Row, ...]:
     """Rows without an error, by game."""
     return tuple(sorted((row for row in rows if row.get("error") is None), key=lambda row: row["game"]))
 
 
-def _lockstep_row(rows: Sequence[Row], command: str) -> Row | None:
+def _lockstep_row(rows: Sequence[Dp1Row], command: str) -> Dp1Row | None:
     """The zero-latency game of the same commands, of the cell's own command if there are several."""
     lockstep = _finished(row for row in rows if row["role"] == "lockstep")
     own = [row for row in lockstep if row["command"] == command]
@@ -153,6 +153,6 @@ def _flown_s(cell: Cell) -> float:
     return sum(float(row["duration_s"]) for row in cell.rows)
 
 
-def rows_of(scores: Sequence[CellScores]) -> list[Row]:
+def rows_of(scores: Sequence[CellScores]) -> list[Dp1Row]:
     """The games of all those cells."""
     return [row for score in scores for row in score.cell.rows]

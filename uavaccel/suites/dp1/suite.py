@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from uavaccel.bench.traces import record_trace
 from uavaccel.records import RunDirectory
@@ -26,7 +26,7 @@ class Dp1(Suite[Dp1Config, Case]):
     name = "dp1"
     config = Dp1Config
     report_class = Dp1Report
-    quick: ClassVar[Mapping[str, Any]] = {"games": 3, "reference_games": 3}
+    quick: ClassVar[Mapping[str, object]] = {"games": 3, "reference_games": 3}
 
     def cases(self, config: Dp1Config) -> Iterator[Case]:
         return cases(config)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -17,13 +16,12 @@ from uavaccel.metrics.speedup import (
 )
 from uavaccel.metrics.trajectory import duration_error_s, quartiles
 from uavaccel.suites.disturbed import disturbed_games
+from uavaccel.suites.dp1.cases import Dp1Row
 from uavaccel.suites.dp1.scores import Cell, CellScores
-from uavaccel.suites.report import Row
-
-Values = dict[str, Any]
+from uavaccel.suites.report import Row, Values
 
 
-def summarise(rows: Sequence[Row], scores: Sequence[CellScores]) -> Values:
+def summarise(rows: Sequence[Dp1Row], scores: Sequence[CellScores]) -> Values:
     """The summary of a run's rows and the scores of their cells.
 
     Accuracies are medians over games of each game's mean over the references, a reference without itself.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,8 +12,9 @@ from matplotlib.ticker import MaxNLocator
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
+from uavaccel.suites.dp1.cases import Dp1Row
 from uavaccel.suites.dp1.scores import CellScores
-from uavaccel.suites.report import LoadArrays, Row
+from uavaccel.suites.report import LoadArrays
 from uavaccel.suites.source_line import source_line
 
 _COLOURS = (style.BLUE, style.GREEN, style.VERMILION)
@@ -62,7 +62,7 @@ def _fastest_cell(scores: Sequence[CellScores], rounds: int) -> CellScores | Non
     return max(flown, key=preference)
 
 
-def _compared_flights(score: CellScores) -> list[tuple[Row, str]]:
+def _compared_flights(score: CellScores) -> list[tuple[Dp1Row, str]]:
     """A reference, then the replicas of highest and lowest STLC, each with its label."""
     cell = score.cell
     flights = [(row, f"{style.command_at_clock(row)}: reference") for row in cell.reference_rows[:1]]
@@ -92,7 +92,7 @@ def plot_trajectories(lines: Sequence[TrajectoryLine], source: str, title: str) 
     """Up to three flights from above and the side, height upwards."""
     with style.project_style():
         figure = style.new_figure(7.2, 6.0, title, source)
-        axes: Any = figure.add_subplot(projection="3d")
+        axes = figure.add_subplot(projection="3d")
         for line, colour in zip(lines, _COLOURS, strict=False):
             north, east, down = line.position_m.T
             axes.plot(north, east, -down, color=colour, label=line.label, linewidth=1.2)
@@ -102,7 +102,7 @@ def plot_trajectories(lines: Sequence[TrajectoryLine], source: str, title: str) 
         return figure
 
 
-def _scale(axes: Any, lines: Sequence[TrajectoryLine]) -> None:
+def _scale(axes: style.Axes3D, lines: Sequence[TrajectoryLine]) -> None:
     axes.set(xlabel="north x, m", ylabel="east y, m", zlabel="height −z, m")
     axes.view_init(elev=38, azim=-125)
     if not lines:

@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,17 +19,18 @@ from matplotlib.lines import Line2D
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.errors import UserError
-from uavaccel.suites.report import Row
+from uavaccel.files import Plain
+from uavaccel.suites.dp1.cases import Dp1Row
 from uavaccel.suites.source_line import clock_words, conditions
 
-Event = Mapping[str, Any]
+Event = Mapping[str, Plain]
 Trace = Sequence[Event]
 
 MOST_EVENTS = 44  # a longer trace is cut: the trellis shows one command, not a flight
 _CLIENT_X, _SERVER_X = 0.0, 1.0
-_CALL: dict[str, Any] = {"color": style.BLUE, "linewidth": 1.1}
-_ANSWER: dict[str, Any] = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
-_RUNNING: dict[str, Any] = {"color": style.ORANGE, "linewidth": 6, "solid_capstyle": "butt"}
+_CALL: style.LineStyle = {"color": style.BLUE, "linewidth": 1.1}
+_ANSWER: style.LineStyle = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+_RUNNING: style.LineStyle = {"color": style.ORANGE, "linewidth": 6, "solid_capstyle": "butt"}
 _LEGEND = {"call": _CALL, "answer": _ANSWER, "simulated time runs": _RUNNING}
 
 
@@ -42,7 +42,7 @@ class Message:
     received: int
 
 
-def trellis_figure(run_dir: Path, rows: Sequence[Row], path: Path) -> Picture:
+def trellis_figure(run_dir: Path, rows: Sequence[Dp1Row], path: Path) -> Picture:
     """Figure 4 from the traces that the run recorded, if it did."""
     traces = _traces(run_dir)
     timings = sorted({row["timing"] for row in rows if row["role"] == "game"})

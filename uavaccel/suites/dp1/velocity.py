@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,11 +15,12 @@ from matplotlib.patches import Patch
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.metrics.trajectory import command_gaps_s
-from uavaccel.suites.report import Arrays, LoadArrays, Row
+from uavaccel.suites.dp1.cases import Dp1Row
+from uavaccel.suites.report import Arrays, LoadArrays
 from uavaccel.suites.source_line import source_line
 
 _AXIS_NAMES = ("north", "east", "down")
-_END: dict[str, Any] = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
+_END: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 _GAP_COLOUR = "#D0D0D0"
 _VISIBLE_M_S = 0.05  # a component that never gets faster is left out
 
@@ -36,7 +36,7 @@ class VelocityPanel:
     command_end_s: np.ndarray
 
 
-def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) -> Picture:
+def velocity_figure(rows: Sequence[Dp1Row], load_arrays: LoadArrays, path: Path) -> Picture:
     """Figure 2 from the games of role "figure2": two steps forward and one back, slowest ClockSpeed on top."""
     flown = [row for row in rows if row["role"] == "figure2" and row.get("error") is None]
     flown.sort(key=lambda row: row["clock_speed"])
@@ -51,7 +51,7 @@ def velocity_figure(rows: Sequence[Row], load_arrays: LoadArrays, path: Path) ->
     )
 
 
-def _velocity_panel(row: Row, arrays: Arrays) -> VelocityPanel:
+def _velocity_panel(row: Dp1Row, arrays: Arrays) -> VelocityPanel:
     start_s, end_s = arrays["command_start_s"], arrays["command_end_s"]
     gap_ms = float(np.mean(command_gaps_s(start_s, end_s))) * 1e3
     return VelocityPanel(

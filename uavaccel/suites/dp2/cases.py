@@ -5,12 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.experiment import CommandName, Timing
+from uavaccel.suites.report import GameRow
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,39 @@ class Case:
     def seed(self, run_seed: int) -> np.random.SeedSequence:
         """The game's own generator: the same in any subset of a run, and in any order."""
         return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(self.id.encode()),))
+
+
+class Dp2Collision(TypedDict):
+    """What a flight hit: seconds since the start, and NED."""
+
+    object: str
+    time_s: float
+    position_m: list[float]
+
+
+class Dp2Row(GameRow):
+    """What is kept of a game beside its arrays."""
+
+    role: str
+    command: CommandName
+    clock_speed: float
+    t_move_s: float
+    t_sample_s: float
+    timing: Timing
+    profile: str
+    seed: int
+    commands: int
+    planned_commands: int
+    samples: int
+    distance_m: float
+    collision: Dp2Collision | None
+    guard_retries: int
+    wall_s: float
+    sim_time_s: float
+    duration_s: float
+    real_time_factor: float
+    error: str | None
+    """What ended the flight, if anything did."""
 
 
 def cases(config: Dp2Config) -> Iterator[Case]:

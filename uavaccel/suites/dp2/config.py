@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sized
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -83,12 +84,12 @@ class Dp2Config(FlightExperiment):
 
     @field_validator("lane", mode="before", json_schema_input_type=int | DrawnLane | LaneFile | str)
     @classmethod
-    def _written_out(cls, lane: Any) -> Any:
+    def _written_out(cls, lane: object) -> object:
         return parse_lane(lane)
 
     @field_validator("path")
     @classmethod
-    def _not_empty(cls, path: Any) -> Any:
+    def _not_empty(cls, path: Sized) -> Sized:
         if not path:
             raise ValueError("needs at least one velocity, or: planned")
         return path
@@ -107,7 +108,7 @@ class Dp2Config(FlightExperiment):
                 raise ValueError("dvs_rate_hz needs timing and reference_timing virtual or lockstep")
         return self
 
-    def wire_lane(self) -> Any:
+    def wire_lane(self) -> object:
         """The lane as Client.set_lane takes it."""
         return self.lane if isinstance(self.lane, int) else self.lane.model_dump(mode="json")
 

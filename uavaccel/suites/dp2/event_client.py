@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,25 +10,39 @@ from numpy.typing import NDArray
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.vision.dvs import PRESETS, make_sensor
 from uavaccel.vision.event_counter import EventCounter
-from uavaccel.wire.image_api import HEIGHT, WIDTH
+from uavaccel.vision.exposure import AutoExposure
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.vision.perturb import PerturbationSettings
+from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[np.generic]]
 
 
 class EventClient(CameraClient):
     """Counts the events from one sample to the next, in the simulation: nothing of it travels, or takes wall time."""
 
-    def __init__(self, *asked: Any, config: Dp2Config, session: Session) -> None:
-        super().__init__(*asked)
+    def __init__(
+        self,
+        client: Client,
+        kind: str,
+        guard: GuardSettings,
+        perturbation: PerturbationSettings | None,
+        exposure: AutoExposure | None,
+        *,
+        config: Dp2Config,
+        session: Session,
+    ) -> None:
+        super().__init__(client, kind, guard, perturbation, exposure)
         assert config.dvs_rate_hz is not None
         sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
         self._session, self._noise_seed = session, config.sensor_seed
         self._counter = EventCounter(sensor)
-        self._counts: list[tuple[NDArray[Any], NDArray[Any]]] = []
+        self._counts: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
         self._stop = session.watch(rate_ticks(config.dvs_rate_hz, config.profile), self._look)
 
     def _look(self, time_ns: int) -> None:
@@ -41,8 +55,7 @@ class EventClient(CameraClient):
         elif not self._counter.has_seen(state.time_ns):
             self._look(state.time_ns)
         self._counts.append(self._counter.take())
-        sample: Sample = super().gather(state)
-        return sample
+        return super().gather(state)
 
     def arrays(self, samples: int) -> Arrays:
         """`dvs_on` and `dvs_off` (n, 144, 256) of the first samples: bytes, unless a pixel had more than 255 events."""

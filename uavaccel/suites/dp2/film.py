@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from uavaccel.config import validate
 from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
@@ -11,9 +9,9 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.chase import ChaseView
+from uavaccel.suites.dp2.cases import Dp2Row
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.scores import counts_of
-from uavaccel.suites.report import Row
 from uavaccel.suites.suite import choose_row
 
 
@@ -32,11 +30,11 @@ def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
     return row["case"], film
 
 
-def _interest(row: Row) -> Any:
+def _interest(row: Dp2Row) -> tuple[bool, bool, float]:
     return row["role"] == "game", row["command"] == "tcsc", row["clock_speed"]
 
 
-def _title(row: Row) -> str:
+def _title(row: Dp2Row) -> str:
     if row["timing"] == "lockstep":
         return f"{command_name(row['command'])} in lockstep, without latency"
     clock = f"{command_name(row['command'])} at ClockSpeed {clock_label(row['clock_speed'])}"

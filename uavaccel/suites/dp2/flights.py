@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.suites.disturbed import stalls
-from uavaccel.suites.dp2.cases import Case, velocities
+from uavaccel.suites.disturbed import note_stalls
+from uavaccel.suites.dp2.cases import Case, Dp2Collision, Dp2Row, velocities
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.dp2.event_client import Arrays, EventClient
 from uavaccel.suites.experiment import t_th_ns
@@ -19,6 +19,7 @@ from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
 from uavaccel.vision.exposure import AutoExposure
 from uavaccel.vision.perturb import PerturbationSettings, share_at
+from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Session
 
 SCENE = "lane"
@@ -31,10 +32,10 @@ class Flight(NamedTuple):
     indices: list[int]
     commands: int
     wall_s: float
-    collision: dict[str, Any]
+    collision: Collision | None
 
 
-def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, dict[str, np.ndarray]]:
     """Fly one game: its row, without the arrays' path, and its arrays (see `arrays_of`)."""
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
@@ -54,7 +55,7 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
             counts = camera.arrays(len(flight.samples))
     speed, recording = client.speed(), client.recording()
     start = flight.samples[0].state
-    row = {
+    row: Dp2Row = {
         "suite": "dp2",
         "case": case.id,
         "role": case.role,
@@ -77,8 +78,8 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[dict[str,
         "real_time_factor": speed["real_time_factor"],
         "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
         "error": speed["failure"],
-        **stalls(client.transport.stalled_ns),
     }
+    note_stalls(row, client.transport.stalled_ns)
     return row, arrays_of(flight, velocities(config)[: flight.commands]) | counts
 
 
@@ -109,7 +110,7 @@ def _stands_still(samples: list[Sample]) -> bool:
     return samples[-1].state.position_m == samples[-2].state.position_m
 
 
-def _before(collision: dict[str, Any], samples: list[Sample]) -> int:
+def _before(collision: Collision | None, samples: list[Sample]) -> int:
     """How many samples were taken before the collision; the others show a vehicle that stands frozen."""
     if not collision:
         return len(samples)
@@ -134,7 +135,7 @@ def _north_m(flight: Flight) -> float:
     return float(collision["position_m"][0] if collision else flight.samples[-1].state.position_m[0])
 
 
-def _collision(flight: Flight) -> dict[str, Any] | None:
+def _collision(flight: Flight) -> Dp2Collision | None:
     if not flight.collision:
         return None
     since_start_ns = flight.collision["time_ns"] - flight.samples[0].state.time_ns

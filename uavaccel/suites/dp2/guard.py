@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.document import or_dash
+from uavaccel.suites.report import Summary, Values
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study
 from uavaccel.vision.perturb import PerturbationKind
@@ -19,7 +17,7 @@ STREAMS = 20  # of the same images, each perturbed by a seed of its own: one str
 HEADER = ("kind of perturbation", "perturbed images sent", "pass without guard", "pass the guard")
 
 
-def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> dict[str, Any]:
+def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> Values:
     """Perturbed images sent and handed on, by kind, over `STREAMS` streams of `images` (n, H, W, 3).
 
     An image that the guard asks for again may be perturbed again, so with the guard more are sent.
@@ -41,7 +39,7 @@ def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> dict
     }
 
 
-def _by_kind(streams: list[dict[str, Any]], kind: str) -> dict[str, Any]:
+def _by_kind(streams: list[Values], kind: str) -> Values:
     result = {}
     for guard in ("off", "on"):
         counts = [stream[guard]["by_kind"][kind] for stream in streams]
@@ -50,7 +48,7 @@ def _by_kind(streams: list[dict[str, Any]], kind: str) -> dict[str, Any]:
     return result
 
 
-def table(guard: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(guard: Summary) -> list[tuple[str, ...]]:
     """One row of text a kind, below `HEADER`, and one of all images together."""
     rows = [
         (
@@ -66,7 +64,7 @@ def table(guard: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [*rows, ("all", str(sent), *(or_dash(share, "{:.1%}".format) for share in passed))]
 
 
-def sentence(guard: Mapping[str, Any]) -> str:
+def sentence(guard: Summary) -> str:
     """The false alarms, and what of all images handed on is perturbed."""
     handed_on = guard["perturbed_share_handed_on"]
     return (
@@ -76,6 +74,6 @@ def sentence(guard: Mapping[str, Any]) -> str:
     )
 
 
-def _ratio(counts: list[Mapping[str, Any]]) -> float | None:
+def _ratio(counts: list[Summary]) -> float | None:
     sent = sum(count["sent"] for count in counts)
     return sum(count["passed"] for count in counts) / sent if sent else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -85,7 +84,7 @@ def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float
         axes.scatter([], [], s=22, c=colour, marker=marker, label=label)
     axes.set_xlabel("DVS-ED, % of the pixels")
     handles, labels = axes.get_legend_handles_labels()
-    above: Any = {
+    above: style.LineStyle = {
         "loc": "lower left",
         "bbox_to_anchor": (-0.02, 1.0),
         "alignment": "left",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.suites.dp2 import guard as dp2_guard
+from uavaccel.suites.dp2.cases import Dp2Row
 from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
 from uavaccel.suites.dp2.scores import GameScore, score_games
 from uavaccel.suites.dp2.summary import summary_of
@@ -74,7 +74,7 @@ class Dp2Report(Report):
         ]
 
 
-def _guard_blocks(guard: Mapping[str, Any] | None) -> list[Block]:
+def _guard_blocks(guard: Summary | None) -> list[Block]:
     if guard is None:
         return []
     return [
@@ -90,15 +90,15 @@ def _guard_blocks(guard: Mapping[str, Any] | None) -> list[Block]:
     ]
 
 
-def _warnings(rows: Sequence[Row], summary: Summary, config: Mapping[str, Any]) -> list[str]:
+def _warnings(rows: Sequence[Dp2Row], summary: Summary, config: Row) -> list[str]:
     failed = [row["case"] for row in rows if row["error"] is not None]
-    hit = [row for row in rows if row["collision"]]
+    hit = [(row, collision) for row in rows if (collision := row["collision"])]
     lost_s = sum(row["lost_wall_s"] for row in rows)
     drawing_known = "image" in config["latency"]["reply_us"]
     warnings = [
-        f"{row['case']} hit {row['collision']['object']} after {row['distance_m']:.1f} m and stood still from there: "
+        f"{row['case']} hit {collision['object']} after {row['distance_m']:.1f} m and stood still from there: "
         f"its images count up to that moment."
-        for row in hit
+        for row, collision in hit
     ]
     if failed:
         warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")

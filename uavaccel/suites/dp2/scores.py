@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
-from uavaccel.suites.report import Arrays, LoadArrays, Row
+from uavaccel.suites.dp2.cases import Dp2Row
+from uavaccel.suites.report import Arrays, LoadArrays
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 
@@ -25,7 +26,7 @@ Counts = NDArray[np.unsignedinteger]
 class SeenFlight:
     """A game's samples and what the DVS made of them: `on` and `off` (n, H, W) event counts, 0 for the first."""
 
-    row: Row
+    row: Dp2Row
     sample_index: NDArray[np.int32]
     position_m: NDArray[np.float64]
     orientation_wxyz: NDArray[np.float64]
@@ -41,8 +42,8 @@ class GameScore:
     bit; None where the run has no such game. `reference`: the row of the run at 1x, None without one.
     """
 
-    row: Row
-    reference: Row | None
+    row: Dp2Row
+    reference: Dp2Row | None
     position_error_m: NDArray[np.float64]
     attitude_error_deg: NDArray[np.float64]
     dvs_ed_percent: NDArray[np.float64]
@@ -78,14 +79,14 @@ def counts_of(arrays: Arrays, preset: str, sensor_seed: int) -> tuple[Counts, Co
     return count_events(arrays["image"], arrays["time_s"], PRESETS[preset], sensor_seed)
 
 
-def see(row: Row, arrays: Arrays, preset: str, sensor_seed: int) -> SeenFlight:
+def see(row: Dp2Row, arrays: Arrays, preset: str, sensor_seed: int) -> SeenFlight:
     """A game with its DVS counts."""
     on, off = counts_of(arrays, preset, sensor_seed)
     return SeenFlight(row, arrays["sample_index"], arrays["position_m"], arrays["orientation_wxyz"], on, off)
 
 
 def score_games(
-    rows: Sequence[Row], load_arrays: LoadArrays, preset: str, sensor_seed: int
+    rows: Sequence[Dp2Row], load_arrays: LoadArrays, preset: str, sensor_seed: int
 ) -> Iterator[GameScore]:
     """Scores of the finished games at all ClockSpeeds, by command and ClockSpeed; the run at 1x is one of them.
 
@@ -93,7 +94,7 @@ def score_games(
     """
     finished = [row for row in rows if row["error"] is None]
 
-    def seen(row: Row | None) -> SeenFlight | None:
+    def seen(row: Dp2Row | None) -> SeenFlight | None:
         return None if row is None else see(row, load_arrays(row), preset, sensor_seed)
 
     lockstep = seen(next((row for row in finished if row["role"] == "lockstep"), None))

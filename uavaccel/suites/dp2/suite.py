@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from uavaccel.draw.film import Film
 from uavaccel.records import RunDirectory
@@ -25,7 +25,7 @@ class Dp2(Suite[Dp2Config, Case]):
     name = "dp2"
     config = Dp2Config
     report_class = Dp2Report
-    quick: ClassVar[Mapping[str, Any]] = {}
+    quick: ClassVar[Mapping[str, object]] = {}
 
     def cases(self, config: Dp2Config) -> Iterator[Case]:
         return cases(config)

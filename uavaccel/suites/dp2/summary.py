@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.suites.dp2.cases import Dp2Row
 from uavaccel.suites.dp2.scores import GameScore
-from uavaccel.suites.report import Row
-
-Values = dict[str, Any]
+from uavaccel.suites.report import Row, Summary, Values
 
 
-def summary_of(
-    config: Mapping[str, Any], scores: Sequence[GameScore], guard: Mapping[str, Any] | None
-) -> Values:
+def summary_of(config: Row, scores: Sequence[GameScore], guard: Summary | None) -> Values:
     """The summary of a run's scores; `guard` is its guard study. What cannot be known is None.
 
     Errors are over the images that a game shares with the same command's run at 1x; an ADSC game that collides
@@ -78,7 +74,7 @@ def _reference(score: GameScore) -> Values | None:
     }
 
 
-def _rate(row: Row) -> float | None:
+def _rate(row: Dp2Row) -> float | None:
     """Simulated seconds of commands over the wall time they took, images and guard included."""
     flown_s, wall_s = float(row["duration_s"]), float(row["wall_s"])
     return flown_s / wall_s if wall_s > 0 else None

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch as th
 
@@ -18,18 +17,18 @@ from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import Agent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.evaluation.flights import EvaluateRow, fly_game
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
-FlownOnLane = tuple[dict[str, Any], dict[str, float]]  # row, host times
+FlownOnLane = tuple[EvaluateRow, dict[str, float]]  # row, host times
 
 
 class AgentLane(ObstacleLane):
     """An `ObstacleLane` with its agent on board."""
 
-    def take_agent(self, config: Mapping[str, Any]) -> None:
+    def take_agent(self, config: Mapping[str, object]) -> None:
         """The agent that a configuration of the evaluation, as plain data, names."""
         th.set_num_threads(1)
         self._config = validate(EvaluateConfig, config, "evaluation")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from uavaccel.envs.flyable import Device, Simulator
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.simulators import KERNELS, Device, Simulator
+from uavaccel.envs.simulators import KERNELS
+from uavaccel.files import Plain
 from uavaccel.limits import Cost, Games, Processes
 from uavaccel.rl.agents import DEFAULT, trained_keys
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS
@@ -56,7 +58,7 @@ class EvaluateConfig(Experiment):
         return self
 
 
-def completed(mapping: Mapping[str, Any]) -> dict[str, Any]:
+def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     """The mapping with what its agent was trained with where it says nothing. Raises UserError if there is no agent."""
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):

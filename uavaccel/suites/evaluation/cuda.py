@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch as th
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
+from uavaccel.envs.values import Info
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.rl.algorithms import action_values
 from uavaccel.rl.policy import Policy
@@ -52,7 +52,7 @@ class LanesOnGpu:
         seen = self._lanes.observations
         if not isinstance(self._agent, PolicyAgent):
             for place in going.tolist():
-                info: dict[str, Any] = {"position_m": self._places[place]}
+                info: Info = {"position_m": self._places[place]}
                 actions[place] = self._agent.act(np.zeros(0), info)
             return actions
         for members, rows in self._blocks.of(going):

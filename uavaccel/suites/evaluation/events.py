@@ -12,11 +12,11 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.task import rate_ticks
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_lane
 from uavaccel.vision.dvs import make_sensor
 from uavaccel.vision.event_counter import EventCounter
-from uavaccel.wire.image_api import HEIGHT, WIDTH
 
 
 class SecondEventCamera(Observer):

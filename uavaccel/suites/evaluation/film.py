@@ -16,15 +16,14 @@ from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.scores import count_events
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.filmed import FilmedAgent, SamplesSeen
-from uavaccel.suites.evaluation.flights import fly_lane
-from uavaccel.suites.report import Row
+from uavaccel.suites.evaluation.flights import EvaluateRow, fly_lane
 from uavaccel.wire.image_api import lane_layout
 
 
-def best_first(rows: Iterable[Row]) -> list[Row]:
+def best_first(rows: Iterable[EvaluateRow]) -> list[EvaluateRow]:
     """Games from the success in the fewest commands to the one that got least far."""
 
-    def rank(row: Row) -> tuple[bool, float]:
+    def rank(row: EvaluateRow) -> tuple[bool, float]:
         return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
 
     return sorted(rows, key=rank)

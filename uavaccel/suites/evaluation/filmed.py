@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from uavaccel.draw.decisions import Decisions
 from uavaccel.envs.flight_client import FlightSample
 from uavaccel.envs.observer import Game, Observer
+from uavaccel.envs.values import Frame, Info
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.rl.agents import Agent, PolicyAgent
 
@@ -40,10 +41,10 @@ class SamplesSeen(Observer):
     def sample_taken(self, sample: FlightSample, command: int) -> None:
         state, hit = sample.state, sample.collision
         time_ns = hit["time_ns"] if hit else state.time_ns
-        position_m = tuple(hit["position_m"]) if hit else state.position_m
+        north, east, down = hit["position_m"] if hit else state.position_m
         shown = self._game.task.observation == "dvs" and not hit
         image = sample.image if shown else self._game.session.picture()
-        self.samples.append(Seen(time_ns, image, position_m, state.orientation_wxyz, command))
+        self.samples.append(Seen(time_ns, image, (north, east, down), state.orientation_wxyz, command))
 
 
 class FilmedAgent:
@@ -52,11 +53,11 @@ class FilmedAgent:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._rated_as = ""
-        self._given: list[NDArray[Any]] = []
+        self._given: list[Frame] = []
         self._ratings: list[NDArray[np.float64]] = []
         self._taken: list[int] = []
 
-    def act(self, observation: NDArray[Any], info: dict[str, Any]) -> int:
+    def act(self, observation: Frame, info: Info) -> int:
         action = self._agent.act(observation, info)
         if isinstance(self._agent, PolicyAgent):
             self._rated_as, ratings = self._agent.policy.rate(observation[None])
@@ -70,6 +71,6 @@ class FilmedAgent:
         if not self._taken:
             return None
         given = np.stack(self._given)
-        pictures = given if given.ndim == 4 else None
+        pictures = np.asarray(given, np.uint8) if given.ndim == 4 else None
         ratings, taken = np.stack(self._ratings), np.array(self._taken)
         return Decisions(ratings, taken, headings_deg, np.array(of_sample), self._rated_as, pictures)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import NotRequired
 
 import numpy as np
 
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT
+from uavaccel.envs.values import Info
 from uavaccel.rl.agents import Agent
-from uavaccel.suites.disturbed import measured_disturbances
+from uavaccel.suites.disturbed import note_disturbances
 from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.report import LaneRow
 
 
 @dataclass(frozen=True)
@@ -38,30 +40,45 @@ def cases(config: EvaluateConfig) -> Iterator[Case]:
         yield Case(lane, config.task.timing, config.task.typical_s)
 
 
-def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> dict[str, Any]:
+class EvaluateRow(LaneRow):
+    """A game of an evaluation."""
+
+    wall_s: float
+    actions: list[int]
+    simulator: NotRequired[str]
+    """Which one flew, unless that is the exact one."""
+
+
+def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> EvaluateRow:
     """Fly the lane to its end; the game's row."""
     infos = list(fly_lane(config, environment, agent, lane))
     return row_of(config, lane, infos[-1], [info["action"] for info in infos])
 
 
-def row_of(config: EvaluateConfig, lane: int, ended: dict[str, Any], actions: list[int]) -> dict[str, Any]:
-    """A game's row, of the info of its end; it says which simulator flew, unless that is the exact one."""
-    names = ("is_success", "distance_m", "collision", "lane", "commands", "wall_s", "phase_s")
-    return {
+def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: list[int]) -> EvaluateRow:
+    """A game's row, made of the info of its end."""
+    row: EvaluateRow = {
         "case": lane_case(lane),
         "suite": "evaluate",
-        **({} if config.simulator == EXACT else {"simulator": config.simulator}),
-        **{name: ended[name] for name in names},
-        **{name: ended[name] for name in (CONDITIONS,) if name in ended},
+        "is_success": ended["is_success"],
+        "distance_m": ended["distance_m"],
+        "collision": ended["collision"],
+        "lane": ended["lane"],
+        "commands": ended["commands"],
+        "wall_s": ended["wall_s"],
+        "phase_s": ended["phase_s"],
         "sim_time_s": ended["commands"] * config.task.t_move_s,
         "actions": actions,
-        **measured_disturbances(ended),
     }
+    note_disturbances(row, ended)
+    if config.simulator != EXACT:
+        row["simulator"] = config.simulator
+    if CONDITIONS in ended:
+        row[CONDITIONS] = ended[CONDITIONS]
+    return row
 
 
-def fly_lane(
-    config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int
-) -> Iterator[dict[str, Any]]:
+def fly_lane(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> Iterator[Info]:
     """One game, an info after each command; the same game for the same seed and lane."""
     observation, info = environment.reset(seed=game_seed(config, lane), options={"lane": lane})
     over = False

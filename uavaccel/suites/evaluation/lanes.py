@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch as th
@@ -20,16 +20,17 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT, check_names
+from uavaccel.envs.values import Info
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.flights import game_seed, row_of
+from uavaccel.suites.evaluation.flights import EvaluateRow, game_seed, row_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
 MOST_LANES = 1024  # at once: a lane's event camera takes about 300 KB
 BLOCK = 32  # observations that are rated together
-Ended = tuple[int, dict[str, Any]]  # place in the batch, info of the game's end
+Ended = tuple[int, Info]  # place in the batch, info of the game's end
 
 
 class Lanes(Protocol):
@@ -56,7 +57,7 @@ class GamesOverArrays:
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._config, self._left = config, deque(lanes)
         self._batch: Lanes | None = None
-        self._rows: dict[int, dict[str, Any]] = {}
+        self._rows: dict[int, EvaluateRow] = {}
         self._clock = MonotonicClock()
         self._start_ns: int | None = None
 

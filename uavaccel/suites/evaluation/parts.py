@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.limits import Games
@@ -18,8 +17,8 @@ from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
-from uavaccel.suites.report import Row
-from uavaccel.suites.suite import Cost, GameResult, Suite
+from uavaccel.suites.report import Arrays, Row
+from uavaccel.suites.suite import AnySuite, Cost, GameResult, Suite
 
 
 class PolicyExperiment(Experiment):
@@ -37,8 +36,8 @@ class EvaluationCase:
     """An evaluation: its dotted keys that are no other's, and what its row says of them."""
 
     id: str
-    keys: Mapping[str, Any]
-    labels: Mapping[str, Any]
+    keys: Mapping[str, object]
+    labels: Mapping[str, object]
     timing: str = "virtual"
     simulated: float = 0.0
 
@@ -65,7 +64,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
         return Part(experiment=config.evaluation.experiment, keys=keys)
 
-    def first(self, config: PolicyConfig) -> tuple[Suite[EvaluateConfig, Any], EvaluateConfig]:
+    def first(self, config: PolicyConfig) -> tuple[AnySuite, EvaluateConfig]:
         """Suite and configuration of the first evaluation, which stands for all where they do not differ."""
         suite, evaluation = part_suite(self.part(config, next(self.evaluations(config))), config.seed)
         if not isinstance(evaluation, EvaluateConfig):
@@ -87,7 +86,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         suite, evaluation = self.first(config)
         return suite.renders(evaluation)
 
-    def provenance(self, config: PolicyConfig) -> Mapping[str, Any]:
+    def provenance(self, config: PolicyConfig) -> Mapping[str, object]:
         """Raises UserError for a device that this machine does not have."""
         suite, evaluation = self.first(config)
         suite.provenance(evaluation)
@@ -109,7 +108,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
 
 
-def outcomes(run: RunDirectory) -> dict[str, NDArray[Any]]:
+def outcomes(run: RunDirectory) -> Arrays:
     """Of an evaluation's games (n,): lane, success, and metres north."""
     rows = run.rows()
     return {

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from uavaccel.draw.document import Block, Paragraph, Table, to_html, to_markdown
 from uavaccel.envs.simulators import EXACT
+from uavaccel.files import Plain
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.flights import EvaluateRow
 from uavaccel.suites.evaluation.summary import how_flown
-from uavaccel.suites.report import Row
 
 PAGE = "simulators"
 TITLE = "One agent in two simulators"
@@ -48,12 +48,12 @@ def _simulator(run: RunDirectory) -> str:
     return str(run.config().get("simulator", EXACT))
 
 
-def _who(run: RunDirectory) -> Any:
+def _who(run: RunDirectory) -> Plain:
     """The policy's weights; of a baseline, which has none, its name."""
     return run.manifest().get("policy_sha256") or run.config()["agent"]
 
 
-def _shared(exact: RunDirectory, other: RunDirectory) -> list[tuple[Row, Row]]:
+def _shared(exact: RunDirectory, other: RunDirectory) -> list[tuple[EvaluateRow, EvaluateRow]]:
     """Rows of the lanes that both flew."""
     theirs = {row["lane"]: row for row in other.rows()}
     return [(row, theirs[row["lane"]]) for row in exact.rows() if row["lane"] in theirs]
@@ -74,7 +74,7 @@ def _blocks(exact: RunDirectory, other: RunDirectory) -> list[Block]:
     return [Paragraph(said), Table(header, lines)]
 
 
-def _line(run: RunDirectory, rows: Sequence[Row]) -> tuple[str, ...]:
+def _line(run: RunDirectory, rows: Sequence[EvaluateRow]) -> tuple[str, ...]:
     config = run.config()
     how = config.get("simulator", EXACT), how_flown(config | {"timing": config["task"]["timing"]})
     distance_m = float(np.median([row["distance_m"] for row in rows]))

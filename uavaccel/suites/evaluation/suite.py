@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import torch as th
 
@@ -13,6 +12,7 @@ from uavaccel.config import validate
 from uavaccel.draw.film import Film
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.files import Plain
 from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent, policy_sha256
@@ -39,7 +39,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
         return EvaluationReport
 
-    def complete(self, mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
         return completed(mapping)
 
     def check(self, config: EvaluateConfig) -> None:
@@ -86,7 +86,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     def renders(self, config: EvaluateConfig) -> bool:
         return config.task.observation != "state" and config.simulator != KERNELS
 
-    def provenance(self, config: EvaluateConfig) -> Mapping[str, Any]:
+    def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
         """Raises UserError for a device that this machine does not have."""
         check_simulator(config.simulator, config.device)
         by = {"simulator": config.simulator, "device": config.device}

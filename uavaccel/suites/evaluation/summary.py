@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.disturbed import disturbed_games
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.report import Row
+from uavaccel.suites.evaluation.flights import EvaluateRow
+from uavaccel.suites.report import Row, Values
 
 
-def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
+def summarise(config: EvaluateConfig, rows: Sequence[EvaluateRow]) -> Values:
     """Success ratio with its 95 % Wilson interval, and how far the agent got."""
     task = config.task
     sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
@@ -41,13 +41,13 @@ def summarise(config: EvaluateConfig, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def how_flown(keys: Mapping[str, Any]) -> str:
+def how_flown(keys: Row) -> str:
     """Measured or modelled, and by which simulator, of a summary or of a configuration's keys with its timing."""
     by = flown_by(keys.get("simulator", EXACT), keys.get("device", ""))
     return ", ".join([timing_provenance(keys["timing"]), *filter(None, [by])])
 
 
-def compare(rows: Sequence[Row], other: RunDirectory) -> str:
+def compare(rows: Sequence[EvaluateRow], other: RunDirectory) -> str:
     """McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
     theirs = {row["lane"]: row["is_success"] for row in other.rows() if row.get("suite") == "evaluate"}
     paired = [(row["is_success"], theirs[row["lane"]]) for row in rows if row["lane"] in theirs]

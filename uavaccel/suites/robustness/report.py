@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.evaluation.parts import agent_name
-from uavaccel.suites.report import Report, Row, Summary, SummaryCell
+from uavaccel.suites.report import Report, Row, Summary, SummaryCell, Values
 from uavaccel.suites.robustness.success_map import SuccessMap, plot_success_maps
 
 FIGURE = "figures/robustness_map.png"
@@ -65,7 +64,7 @@ class RobustnessReport(Report):
         ]
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row]) -> Summary:
+def summarise(config: Row, rows: Sequence[Row]) -> Summary:
     """Every cell with its interval, and for each command and ClockSpeed between which latencies it collapses."""
     kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
     cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
@@ -93,7 +92,7 @@ def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> 
     }
     scales = sorted(scale for clock, scale in success if clock == clock_speed)
     real_time = success.get((1.0, FITTED))
-    found: dict[str, Any] = {"above": None, "below": None}
+    found: Values = {"above": None, "below": None}
     if real_time is not None:
         for scale in scales:
             if success[clock_speed, scale] < COLLAPSED * real_time:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, suggestion
 from uavaccel.yaml_io import parse_yaml
@@ -18,13 +16,13 @@ def key_of(name: str) -> str:
     raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*CONDITIONS, 'task.KEY'])}")
 
 
-def keys_of(name: str, value: Any) -> dict[str, Any]:
+def keys_of(name: str, value: object) -> dict[str, object]:
     """A condition as an evaluation's keys; a level of light is a range of one level."""
     key = key_of(name)
     return {key: [value, value] if key == key_of("light") and not isinstance(value, list) else value}
 
 
-def parse_sweep(text: str) -> tuple[str, list[Any]]:
+def parse_sweep(text: str) -> tuple[str, list[object]]:
     """Name and values of NAME=VALUE,VALUE,... Raises UsageError."""
     name, equals, values = text.partition("=")
     if not equals or not name or not values:
@@ -34,6 +32,6 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     return name, list(parsed)
 
 
-def value_text(value: Any) -> str:
+def value_text(value: object) -> str:
     """A value as rows, tables and figures have it: 3, 0.15, noisy."""
     return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import field_validator
 
@@ -14,12 +14,12 @@ class SweepConfig(PolicyExperiment):
     """`suite: sweep`."""
 
     suite: Literal["sweep"]
-    sweep: dict[str, tuple[Any, ...]]
+    sweep: dict[str, tuple[object, ...]]
     """By short name (envs/conditions.py) or dotted key, the values: one at a time, all else as trained."""
 
     @field_validator("sweep")
     @classmethod
-    def _conditions(cls, sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+    def _conditions(cls, sweep: dict[str, tuple[object, ...]]) -> dict[str, tuple[object, ...]]:
         if not sweep:
             raise ValueError("needs at least one condition, such as wind: [0, 3, 6]")
         for name, values in sweep.items():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.envs.conditions import CONDITIONS
+from uavaccel.files import Plain
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import agent_name
@@ -20,7 +21,7 @@ from uavaccel.suites.sweep.figure import plot_sweeps
 FIGURE = "figures/sweep.png"
 AS_TRAINED = "as-trained"
 
-Won = Mapping[str, NDArray[Any]]
+Won = Mapping[str, NDArray[np.bool_]]
 
 
 class SweepReport(Report):
@@ -62,7 +63,7 @@ class SweepReport(Report):
         return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> Summary:
+def summarise(config: Row, rows: Sequence[Row], won: Won) -> Summary:
     """Every condition with its interval, and McNemar's exact test against the flights as trained.
 
     `won` has the successes lane by lane, by case.
@@ -86,16 +87,16 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row], won: Won) -> Summa
     }
 
 
-def _conditions(config: Mapping[str, Any]) -> list[tuple[str, Any]]:
+def _conditions(config: Row) -> list[tuple[str, Plain]]:
     return [("", None), *((name, value) for name, values in config["sweep"].items() for value in values)]
 
 
-def case_id(condition: str, value: Any) -> str:
+def case_id(condition: str, value: object) -> str:
     """Name of a condition's row."""
     return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
 
 
-def _cell(name: str, value: Any, row: Row, won: Won) -> Summary:
+def _cell(name: str, value: object, row: Row, won: Won) -> Summary:
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value

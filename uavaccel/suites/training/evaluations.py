@@ -6,9 +6,8 @@ that is kept below policies/: the weights are those of a training without them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from uavaccel.config import validate
 from uavaccel.files import append_line, read_lines, to_json
@@ -17,10 +16,24 @@ from uavaccel.rl.learner import Learner
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.report import Row
 from uavaccel.suites.training.config import TrainConfig
 
 FILE, POLICIES = "evaluations.jsonl", "policies"
 FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, for which the best policy may be chosen by these
+
+
+class EvaluationLine(TypedDict):
+    """An evaluation of the policy of the moment, as a line of evaluations.jsonl."""
+
+    games: int
+    """Learned from so far."""
+    weights_sha256: str
+    successes: int
+    lanes: list[int]
+    is_success: list[bool]
+    """By lane, as `distance_m`, metres north."""
+    distance_m: list[float]
 
 
 class Evaluations:
@@ -40,7 +53,7 @@ class Evaluations:
             return False
         return games // every > self._done // every or games == self._config.games
 
-    def fly(self, learner: Learner) -> Mapping[str, Any]:
+    def fly(self, learner: Learner) -> EvaluationLine:
         """The greedy policy on every lane; the line that was written."""
         folder = self._run.file(f"{POLICIES}/{learner.games:07d}/policy.pt").parent
         sha256 = weights_sha256(learner.policy)
@@ -48,7 +61,7 @@ class Evaluations:
             folder, learner.policy, self._config, {"games": learner.games, "weights_sha256": sha256}
         )
         rows = self._fly_lanes(evaluation_of(self._config, folder))
-        line = {
+        line: EvaluationLine = {
             "games": learner.games,
             "weights_sha256": sha256,
             "successes": sum(row["is_success"] for row in rows),
@@ -60,7 +73,7 @@ class Evaluations:
         self._done = learner.games
         return line
 
-    def _fly_lanes(self, config: EvaluateConfig) -> list[dict[str, Any]]:
+    def _fly_lanes(self, config: EvaluateConfig) -> list[Row]:
         if self._batch is None:
             self._batch = GamesInBatch(config, self._lanes)
         else:
@@ -87,10 +100,10 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
     return validate(EvaluateConfig, keys, "evaluation")
 
 
-def evaluations(run: RunDirectory) -> list[dict[str, Any]]:
-    """The lines of evaluations.jsonl: `games` learned from so far, `weights_sha256`, `successes`; and by lane `lanes`,
-    `is_success` and `distance_m`, metres north."""
-    return read_lines(run.path / FILE)
+def evaluations(run: RunDirectory) -> list[EvaluationLine]:
+    """What evaluations.jsonl holds."""
+    lines: list[EvaluationLine] = read_lines(run.path / FILE)
+    return lines
 
 
 def drop_evaluations_after(run: RunDirectory, games: int) -> None:

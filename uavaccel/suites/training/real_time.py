@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -14,6 +12,7 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.files import to_json
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import OWN, baseline_class
+from uavaccel.suites.report import Row, Values
 from uavaccel.suites.training.config import TrainConfig
 
 COMMANDS = 20  # of the modelled game: by then their mean moves by less than 1 %
@@ -21,7 +20,7 @@ REAL_TIME = "real_time.json"  # in the run's folder
 KEYS = ("command", "observation", "history", "image_processing_s", *FLIGHT)
 
 
-def model_real_time(config: TrainConfig) -> dict[str, Any]:
+def model_real_time(config: TrainConfig) -> Values:
     """Wall seconds of a command: a short game straight ahead in an empty lane, under the modelled AirSim that ships.
 
     Pictures, DVS, decisions and learning are charged to its wall clock: the phases of the paper's Figure 9.
@@ -62,7 +61,7 @@ def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
     return float(info["wall_s"] / info["commands"])
 
 
-def in_real_time(commands: int, modelled: Mapping[str, Any]) -> dict[str, Any]:
+def in_real_time(commands: int, modelled: Row) -> Values:
     """What the summary says about it."""
     return {
         "modelled_real_time_s": commands * modelled["command_s"],

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from uavaccel.config import validate
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
@@ -13,7 +12,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import in_words, pace, wall_s
-from uavaccel.suites.report import Report, Summary, summary_table
+from uavaccel.suites.report import Report, Row, Summary, summary_table
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
@@ -92,7 +91,7 @@ def _curves(run: RunDirectory) -> list[Picture]:
     return pictures
 
 
-def _evaluated(lines: Sequence[Mapping[str, Any]]) -> list[Table]:
+def _evaluated(lines: Sequence[Row]) -> list[Table]:
     """Success of the policy of the moment, where it was evaluated."""
     if not lines:
         return []

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import torch as th
 
@@ -75,7 +74,7 @@ class Training(Suite[TrainConfig, Case]):
     def renders(self, config: TrainConfig) -> bool:
         return config.task.observation != "state"
 
-    def provenance(self, config: TrainConfig) -> Mapping[str, Any]:
+    def provenance(self, config: TrainConfig) -> Mapping[str, object]:
         """Raises UserError for a device that this machine does not have."""
         try:
             th.zeros(1, device=config.device)

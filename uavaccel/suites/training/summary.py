@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.report import Row
+from uavaccel.suites.report import Values
 from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.evaluations import EvaluationLine
+from uavaccel.suites.training.rows import TrainRow
 
 
-def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | None) -> dict[str, Any]:
+def summarise(config: TrainConfig, rows: Sequence[TrainRow], weights_sha256: str | None) -> Values:
     """The sums over all games, and the hash of what came out."""
     task = config.task
     disturbed = disturbed_games(rows)
@@ -35,7 +36,7 @@ def summarise(config: TrainConfig, rows: Sequence[Row], weights_sha256: str | No
     }
 
 
-def summarise_evaluations(lines: Sequence[Row]) -> list[dict[str, Any]]:
+def summarise_evaluations(lines: Sequence[EvaluationLine]) -> list[Values]:
     """Of each line of evaluations.jsonl: success with its 95 % Wilson interval, and how far the policy got."""
     return [
         {
