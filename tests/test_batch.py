@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -19,6 +18,7 @@ from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
+from tests.processes import descendants, left_after
 from uavaccel.envs import environment_processes
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.environment_processes import BatchError
@@ -28,13 +28,15 @@ from uavaccel.sim.rendering.service import RenderService
 
 NAME = "uavaccel/ObstacleLane-v0"
 COMMANDS = 14
-SIZES = [(1, 1, 1), (3, 2, 2), (8, 3, 5)]  # lanes, processes, tiles
-OTHERS: list[dict[str, Any]] = [
-    {"timing": "virtual", "clock_speed": 10.0, "command": "adsc"},
-    {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0},
-    {"observation": "depth", "timing": "virtual", "clock_speed": 5.0},
+FLOWN: list[tuple[tuple[int, int, int], dict[str, Any]]] = [  # lanes, processes, tiles
+    ((5, 2, 3), {}),
+    ((1, 1, 1), {"timing": "virtual", "clock_speed": 10.0, "command": "adsc"}),
+    (
+        (3, 1, 2),
+        {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0},
+    ),
+    ((2, 2, 2), {"observation": "depth", "timing": "virtual", "clock_speed": 5.0}),
 ]
-FLOWN = [*((size, {}) for size in SIZES), *((SIZES[1], task) for task in OTHERS)]
 
 
 @contextmanager
@@ -86,41 +88,39 @@ def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, int], key
 
 
 @needs_opengl
-@pytest.mark.parametrize("renderer", ["own", "auto"])
-def test_so_does_one_whose_processes_draw_themselves(renderer: str) -> None:
-    batch = EnvironmentBatch(ObstacleLane, 2, 1, renderer)  # type: ignore[arg-type]
-    with closing(batch), singles(2) as alone:
+def test_so_does_one_whose_processes_draw_themselves() -> None:
+    with closing(EnvironmentBatch(ObstacleLane, 2, 1, "own")) as batch, singles(2) as alone:
         assert_flies_as_alone(batch, alone, 4)
 
 
 @needs_opengl
 def test_gymnasium_makes_batches() -> None:
-    made: Any = gymnasium.make_vec(NAME, num_envs=3, max_commands=2, render_mode="rgb_array")
+    made: Any = gymnasium.make_vec(NAME, num_envs=2, max_commands=2, render_mode="rgb_array")
     with closing(made) as batch:
         assert batch.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         seen, infos = batch.reset(seed=3)
         assert (
             (seen.shape, seen.dtype)
             == (batch.observation_space.shape, np.uint8)
-            == ((3, 3, 36, 64), np.uint8)
+            == ((2, 3, 36, 64), np.uint8)
         )
-        assert len(set(infos["lane"].tolist())) == 3
+        assert len(set(infos["lane"].tolist())) == 2
         for _ in range(2):
-            _, rewards, terminated, truncated, infos = batch.step(np.array([2, 2, 0]))
+            _, rewards, terminated, truncated, infos = batch.step(np.array([2, 0]))
         assert truncated.all()
         assert not terminated.any()
         assert (rewards > 0).all()
-        np.testing.assert_array_equal(infos["commands"], [2, 2, 2])
-        assert [picture.shape for picture in batch.render() or ()] == [(144, 256, 3)] * 3
-        seen, rewards, _, truncated, infos = batch.step(np.array([2, 2, 0]))
-        np.testing.assert_array_equal(infos["commands"], [0, 0, 0])
+        np.testing.assert_array_equal(infos["commands"], [2, 2])
+        assert [picture.shape for picture in batch.render() or ()] == [(144, 256, 3)] * 2
+        seen, rewards, _, truncated, infos = batch.step(np.array([2, 0]))
+        np.testing.assert_array_equal(infos["commands"], [0, 0])
         assert not rewards.any()
         assert not truncated.any()
 
 
-def test_the_same_step_may_end_a_game_and_begin_another() -> None:
+def test_the_same_step_may_end_a_game_and_begin_another_and_close_leaves_nothing() -> None:
     task = {"observation": "state", "max_commands": 1}
-    batch = EnvironmentBatch(ObstacleLane, 2, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, 2, 1, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
     with closing(batch), singles(2, **task) as alone:
         batch.reset(seed=[4, 9])
         batch.step_async([2, 0])
@@ -134,11 +134,20 @@ def test_the_same_step_may_end_a_game_and_begin_another() -> None:
             assert infos[lane].pop("final_info") == ended
             assert infos[lane] == begun
             np.testing.assert_array_equal(seen[lane], first)
+        pids = batch.process_ids
+        batch.step_async([2, 2])  # and whoever still flies is ended
+    batch.close()
+    assert not left_after(pids, 0.0)
+    with pytest.raises(BatchError, match="this batch is closed"):
+        batch.step([2, 2])
 
 
-def test_some_lanes_fly_while_others_wait_and_games_go_on_elsewhere() -> None:
+def test_lanes_answer_by_themselves_until_one_dies() -> None:
+    """A mistake is the caller's; some fly while others wait; a game goes on elsewhere; a death is said in one line."""
     batch = EnvironmentBatch(ObstacleLane, 2, 2, observation="state", timing="virtual")
     with closing(batch), singles(2, observation="state", timing="virtual") as alone:
+        with pytest.raises(UserError, match="reset the environment"):
+            batch.step([2, 2])
         batch.reset(seed=1)
         batch.step_async([3], slots=[1])
         with pytest.raises(BatchError, match="environment 1 is still flying"):
@@ -149,6 +158,9 @@ def test_some_lanes_fly_while_others_wait_and_games_go_on_elsewhere() -> None:
         states = batch.call_each("get_state", [(), ()])
         np.testing.assert_array_equal(alone[1].set_state(states[1]), batch.observations()[1])
         assert alone[1].step(2)[0].tobytes() == batch.step([2, 2])[0][1].tobytes()
+        os.kill(batch.process_ids[1], signal.SIGKILL)
+        with pytest.raises(BatchError, match=r"^the process of environment 1 ended with status -9$"):
+            batch.step([2, 2])
 
 
 @pytest.mark.parametrize(
@@ -166,74 +178,28 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
     assert "\n" not in str(raised.value)
 
 
-def test_a_user_error_in_a_lane_is_one_here() -> None:
-    with closing(EnvironmentBatch(ObstacleLane, 2, observation="state")) as batch:
-        with pytest.raises(UserError, match="reset the environment"):
-            batch.step([2, 2])
-        batch.reset(seed=0)
-        batch.step([2, 2])
-
-
 # --- ends -------------------------------------------------------------------------------------------------------
-
-
-def running(pids: list[int]) -> list[int]:
-    """Those of the processes that still run."""
-    return [pid for pid in pids if Path(f"/proc/{pid}").exists() and _state(pid) != "Z"]
-
-
-def _state(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return "Z"
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return [int(child) for child in listed]
-
-
-@needs_opengl
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_dead_renderer_is_said_in_one_line() -> None:
-    with closing(EnvironmentBatch(ObstacleLane, 2, 2, "shared")) as batch:
-        batch.reset(seed=0)
-        assert batch.service is not None
-        batch.service.process.kill()
-        with pytest.raises(BatchError, match=r"^the renderer of all environments ended with status -9$"):
-            batch.step([2, 2])
-
-
-def test_a_dead_lane_is_said_in_one_line() -> None:
-    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
-        batch.reset(seed=0)
-        os.kill(batch.process_ids[1], signal.SIGKILL)
-        with pytest.raises(BatchError, match=r"^the process of environment 1 ended with status -9$"):
-            batch.step([2, 2])
 
 
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize(("stopped", "line"), [
-    ("renderer", "the renderer of all environments stands still: it was stopped"),
-    ("lane", "the process of environment 1 stands still: it was stopped"),
+@pytest.mark.parametrize(("end", "how"), [
+    (signal.SIGKILL, "ended with status -9"),
+    (signal.SIGSTOP, "stands still: it was stopped"),
 ])  # fmt: skip
-def test_who_stands_still_is_noticed_and_ended(
-    stopped: str, line: str, monkeypatch: pytest.MonkeyPatch
+def test_a_renderer_that_draws_no_more_is_said_in_one_line(
+    end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
-    with closing(EnvironmentBatch(ObstacleLane, 4, 2, "shared")) as batch:
+    with closing(EnvironmentBatch(ObstacleLane, 2, 1, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
-        pid = batch.service.process.pid if stopped == "renderer" else batch.process_ids[1]
-        os.kill(pid, signal.SIGSTOP)
-        with pytest.raises(BatchError, match=f"^{line}$"):
-            batch.step([2] * 4)
+        batch.service.process.send_signal(end)
+        with pytest.raises(BatchError, match=f"^the renderer of all environments {how}$"):
+            batch.step([2, 2])
         pids = [*batch.process_ids, batch.service.process.pid]
-    assert not running(pids)
+    assert not left_after(pids, 0.0)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -243,12 +209,14 @@ def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
     monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
-        os.kill(batch.process_ids[0], signal.SIGSTOP)
+        pids = batch.process_ids
+        os.kill(pids[0], signal.SIGSTOP)
         batch.call_async(0, "get_state")
         batch.call_async(1, "get_state")
         assert batch.call_wait()[0] == 1
-        with pytest.raises(BatchError, match="the process of environment 0 stands still"):
+        with pytest.raises(BatchError, match=r"^the process of environment 0 stands still: it was stopped$"):
             batch.call_wait()
+    assert not left_after(pids, 0.0)
 
 
 @needs_opengl
@@ -268,11 +236,11 @@ FLYING = """
 import numpy as np, sys
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-batch = EnvironmentBatch(ObstacleLane, 3, 2, "shared")
+batch = EnvironmentBatch(ObstacleLane, 2, 1, "shared")
 batch.reset(seed=0)
 print("flying", flush=True)
 while True:
-    batch.step(np.array([2, 2, 2]))
+    batch.step(np.array([2, 2]))
 """
 
 
@@ -285,32 +253,17 @@ def named_memory(pids: list[int]) -> list[str]:
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_nothing_is_left_when_the_program_is_killed(end: signal.Signals) -> None:
     program = subprocess.Popen(
         [sys.executable, "-c", FLYING], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     assert program.stdout is not None
     assert program.stdout.readline() == "flying\n"
-    started = children(program.pid)
-    assert len(started) == 3  # two for the lanes, one that draws
+    started = descendants(program.pid)
+    assert len(started) == 2  # one for the lanes, one that draws
     assert not named_memory([program.pid, *started])
     program.send_signal(end)
     program.wait()
     program.stdout.close()
-    deadline = time.monotonic() + 60.0
-    while running(started) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not running(started)
-
-
-def test_nothing_is_left_after_close() -> None:
-    batch = EnvironmentBatch(ObstacleLane, 3, 2, observation="state")
-    batch.reset(seed=0)
-    pids = batch.process_ids
-    batch.step_async([2, 2, 2])  # and whoever still flies is ended
-    batch.close()
-    batch.close()
-    assert not running(pids)
-    with pytest.raises(BatchError, match="this batch is closed"):
-        batch.step([2, 2, 2])
+    assert not left_after(started, 60.0)
