@@ -9,7 +9,7 @@ import pytest
 
 from tests.drawing import headline, labelled, points
 from uavaccel.suites.rl.distances import plot_distances
-from uavaccel.suites.rl.success import SuccessLine, plot_success
+from uavaccel.suites.rl.success import SuccessLine, plot_success, plot_success_over_gap
 from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
 
 PHASES = {
@@ -32,6 +32,16 @@ def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() ->
     assert [y for each in seeds for _, y in points(each)] == [0.4, 0.6, 0.25]
     bars = axes.collections[0].get_segments()
     assert [bar[:, 1].tolist() for bar in bars] == [pytest.approx(each) for each in intervals]
+
+
+def test_success_over_the_gap_has_its_points_where_the_gaps_are() -> None:
+    line = SuccessLine(
+        "ADSC", "adsc", [0.0, 0.9], [0.5, 0.25], [(0.3, 0.7), (0.2, 0.3)], [[0.4, 0.6], [0.25]]
+    )
+    axes: Any = plot_success_over_gap([line], "Success", "modelled").axes[0]
+    ratio, *seeds = [each for each in axes.lines if each.get_marker() in ("o", ".")]
+    assert points(ratio) == [(0.0, 0.5), (0.9, 0.25)]
+    assert [point for each in seeds for point in points(each)] == [(0.0, 0.4), (0.0, 0.6), (0.9, 0.25)]
 
 
 def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:

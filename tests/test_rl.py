@@ -27,8 +27,9 @@ from uavaccel.suites.parts import part_suite
 from uavaccel.suites.rl.cases import cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import training_time
+from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.suite import Rl
-from uavaccel.suites.rl.summary import KEY, summarise
+from uavaccel.suites.rl.summary import KEY, gap_s, summarise
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 
@@ -432,6 +433,68 @@ def test_times_of_a_figure_are_means_of_the_seeds_and_rendering_is_of_simulation
     assert drawn.phase_s == pytest.approx({
         "simulation (with rendering)": 150.0, "image processing": 0.15, "inference": 0.3, "learning": 1.05,
     })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("clock_speed", "wall_s", "gap"),
+    [
+        (5.0, 0.4, 0.55),  # .3 s of flight and .01 s beside it pass at 5x: 1.55 s; the pictures' .25 s stand
+        (5.0, 0.1, 0.0),  # commands that collisions end early
+        (100.0, 0.04, 0.04 * 200 / 3 - 1.0),  # a tick of 3 ms takes 45 us: no more than 66.7x
+    ],
+)
+def test_the_gap_is_what_passes_beyond_t_move_while_the_clock_runs(
+    clock_speed: float, wall_s: float, gap: float
+) -> None:
+    rows = made("adsc", clock_speed, [[0], [1]], wall_s)
+    assert gap_s(rows) == pytest.approx(gap)
+    (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
+    assert cell["gap_s"] == gap_s(rows)
+    assert gap_s(made("tcsc", clock_speed, [[0]], wall_s)) == 0.0  # its clock stands
+
+
+def thought(command: str, variant: str, gap: float, won: int) -> dict[str, Any]:
+    """A pooled cell of 100 games."""
+    return {
+        "variant": variant, "profile": "airsim", "timing": "virtual", "command": command, "clock_speed": 5.0,
+        "seeds": [0], "gap_s": gap, "success_ratio": won / 100, "successes": won, "games": 100,
+    }  # fmt: skip
+
+
+def test_the_gap_from_which_a_policy_fails_is_the_one_that_success_never_recovers_from() -> None:
+    """.2 s, where it fails but .3 s does not, is no collapse; half of the best is none either."""
+    won = {0.0: 80, 0.1: 96, 0.2: 30, 0.3: 48, 0.4: 47, 0.9: 2}
+    cells = [thought("adsc", f"think_{1000 * gap:.0f}ms", gap, count) for gap, count in reversed(won.items())]
+    cells += [thought("tcsc", f"think_{n}ms", 0.0, 90) for n in range(3)]  # one gap: nothing to be said of it
+    cells.append(thought("adsc", "plain_dqn", 0.2, 1))  # a cell alone is no line
+    lines = over_gaps(cells)
+    assert [(line.label, [cell["gap_s"] for cell in line.cells]) for line in lines] == [
+        ("ADSC, airsim", sorted(won)),
+        ("TCSC, airsim", [0.0] * 3),
+    ]
+    assert collapse(lines) == (
+        "ADSC, airsim: success in real time stays below half of the best cell's 96.0% from a gap of 0.40 simulated "
+        "seconds on."
+    )
+
+
+def test_where_no_gap_breaks_a_policy_the_report_says_so() -> None:
+    cells = [thought("adsc", f"hard_think_{n}ms", n / 10, 60 - n) for n in range(3)]
+    (line,) = over_gaps(cells)
+    assert collapse([line]) == (
+        "ADSC, airsim, hard: no gap was flown, up to 0.20 s, from which success in real time stays below half of the "
+        "best cell's 60.0%."
+    )
+    assert over_gaps(cells[:2]) == []
+    ended = GapLine("adsc", "airsim, hard", [*cells[:2], thought("adsc", "hard_think_9ms", 0.1, 3), cells[2]])
+    assert "no gap was flown" in collapse([ended])
+
+
+@pytest.mark.parametrize(("experiment", "cells"), [("rl_collapse", 65), ("rl_latency", 15)])
+def test_the_shipped_maps_of_gaps_can_be_trained_and_flown(experiment: str, cells: int) -> None:
+    config = configured(experiment, "seeds=1")
+    Rl().check(config)
+    assert len(list(cases(config))) == cells
 
 
 def table_below(page: str, heading: str) -> list[dict[str, str]]:

@@ -18,13 +18,15 @@ from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.report import Row, Summary, SummaryCell, listed
 from uavaccel.suites.rl.distances import plot_distances
-from uavaccel.suites.rl.success import SuccessLine, plot_success
+from uavaccel.suites.rl.gaps import over_gaps
+from uavaccel.suites.rl.success import SuccessLine, plot_success, plot_success_over_gap
 from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
 
-TABLE_I, FIGURE_8, FIGURE_9 = (
+TABLE_I, FIGURE_8, FIGURE_9, GAPS = (
     "figures/table1_success.png",
     "figures/figure8_distances.png",
     "figures/figure9_training_time.png",
+    "figures/success_over_gap.png",
 )
 
 
@@ -70,30 +72,52 @@ def draw_figures(run: RunDirectory, summary: Summary, rows: Sequence[Row]) -> li
     return pictures
 
 
+def draw_gaps(run: RunDirectory, summary: Summary) -> list[Picture]:
+    """Success in real time over the gap of the training; nothing where too few gaps were trained with."""
+    mapped = over_gaps(summary["pooled"])
+    if not mapped:
+        return []
+    source = f"modelled · {summary['training_games']} training games each"
+    colours = cycle(style.CYCLE)
+    lines = [
+        success_line(each.label, each.cells, [cell["gap_s"] for cell in each.cells], next(colours))
+        for each in mapped
+    ]
+    title = "Success in real time over the gap of the training"
+    path = style.save(plot_success_over_gap(lines, title, source), run.file(GAPS))
+    said = "A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
+    return [Picture(path, f"{title}. {said} Source: {source}.")]
+
+
 def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
     """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
     lines: list[SuccessLine] = []
     others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
     for name, panel in _by_panel(pooled, lambda cell: cell).items():
         members = list(panel.values())
-        lines.append(
-            SuccessLine(
-                name,
-                members[0]["command"],
-                list(panel),
-                [cell["success_ratio"] for cell in members],
-                [(cell["seeds_low"], cell["seeds_high"]) for cell in members],
-                by_seed=[
-                    [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]]
-                    for cell in members
-                ],
-                colour=None if is_papers(members[0]) else next(others),
-            )
-        )
+        colour = None if is_papers(members[0]) else next(others)
+        lines.append(success_line(name, members, list(panel), colour))
         known = [cell for cell in members if cell["paper_successes"] is not None]
         if known:
             lines.append(_papers(known))
     return lines
+
+
+def success_line(
+    label: str, cells: Sequence[SummaryCell], at: Sequence[float], colour: str | None = None
+) -> SuccessLine:
+    """Cells with the intervals over seeds and games, each at its ClockSpeed or gap."""
+    return SuccessLine(
+        label,
+        cells[0]["command"],
+        at,
+        [cell["success_ratio"] for cell in cells],
+        [(cell["seeds_low"], cell["seeds_high"]) for cell in cells],
+        by_seed=[
+            [won * len(cell["seeds"]) / cell["games"] for won in cell["successes_by_seed"]] for cell in cells
+        ],
+        colour=colour,
+    )
 
 
 def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:

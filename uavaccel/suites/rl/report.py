@@ -11,7 +11,8 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
 from uavaccel.suites.report import Column, Report, Summary, SummaryCell, listed, number
-from uavaccel.suites.rl.figures import draw_figures, panel_name
+from uavaccel.suites.rl.figures import draw_figures, draw_gaps, panel_name
+from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.summary import KEY, summarise
 
 Minutes = Mapping[tuple[Any, ...], float]
@@ -58,6 +59,14 @@ class RlReport(Report):
             Paragraph(_WHAT_N_TELLS),
             *figures[:2],
         ]
+        if lines := over_gaps(pooled):
+            blocks += [
+                Heading("Success in real time over the gap of the training"),
+                Paragraph(collapse(lines)),
+                *draw_gaps(self.run, summary),
+                _gap_table(lines),
+                Paragraph(_WHAT_A_GAP_IS),
+            ]
         if interchanged := [*summary["interchange"], *summary["interchange_as_trained"]]:
             blocks += [Heading("Commands interchanged"), _interchange_table(interchanged)]
         if summary["as_trained"]:
@@ -110,6 +119,15 @@ def _success_table(pooled: Sequence[SummaryCell]) -> Table:
         number("the paper's, of 100", "paper_successes", "{}"),
         number("p against 1x, over seeds", "permutation_p", "{:.2g}"),
         number("of these policies: McNemar", "mcnemar_p", "{:.2g}"),
+    )
+
+
+def _gap_table(lines: Sequence[GapLine]) -> Table:
+    return Table.of(
+        [cell for line in lines for cell in line.cells],
+        *_CELL,
+        ("gap, simulated s", lambda cell: f"{cell['gap_s']:.3f}"),
+        ("success in real time [95 % over seeds and games]", over_seeds),
     )
 
 
@@ -233,6 +251,11 @@ _WHAT_N_TELLS = (
     "then games of each, and differences are tested by sharing out the trainings in all ways. Of one seed the interval "
     "is of its games alone; of two or three it is too narrow. McNemar's test is of these very policies on the same "
     "lanes, and knows nothing of other seeds."
+)
+_WHAT_A_GAP_IS = (
+    "The gap is the mean simulated time between the end of a command and the next one in the training, worked out from "
+    "the modelled wall time of its commands without that of pictures, which ADSC takes in a pause. With TCSC the clock "
+    "stands while an agent thinks: its gap is 0 at every ClockSpeed."
 )
 _HOW_TIME_IS_MODELLED = (
     "Hours are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "

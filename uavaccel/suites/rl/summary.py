@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.envs.flyable import speed_of
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import hierarchical_interval, permutation_p, sign_flip_p
@@ -20,6 +22,7 @@ KEY = ("variant", "profile", "timing", "command", "clock_speed")
 Groups = Mapping[tuple[Any, ...], list[Row]]
 """Trainings by `KEY`, a row for each seed."""
 BOOTSTRAP_SEED = 0
+RUNNING = tuple(phase for phase in PHASES if phase != "rendering")  # ADSC's pictures are taken in a pause
 SIMULATION = ("simulation", "rendering")  # the paper's "simulation": its images come out of it
 
 
@@ -106,6 +109,7 @@ def _pooled(members: Sequence[Row], groups: Groups, load: LoadArrays) -> dict[st
         "paper_successes": paper_results.successes(*key),
         **against(members, other, 0, load),
         **_times(members, _baseline(first, groups)),
+        "gap_s": gap_s(members),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
     }
@@ -205,6 +209,22 @@ def per_command(members: Sequence[Row], phases: Sequence[str]) -> float:
     """Modelled wall seconds of a command's share of some phases."""
     spent_s = sum(row["training"]["phase_s"][phase] for row in members for phase in phases)
     return float(spent_s / sum(row["training"]["commands"] for row in members))
+
+
+def gap_s(members: Sequence[Row]) -> float:
+    """Mean simulated seconds between a command's end and the next one in the trainings of one cell.
+
+    Under TCSC the clock stands meanwhile: 0. Under ADSC it is what passes from command to command less T_move, all of
+    the wall time but that of pictures, at the speed that the profile's platform reaches. A few calls of a millisecond
+    that ADSC makes in its pauses are counted too, and a command that a collision ends early counts as a whole one.
+    """
+    first = members[0]
+    if first["command"] == "tcsc":
+        return 0.0
+    task = LaneTask(timing=first["timing"], profile=first["profile"], clock_speed=first["clock_speed"])
+    trained = [row["training"] for row in members]
+    t_move_s = sum(each["sim_time_s"] for each in trained) / sum(each["commands"] for each in trained)
+    return max(per_command(members, RUNNING) * float(speed_of(task)) - t_move_s, 0.0)
 
 
 def _flight(row: Row, command: str, clock_speed: float) -> int | None:
