@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as check_env_for_learning
 
 import uavaccel.envs  # noqa: F401 - registers
+from tests.lanes import free_distance_m
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, free_distance_m, lane_seed
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, lane_seed
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"

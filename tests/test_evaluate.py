@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, run_into
@@ -28,7 +29,7 @@ from uavaccel.rl.agents import OffsetAgent, make_agent
 from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
-from uavaccel.sim.lane.layout import draw_layout, free_distance_m, lane_seed
+from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.evaluation.suite import Evaluation

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.lanes import free_distance_m
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
@@ -24,7 +25,6 @@ from uavaccel.sim.lane.layout import (
     LaneLayout,
     Split,
     draw_layout,
-    free_distance_m,
     lane_seed,
 )
 from uavaccel.wire.image_api import lane_layout

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.lanes import collision_object, free_distance_m
 from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
@@ -21,9 +22,8 @@ from uavaccel.sim.lane.layout import (
     LaneLayout,
     clearance_m,
     draw_layout,
-    free_distance_m,
 )
-from uavaccel.sim.lane.scene import apply_layout, collision_object, obstacle_geoms
+from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 

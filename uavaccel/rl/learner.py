@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Action, Answer, Frame, Info
+from uavaccel.envs.values import Frame, Info
 from uavaccel.files import Plain
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import AnyLanes, Lanes
@@ -39,21 +38,6 @@ class LearnerState:
     counters: dict[str, Plain]
 
 
-class SavedLanes(Protocol):
-    """What a checkpoint asks of lanes, whoever flies them."""
-
-    action_space: spaces.Space[Action]
-
-    @property
-    def num_envs(self) -> int: ...
-
-    def env_method(
-        self, method_name: str, *method_args: object, indices: int | Iterable[int] | None = None
-    ) -> list[Answer]:
-        """`get_state`, or `set_state` with a state, of some lanes (all)."""
-        ...
-
-
 class Learner(Protocol):
     """Flies lanes and learns from them."""
 
@@ -66,7 +50,7 @@ class Learner(Protocol):
 
     @property
     def lanes(self) -> AnyLanes:
-        """What it flies: `SavedLanes`."""
+        """What it flies."""
         ...
 
     @property

@@ -196,18 +196,6 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
     return nearest
 
 
-def free_distance_m(layout: LaneLayout, y_m: float) -> float:
-    """Metres that a drone flying straight north, `y_m` east of the centre line, covers before its hull touches."""
-    if abs(y_m) + HULL_RADIUS_M >= WIDTH_M / 2:
-        return 0.0
-    flat = np.where(layout.round, 0.0, layout.half_width_m)
-    reach = HULL_RADIUS_M + layout.half_width_m - flat
-    beside = np.maximum(np.abs(layout.y_m - y_m) - flat, 0.0)
-    hit = beside < reach
-    touch = layout.x_m - flat - np.sqrt(np.maximum(reach**2 - beside**2, 0.0))
-    return float(min(touch[hit].min(initial=LENGTH_M), LENGTH_M))
-
-
 _NONE = np.zeros(0)
 _NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
 

@@ -89,17 +89,6 @@ def sunlight(layout: LaneLayout) -> tuple[NDArray[np.float64], float, float]:
     return ned_to_mujoco(direction), layout.light * AMBIENT, layout.light * DAYLIGHT
 
 
-def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
-    """Name of what the drone touches most deeply, e.g. "obstacle_07", "wall_west" or "ground"; "" for nothing."""
-    drone = model.body("quadrotor").id
-    deepest, name = np.inf, ""
-    for contact in data.contact[: data.ncon]:
-        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-        if drone in bodies and contact.dist < deepest:
-            deepest, name = contact.dist, object_name(model, int(contact.geom[1 - bodies.index(drone)]))
-    return name
-
-
 def object_name(model: mujoco.MjModel, geom: int) -> str:
     """Name of a geom, or of its body if it has none of its own; "" for -1, the sky."""
     if geom < 0:

@@ -223,7 +223,7 @@ def gap_s(members: Sequence[Row]) -> float:
         return 0.0
     task = LaneTask(timing=first["timing"], profile=first["profile"], clock_speed=first["clock_speed"])
     trained = [row["training"] for row in members]
-    t_move_s = sum(each["sim_time_s"] for each in trained) / sum(each["commands"] for each in trained)
+    t_move_s: float = sum(each["sim_time_s"] for each in trained) / sum(each["commands"] for each in trained)
     return max(per_command(members, RUNNING) * float(speed_of(task)) - t_move_s, 0.0)
 
 
