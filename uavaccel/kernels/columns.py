@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.rays import I0, I1, ZERO, Faces, Float, Integer
 from uavaccel.kernels.spans import HUGE, edge_line, line_of, whole_rows
 
@@ -24,13 +25,13 @@ ROWS, BYTE_BITS, FACE_BITS, BYTE = (np.int32(number) for number in (at.ROWS, 8, 
 class Column(NamedTuple):
     """Room for columns side by side, arrays (n, columns): on a GPU those of a block of threads."""
 
-    rows: Any
+    rows: Operand
     """(MOST_INTERVALS, ...) int32: face << 16 | begin << 8 | end."""
-    start: Any
+    start: Operand
     """(MOST_INTERVALS, ...) float32: w at row 0."""
-    slope: Any
+    slope: Operand
     """(MOST_INTERVALS, ...) float32: per row."""
-    pieces: Any
+    pieces: Operand
     """(MOST_PIECES, ...) int32: face << 8 | end, from the top row down."""
 
 
@@ -61,7 +62,7 @@ def rows_of(faces: Faces, face: Integer, x: Float) -> tuple[Integer, Integer]:
 
 @njit(error_model="numpy")
 def add_interval(
-    faces: Faces, face: Integer, column: Integer, room: Column, place: Any, count: Integer
+    faces: Faces, face: Integer, column: Integer, room: Column, place: Operand, count: Integer
 ) -> Integer:
     """Note a face's rows in a column, if it has some. Returns how many intervals the column has now."""
     x = np.float32(column)
@@ -91,7 +92,7 @@ def nearest_w(start: Float, slope: Float, begin: Integer, end: Integer) -> Float
 
 
 @njit(error_model="numpy")
-def least_near(room: Column, place: Any) -> tuple[Any, Float]:
+def least_near(room: Column, place: Operand) -> tuple[Any, Float]:
     """Which interval of a full column is the farthest, and its largest w."""
     number, farthest = np.uint32(0), HUGE
     for other in range(np.uintp(MOST_INTERVALS)):
@@ -116,7 +117,7 @@ def overtaken(start: Float, slope: Float, begin: Integer, end: Integer, limit: I
 
 
 @njit(error_model="numpy")
-def settle(far: Float, room: Column, place: Any, count: Integer) -> Integer:
+def settle(far: Float, room: Column, place: Operand, count: Integer) -> Integer:
     """What a column shows, piece by piece from its intervals; face 0 is the sky. Returns how many pieces."""
     row, number = I0, I0
     while row < ROWS and number < MOST_PIECES:
@@ -143,7 +144,7 @@ def settle(far: Float, room: Column, place: Any, count: Integer) -> Integer:
 
 
 @njit(error_model="numpy")
-def fill_column(room: Column, place: Any, shown: Any, column: Any) -> None:
+def fill_column(room: Column, place: Operand, shown: Operand, column: Operand) -> None:
     """The face of each pixel of a column, 0 for the sky: `shown` (ROWS, COLUMNS) int16, from its pieces."""
     number, limit, face = np.uint32(0), I0, I0
     for row in range(np.uintp(at.ROWS)):

@@ -22,6 +22,7 @@ from uavaccel.kernels.lanes import (
     look,
     touched,
 )
+from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
 from uavaccel.kernels.timeline import Clocks, Command
@@ -37,14 +38,14 @@ SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record fr
 
 
 @part
-def _look_at_starts(games: Games, rows: Any) -> None:
+def _look_at_starts(games: Games, rows: Operand) -> None:
     """Finish the starts of games: the accelerations in their wind."""
     for game in rows:
         look(games.parameters[game], games.start[game], games.body[game])
 
 
 @part
-def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
+def spread(nominal: float, sigma: float, normal: Operand, out: Operand) -> None:
     """Thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
         for x in range(COLUMNS):
@@ -52,7 +53,7 @@ def spread(nominal: float, sigma: float, normal: Any, out: Any) -> None:
 
 
 @part(error_model="numpy")
-def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> None:
+def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) -> None:
     """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
     fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
@@ -61,7 +62,9 @@ def add_read_noise(picture: Any, sigma: float, seed: int, moment_ns: int) -> Non
 
 
 @part(error_model="numpy")
-def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: int, dt_s: float) -> Any:
+def leak(
+    base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float
+) -> Any:
     """The memorised intensities (144, 256) after heat and leak over a frame."""
     if camera[events.HOT] > 0.0:
         base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
@@ -74,7 +77,7 @@ def leak(base: Any, positive: Any, camera: Any, sensor: Any, seed: int, index: i
 
 
 @part(error_model="numpy")
-def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time_s: float) -> Any:
+def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s: float, time_s: float) -> Any:
     """Signed counts without those within the refractory period."""
     most = max(1, signed.max(), -signed.min())
     if camera[events.REFRACTORY] <= (time_s - before_s) / most:
@@ -88,7 +91,7 @@ def after_dead_time(signed: Any, camera: Any, last_s: Any, before_s: float, time
 
 
 @part(error_model="numpy")
-def gather(signed: Any, gathered: Any) -> None:
+def gather(signed: Operand, gathered: Operand) -> None:
     """Add signed counts (144, 256) to their blocks' (36, 64)."""
     for y in range(ROWS):
         for x in range(COLUMNS):
@@ -97,7 +100,14 @@ def gather(signed: Any, gathered: Any) -> None:
 
 @part(error_model="numpy")
 def shoot(
-    picture: Any, camera: Any, sensor: Any, maps: Any, log: Any, base: Any, gathered: Any, noise: Any
+    picture: Operand,
+    camera: Operand,
+    sensor: Operand,
+    maps: Operand,
+    log: Operand,
+    base: Operand,
+    gathered: Operand,
+    noise: Operand,
 ) -> None:
     """Add a frame's shot noise; `maps` are the thresholds, `noise` seed, frame and its time in s."""
     seed, index, dt_s = noise
@@ -114,7 +124,7 @@ def shoot(
 
 
 @part(error_model="numpy")
-def start(lane: int, picture: Any, pixels: events.Pixels, sensor: Any, camera: Any) -> None:
+def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, camera: Operand) -> None:
     """A game's first frame makes no events; none are gathered."""
     for y in range(ROWS):
         for x in range(COLUMNS):
@@ -150,7 +160,13 @@ def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
 
 @part(error_model="numpy")
 def see(
-    lane: int, picture: Any, time_s: float, pixels: events.Pixels, sensor: Any, camera: Any, seed: int
+    lane: int,
+    picture: Operand,
+    time_s: float,
+    pixels: events.Pixels,
+    sensor: Operand,
+    camera: Operand,
+    seed: int,
 ) -> None:
     """A lane's event camera sees a frame (144, 256)."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
@@ -183,7 +199,7 @@ def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
 
 @part(error_model="numpy")
 def draw_gray(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, picture: Any
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Operand, picture: Operand
 ) -> None:
     """What a lane's front camera sees, grey (144, 256), with the camera's noise."""
     state, game = now.state[lane], now.game[lane]
@@ -200,7 +216,7 @@ def draw_gray(
 
 @part(error_model="numpy")
 def draw_colour(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Any, frame: Any
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Operand, frame: Operand
 ) -> None:
     """Red, green and blue (3, 36, 64): means of blocks of 4 x 4 pixels."""
     state, game = now.state[lane], now.game[lane]
@@ -225,7 +241,7 @@ def draw_colour(
 
 
 @part(error_model="numpy")
-def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Any, frame: Any) -> None:
+def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Operand, frame: Operand) -> None:
     """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
     state, game = now.state[lane], now.game[lane]
     project(looks, games.scenes, game, state.position, state.quaternion, False, desk.faces)
@@ -244,14 +260,14 @@ class View(NamedTuple):
     """What lanes are seen with."""
 
     kind: int
-    looks: Any
-    sensor: Any
-    pixels: Any
+    looks: Operand
+    sensor: Operand
+    pixels: Operand
 
 
 @part(error_model="numpy")
 def look_at_events(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Operand, picture: Operand
 ) -> None:
     """A lane's event camera sees what is in front of it."""
     game = now.game[lane]
@@ -262,7 +278,7 @@ def look_at_events(
 
 @part(error_model="numpy")
 def _begin_lanes(
-    lanes: Any, rows: Any, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
+    lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
 ) -> None:
     """Let lanes begin the games of these rows."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
@@ -284,7 +300,7 @@ def _begin_lanes(
 
 @part(error_model="numpy")
 def draw_frame(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, frame: Any
+    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Operand, frame: Operand
 ) -> None:
     """What a lane sees now, in colour or of depth."""
     if view.kind == COLOUR:
@@ -294,7 +310,7 @@ def draw_frame(
 
 
 @part(error_model="numpy")
-def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
+def guard(lane: int, view: View, clocks: Clocks, desk: Operand) -> bool:
     """Whether the guard asks for the picture on a lane's desk again (vision/guard), and note it for the next one."""
     bright = 0.0
     if view.kind == DVS:
@@ -311,7 +327,14 @@ def guard(lane: int, view: View, clocks: Clocks, desk: Any) -> bool:
 
 @part(error_model="numpy")
 def fly_sample(
-    lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, desk: Any, picture: Any
+    lane: int,
+    ticks: int,
+    view: View,
+    games: Games,
+    now: Flights,
+    plan: Command,
+    desk: Operand,
+    picture: Operand,
 ) -> bool:
     """Fly to a sample, the event camera looking on; whether it has seen the sample's own moment."""
     left = ticks
@@ -336,8 +359,8 @@ def fly_to(
     now: Flights,
     plan: Command,
     clocks: Clocks,
-    desk: Any,
-    picture: Any,
+    desk: Operand,
+    picture: Operand,
 ) -> bool:
     """The same up to a tick, remembering the pose that pictures show until the next one of Unreal's frames."""
     shown = clocks.row[lane, timeline.SHOWN]
@@ -348,7 +371,7 @@ def fly_to(
 
 
 @part
-def take_state(lane: int, now: Flights, sample: Any) -> None:
+def take_state(lane: int, now: Flights, sample: Operand) -> None:
     """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
     state = now.state[lane]
     for axis in range(3):
@@ -361,15 +384,15 @@ def take_state(lane: int, now: Flights, sample: Any) -> None:
 
 @part(error_model="numpy")
 def _fly_lanes(
-    lanes: Any,
-    directions: Any,
+    lanes: Operand,
+    directions: Operand,
     view: View,
     games: Games,
     now: Flights,
     plan: Command,
     clocks: Clocks,
-    frames: Any,
-    samples: Any,
+    frames: Operand,
+    samples: Operand,
 ) -> None:
     """Fly a command each: frames (L, S, ...) of the samples before a touch, states (L, S, SAMPLE_FIELDS) of all."""
     desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
@@ -407,9 +430,9 @@ def look_at_sample(
     now: Flights,
     plan: Command,
     clocks: Clocks,
-    desk: Any,
-    picture: Any,
-    frame: Any,
+    desk: Operand,
+    picture: Operand,
+    frame: Operand,
 ) -> None:
     """The frame of a sample; the event camera may have seen its moment."""
     if not seen:
@@ -426,7 +449,7 @@ def look_at_sample(
 
 
 @part
-def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
+def take_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
     """The events since they were last taken, as a frame (1, 36, 64)."""
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
@@ -435,7 +458,9 @@ def take_events(lane: int, pixels: events.Pixels, frame: Any) -> None:
 
 
 @part(error_model="numpy")
-def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Command, frames: Any) -> None:
+def _show_lanes(
+    lanes: Operand, view: View, games: Games, now: Flights, plan: Command, frames: Operand
+) -> None:
     """Frames (L, 1, ...) of the present moment, in colour or of depth."""
     desk = make_desk()
     for lane in lanes:
@@ -445,10 +470,10 @@ def _show_lanes(lanes: Any, view: View, games: Games, now: Flights, plan: Comman
 class EntryPoints(NamedTuple):
     """Machine code, called without the GIL."""
 
-    look_at_starts: Any
-    begin: Any
-    fly: Any
-    show: Any
+    look_at_starts: Launchable
+    begin: Launchable
+    fly: Launchable
+    show: Launchable
 
 
 def _compile(stamp: int) -> EntryPoints:

@@ -27,6 +27,7 @@ from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.flight import NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
+from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
@@ -106,11 +107,11 @@ for _function, _chosen in events.BY_TYPE:
 class Plan(NamedTuple):
     """What all lanes have in common: a command's, and what they are seen with."""
 
-    hull: Any
-    texels: Any
-    textures: Any
-    looks: Any
-    sensor: Any
+    hull: Operand
+    texels: Operand
+    textures: Operand
+    looks: Operand
+    sensor: Operand
 
 
 def begin_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
@@ -149,7 +150,7 @@ def put_down(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-
         body[lanes.MOTION + field] = motion[field]
 
 
-def flying(usual: Any) -> Any:
+def flying(usual: Operand) -> Any:
     """The kernel that flies, for vehicles whose parameters are the `usual` ones but for mass, inertia and thrust.
 
     What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
@@ -522,21 +523,21 @@ LIMITS: dict[Any, int] = {see_events: 72}
 class Kernels(NamedTuple):
     """What can be launched: each takes the arrays that its function has, one thread a lane or a block of pixels."""
 
-    begin: Any
-    command: Any
-    fly: Any
-    project: Any
-    find: Any
-    start: Any
-    see: Any
-    see_noise: Any
-    note: Any
-    show: Any
-    add_grey: Any
-    add_colours: Any
+    begin: Launchable
+    command: Launchable
+    fly: Launchable
+    project: Launchable
+    find: Launchable
+    start: Launchable
+    see: Launchable
+    see_noise: Launchable
+    note: Launchable
+    show: Launchable
+    add_grey: Launchable
+    add_colours: Launchable
 
 
-def compiled(usual: Any) -> Kernels:
+def compiled(usual: Operand) -> Kernels:
     """The kernels, from numba's cache if they are there, for vehicles of `usual` parameters, a record."""
     warnings.filterwarnings("ignore", message=".*under-utilization")  # few lanes leave a GPU idle: so be it
     functions = (
@@ -623,7 +624,7 @@ def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:
     return array if dtype is None else array.view(dtype).reshape(tensor.shape[0])
 
 
-def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
+def on_device(arrays: Operand, device: th.device) -> tuple[Any, Any]:
     """A NamedTuple of arrays, nested ones too, copied to the device: of tensors, and of the same memory for numba."""
     if not isinstance(arrays, np.ndarray):
         pairs = [on_device(each, device) for each in arrays]

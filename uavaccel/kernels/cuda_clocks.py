@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from numba import cuda
 
 from uavaccel.kernels import lane_clocks as of_lane
+from uavaccel.kernels.operands import Launchable
 
 
 def begin(renewed, rows, scales, games, timing, clocks):  # type: ignore[no-untyped-def]
@@ -77,15 +78,15 @@ def turn(looking, now, clocks):  # type: ignore[no-untyped-def]
 class ClockKernels(NamedTuple):
     """What can be launched; the first argument says which lanes are meant, (L,) uint8."""
 
-    begin: Any
-    show_start: Any
-    issue: Any
-    take: Any
-    reach: Any
-    leave: Any
-    split: Any
-    keep: Any
-    turn: Any
+    begin: Launchable
+    show_start: Launchable
+    issue: Launchable
+    take: Launchable
+    reach: Launchable
+    leave: Launchable
+    split: Launchable
+    keep: Launchable
+    turn: Launchable
 
 
 def compiled() -> ClockKernels:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
+from uavaccel.kernels.operands import Operand
 from uavaccel.parts import part
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
@@ -41,24 +42,24 @@ class Pixels(NamedTuple):
     minus OFF events since they were last taken; `clock` (L,) int64 counts frames, `time_s` (L,) is of the last one.
     """
 
-    base: Any
-    filtered: Any
-    last_s: Any
-    gathered: Any
-    clock: Any
-    time_s: Any
+    base: Operand
+    filtered: Operand
+    last_s: Operand
+    gathered: Operand
+    clock: Operand
+    time_s: Operand
 
 
 class Sensor(NamedTuple):
     """What all lanes have in common: draws once per pixel (144, 256), and tables by intensity (256,)."""
 
-    up: Any
-    down: Any
-    leak_factor: Any
-    heat: Any
-    logs: Any
-    weights: Any
-    dimming: Any
+    up: Operand
+    down: Operand
+    leak_factor: Operand
+    heat: Operand
+    logs: Operand
+    weights: Operand
+    dimming: Operand
 
 
 def sensor_of(draws: Draws) -> Sensor:
@@ -124,7 +125,14 @@ def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
 
 @part
 def leaked(
-    base: Any, positive: Any, camera: Any, sensor: Any, y: int, x: int, dt_s: float, normal: np.float32
+    base: Operand,
+    positive: Operand,
+    camera: Operand,
+    sensor: Operand,
+    y: int,
+    x: int,
+    dt_s: float,
+    normal: np.float32,
 ) -> Any:
     """The memorised intensity of a pixel after its heat and its leak over a frame."""
     if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
@@ -138,7 +146,13 @@ def leaked(
 
 @part
 def shot(
-    camera: Any, sensor: Any, level: int, dt_s: float, positive: Any, negative: Any, draw: np.float32
+    camera: Operand,
+    sensor: Operand,
+    level: int,
+    dt_s: float,
+    positive: Operand,
+    negative: Operand,
+    draw: np.float32,
 ) -> int:
     """Noise events of a pixel in a frame, as `pixel.shot`."""
     chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
@@ -147,7 +161,7 @@ def shot(
 
 
 @part
-def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
+def drawn(camera: Operand, seed: int, index: int, block: int) -> tuple[Four, Four]:
     """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
     normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
     if camera[LEAK] > 0.0:
@@ -157,32 +171,32 @@ def drawn(camera: Any, seed: int, index: int, block: int) -> tuple[Four, Four]:
     return normals, draws
 
 
-def threshold(like: Any, nominal: float, sigma: float, normal: np.float32) -> Any:
+def threshold(like: Operand, nominal: float, sigma: float, normal: np.float32) -> Any:
     """A pixel's threshold in the precision of `like`."""
     of_type = single_threshold if isinstance(like, np.float32) else double_threshold
     return of_type(nominal, sigma, normal)
 
 
-def due(log: Any, base: Any, positive: Any, negative: Any) -> np.int32:
+def due(log: Operand, base: Operand, positive: Operand, negative: Operand) -> np.int32:
     """A pixel's signed count in the precision of its logarithms."""
     of_type = pixel.count_single_pixel if isinstance(log, np.float32) else pixel.count_double_pixel
     return of_type(log, base, positive, negative)
 
 
-def log_of(like: Any, level: int, before: Any, camera: Any, sensor: Any, dt_s: float) -> Any:
+def log_of(like: Operand, level: int, before: Operand, camera: Operand, sensor: Operand, dt_s: float) -> Any:
     """A pixel's logarithm: float32, or float64 after a low-pass, of which `before` is the last one."""
     of_type = single_log if isinstance(like, np.float32) else double_log
     return of_type(level, before, camera, sensor, dt_s)
 
 
 @part
-def single_log(level: int, before: np.float32, camera: Any, sensor: Any, dt_s: float) -> np.float32:
+def single_log(level: int, before: np.float32, camera: Operand, sensor: Operand, dt_s: float) -> np.float32:
     """Without a low-pass."""
     return sensor.logs[level]
 
 
 @part(error_model="numpy")
-def double_log(level: int, before: float, camera: Any, sensor: Any, dt_s: float) -> float:
+def double_log(level: int, before: float, camera: Operand, sensor: Operand, dt_s: float) -> float:
     """After a low-pass."""
     weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
     return pixel.low_passed(before, np.float64(sensor.logs[level]), weight)
@@ -213,10 +227,10 @@ for _function, _chosen in BY_TYPE:
 @part(error_model="numpy")
 def see_pixel(
     level: int,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    filtered: Any,
+    camera: Operand,
+    sensor: Operand,
+    base: Operand,
+    filtered: Operand,
     draw: tuple[np.float32, np.float32],
     y: int,
     x: int,
@@ -240,7 +254,14 @@ def see_pixel(
 
 @part
 def new_log(
-    level: int, base: Any, filtered: Any, y: int, x: int, camera: Any, sensor: Any, dt_s: float
+    level: int,
+    base: Operand,
+    filtered: Operand,
+    y: int,
+    x: int,
+    camera: Operand,
+    sensor: Operand,
+    dt_s: float,
 ) -> Any:
     """A pixel's logarithm, kept for the next low-pass."""
     if filtered.size == 0:
@@ -253,15 +274,15 @@ def new_log(
 @part
 def add_shot(
     level: int,
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    log: Any,
+    camera: Operand,
+    sensor: Operand,
+    base: Operand,
+    log: Operand,
     y: int,
     x: int,
     dt_s: float,
-    positive: Any,
-    negative: Any,
+    positive: Operand,
+    negative: Operand,
     draw: np.float32,
 ) -> Any:
     """Shot noise of a pixel, which then memorises the present intensity: ON minus OFF events."""

@@ -5,13 +5,12 @@ Scalar functions for a GPU's threads; kernels/timeline has the clock itself. `la
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from uavaccel.kernels import timeline
 from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.parts import part
 from uavaccel.vision.guard import LUMA_WEIGHTS
@@ -28,21 +27,21 @@ def begin(lane: int, game: int, scale: float, games: Games, timing: Timing, cloc
 
 
 @part
-def show_start(lane: int, levels: Any, timing: Timing, clocks: Clocks) -> None:
+def show_start(lane: int, levels: Operand, timing: Timing, clocks: Clocks) -> None:
     """The game's first picture."""
     suspect = guard(lane, levels, timing, clocks)
     timeline.show_start(clocks.row[lane], clocks.scale[lane], timing, suspect)
 
 
 @part
-def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Any) -> None:
+def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Operand) -> None:
     """A command begins; `legs` (L,) take the ticks until it acts."""
     tick = timeline.issue(clocks.row[lane], clocks.scale[lane], timing)
     legs[lane] = tick - now.state[lane].tick
 
 
 @part
-def take(lane: int, hold_ticks: int, directions: Any, games: Games, now: Flights) -> None:
+def take(lane: int, hold_ticks: int, directions: Operand, games: Games, now: Flights) -> None:
     """It acts, and position hold sets in after so many ticks unless another one comes."""
     command(lane, directions, games, now)
     now.state[lane].hover_tick = now.state[lane].tick + hold_ticks
@@ -50,7 +49,7 @@ def take(lane: int, hold_ticks: int, directions: Any, games: Games, now: Flights
 
 @part
 def reach(
-    lane: int, sample: int, now: Flights, timing: Timing, clocks: Clocks, looking: Any, legs: Any
+    lane: int, sample: int, now: Flights, timing: Timing, clocks: Clocks, looking: Operand, legs: Operand
 ) -> None:
     """Wait for a sample: `legs` take the ticks until then, `looking` (L,) whether there is one."""
     row = clocks.row[lane]
@@ -63,7 +62,7 @@ def reach(
 
 
 @part
-def leave(lane: int, sample: int, levels: Any, now: Flights, timing: Timing, clocks: Clocks) -> None:
+def leave(lane: int, sample: int, levels: Operand, now: Flights, timing: Timing, clocks: Clocks) -> None:
     """Go on after a sample; of one after a touch there is nothing to see."""
     row, hit, suspect = clocks.row[lane], touched(lane, now), False
     if not hit:
@@ -75,7 +74,7 @@ def leave(lane: int, sample: int, levels: Any, now: Flights, timing: Timing, clo
 
 
 @part
-def split(lane: int, now: Flights, clocks: Clocks, legs: Any, to_shown: Any) -> None:
+def split(lane: int, now: Flights, clocks: Clocks, legs: Operand, to_shown: Operand) -> None:
     """The ticks to the pose that pictures will show, -1 where that is kept already; `legs` are what follows."""
     shown = clocks.row[lane, timeline.SHOWN]
     to_shown[lane] = shown - now.state[lane].tick if shown >= now.state[lane].tick else -1
@@ -104,7 +103,7 @@ def turn_to_shown(lane: int, now: Flights, clocks: Clocks) -> None:
 
 
 @part
-def guard(lane: int, levels: Any, timing: Timing, clocks: Clocks) -> bool:
+def guard(lane: int, levels: Operand, timing: Timing, clocks: Clocks) -> bool:
     """Whether the guard asks for the picture again (vision/guard), noted for the next one.
 
     `levels` (L, 3) are sums over its pixels: of grey, or of red, green and blue.

@@ -6,13 +6,14 @@ flight's record and nothing else. `L` lanes with `K` games each have L * K rows,
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from uavaccel.kernels.events import CAMERA_FIELDS
 from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
@@ -27,40 +28,40 @@ POSE, MOTION, FORCE, ACCELERATION = 0, 7, 13, 19  # places in a body's row
 class Games(NamedTuple):
     """What games are: rows (S, ...)."""
 
-    parameters: Any
+    parameters: Operand
     """PARAMETERS_DTYPE."""
-    start: Any
+    start: Operand
     """FLIGHT_DTYPE: a settled hover, in the game's wind."""
-    body: Any
+    body: Operand
     """(S, BODY_FIELDS) float64: MuJoCo's pose, velocity, force and acceleration, there."""
-    solids: Any
+    solids: Operand
     """(S, n, SOLID_FIELDS) float64: what can be touched (kernels/touching)."""
-    counts: Any
+    counts: Operand
     """(S,) int32 of them."""
     scenes: Scenes
     """What is seen (kernels/looks)."""
-    cameras: Any
+    cameras: Operand
     """(S, CAMERA_FIELDS) float64 (kernels/events)."""
-    seeds: Any
+    seeds: Operand
     """(S, 2) int64."""
-    commands: Any
+    commands: Operand
     """(S, 2) float64: SPEED, HELD_Z."""
 
 
 class Flights(NamedTuple):
     """What L lanes fly now."""
 
-    state: Any
+    state: Operand
     """(L,) FLIGHT_DTYPE."""
-    body: Any
+    body: Operand
     """(L, BODY_FIELDS) float64."""
-    watch: Any
+    watch: Operand
     """(L, 2) int64 (kernels/flight)."""
-    game: Any
+    game: Operand
     """(L,) int64: the row in Games."""
 
 
-def game_rows(rows: int, solids: int, empty: Any = np.zeros) -> Games:
+def game_rows(rows: int, solids: int, empty: Operand = np.zeros) -> Games:
     """Room for games; `empty` makes an array of a shape and a type."""
     f8, i8 = np.float64, np.int64
     scenes = Scenes(
@@ -79,7 +80,7 @@ def game_rows(rows: int, solids: int, empty: Any = np.zeros) -> Games:
     )
 
 
-def flights(lanes: int, empty: Any = np.zeros) -> Flights:
+def flights(lanes: int, empty: Operand = np.zeros) -> Flights:
     """Room for lanes."""
     return Flights(
         empty((lanes,), FLIGHT_DTYPE),
@@ -90,7 +91,7 @@ def flights(lanes: int, empty: Any = np.zeros) -> Flights:
 
 
 @part
-def look(parameters: Any, state: Any, body: Any) -> None:
+def look(parameters: Operand, state: Operand, body: Operand) -> None:
     """Read the pose, and compute the next kick, after the wind was set (hotloop's `look`)."""
     read_pose(state, body[POSE:MOTION])
     kick(parameters, state, body[MOTION:FORCE], body[FORCE:ACCELERATION])
@@ -107,7 +108,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
 
 
 @part
-def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
+def command(lane: int, directions: Operand, games: Games, now: Flights) -> None:
     """Take a direction (L, 3) for a goal: moveByVelocity, or moveByVelocityZ where a height is held (vehicle/goal)."""
     state, told = now.state[lane], games.commands[now.game[lane]]
     for axis in range(3):
@@ -120,7 +121,7 @@ def command(lane: int, directions: Any, games: Games, now: Flights) -> None:
 
 
 @part(inline=False)
-def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Any) -> None:
+def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Operand) -> None:
     """Let a lane fly so many ticks."""
     game, row = now.game[lane], now.body[lane]
     body = row[POSE:MOTION], row[MOTION:FORCE], row[FORCE:ACCELERATION], row[ACCELERATION:]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from uavaccel.kernels.operands import Operand
 from uavaccel.parts import part
 from uavaccel.vision.noise import LATENCY, words
 
@@ -22,15 +23,15 @@ _STEP_53 = 2.0**-53
 class Latencies(NamedTuple):
     """What latencies are drawn from, the same for all lanes."""
 
-    quantiles: Any
+    quantiles: Operand
     """(Q,) float64 from 0 to 1."""
-    tables_us: Any
+    tables_us: Operand
     """(TABLES, Q) float64: requests by channel and wait, replies likewise, ISSUE, TIMER, FRAME."""
-    between_ns: Any
+    between_ns: Operand
     """(WAITS - 2,) float64: bounds of the waits."""
-    faults: Any
+    faults: Operand
     """(3,) float64: shares of the messages held up by `delays_ns`, summed up; all 0 without faults."""
-    delays_ns: Any
+    delays_ns: Operand
     """(4,) int64, the last one 0."""
 
 

@@ -7,7 +7,6 @@ where obstacles stand, what they wear and how the sun shines is the layout's, as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.operands import Operand
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunlight
@@ -193,7 +193,7 @@ def mipmaps(data: NDArray[np.uint8]) -> Levels:
     """All levels of a texture (height, width, 3) of powers of two: neighbours averaged across, then down."""
     levels = [data]
     while max(levels[-1].shape[:2]) > 1:
-        level: Any = levels[-1].astype(np.uint16)
+        level: Operand = levels[-1].astype(np.uint16)
         if level.shape[1] > 1:
             level = (level[:, 0::2] + level[:, 1::2] + 1) >> 1
         if level.shape[0] > 1:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk, turn_colour, turn_gray
 from uavaccel.sim.vehicle.hotloop import sources
@@ -73,7 +74,14 @@ def _compile(stamp: int) -> tuple[Any, Any, Any]:
     entry_point = njit(cache=True, nogil=True, error_model="numpy")
 
     @entry_point
-    def gray(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+    def gray(
+        looks: Operand,
+        scenes: Operand,
+        lanes: Operand,
+        positions: Operand,
+        quaternions: Operand,
+        out: Operand,
+    ) -> None:
         desk = make_desk()
         for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
@@ -81,7 +89,14 @@ def _compile(stamp: int) -> tuple[Any, Any, Any]:
             turn_gray(desk.channels, out[drone])
 
     @entry_point
-    def colour(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+    def colour(
+        looks: Operand,
+        scenes: Operand,
+        lanes: Operand,
+        positions: Operand,
+        quaternions: Operand,
+        out: Operand,
+    ) -> None:
         desk = make_desk()
         for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
@@ -89,7 +104,14 @@ def _compile(stamp: int) -> tuple[Any, Any, Any]:
             turn_colour(desk.channels, out[drone])
 
     @entry_point
-    def depth(looks: Any, scenes: Any, lanes: Any, positions: Any, quaternions: Any, out: Any) -> None:
+    def depth(
+        looks: Operand,
+        scenes: Operand,
+        lanes: Operand,
+        positions: Operand,
+        quaternions: Operand,
+        out: Operand,
+    ) -> None:
         desk = make_desk()
         for drone in range(len(lanes) * (stamp != 0)):
             project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, desk.faces)

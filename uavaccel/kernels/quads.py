@@ -7,13 +7,12 @@ that of `kernels.spans` and `kernels.events`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.rays import (
     BYTE,
     I0,
@@ -84,7 +83,7 @@ def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
 
 @njit(error_model="numpy")
 def face_lumas(
-    faces: Faces, face: Any, texels: Texels, textures: Textures, row: Integer, column: Integer
+    faces: Faces, face: Operand, texels: Texels, textures: Textures, row: Integer, column: Integer
 ) -> Four:
     """Luma of a quad's pixels on a face; of those that it does not cover, any number."""
     x, y, texture = np.float32(column), np.float32(row), np.uint32(faces[face, at.TEXTURE])
@@ -205,11 +204,11 @@ def threshold_of(nominal: Float, sigma: Float, least: Float, normal: Float) -> F
 def see_plainly(
     lumas: Four,
     before: tuple[Float, Float, Float, Float],
-    camera: Any,
-    sensor: Any,
-    base: Any,
-    first: Any,
-    place: Any,
+    camera: Operand,
+    sensor: Operand,
+    base: Operand,
+    first: Operand,
+    place: Operand,
 ) -> Integer:
     """`events.see_pixel` for a quad and a camera without noise: ON minus OFF events; writes where there are some.
 
@@ -235,7 +234,9 @@ def see_plainly(
 
 
 @njit(error_model="numpy")
-def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Any, place: Any) -> Integer:
+def see_one(
+    log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand
+) -> Integer:
     """A pixel's events; what it memorises then is what `advanced` says, of which one half is 0."""
     signed = quick_count(log, before, positive, negative)
     if signed > 0:

@@ -7,13 +7,14 @@ takes eight at once; texels are looked up in a loop of their own.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.rays import (
     I0,
     I1,
@@ -221,7 +222,7 @@ def show_sky(
 
 
 @part(error_model="numpy")
-def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Operand) -> None:
     """Luma of a column whose texels are placed."""
     for row in range(at.ROWS):
         integers[TEXEL, row] = texels[np.uint32(integers[PLACE, row])]
@@ -231,7 +232,7 @@ def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int,
 
 
 @part(error_model="numpy")
-def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Any) -> None:
+def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Operand) -> None:
     """Red, green and blue of a column whose texels are placed."""
     for row in range(at.ROWS):
         red, green, blue = lit(
@@ -263,7 +264,7 @@ def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
 
 
 @part(error_model="numpy")
-def turn_gray(channels: Any, out: Any) -> None:
+def turn_gray(channels: Operand, out: Operand) -> None:
     """Columns of luma as a picture (ROWS, COLUMNS)."""
     for row in range(at.ROWS):
         for column in range(at.COLUMNS):
@@ -271,7 +272,7 @@ def turn_gray(channels: Any, out: Any) -> None:
 
 
 @part(error_model="numpy")
-def turn_colour(channels: Any, out: Any) -> None:
+def turn_colour(channels: Operand, out: Operand) -> None:
     """Columns of red, green and blue as a picture (ROWS, COLUMNS, 3)."""
     for row in range(at.ROWS):
         for column in range(at.COLUMNS):
@@ -281,7 +282,7 @@ def turn_colour(channels: Any, out: Any) -> None:
 
 
 @part(error_model="numpy")
-def draw_depths(desk: Desk, out: Any) -> None:
+def draw_depths(desk: Desk, out: Operand) -> None:
     """Depth of a picture whose faces are projected, (ROWS, COLUMNS), metres."""
     faces, floats, counts = desk.faces, desk.floats, desk.counts
     find_spans(faces, desk.begins, desk.ends, desk.spans, counts)

@@ -7,12 +7,13 @@ from the latencies alone. `lockstep` is a model whose latencies are 0. All of th
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
+from uavaccel.kernels.operands import Operand
 from uavaccel.parts import part
 from uavaccel.vision.guard import GuardSettings
 
@@ -48,11 +49,11 @@ RULES = 19
 class Timing(NamedTuple):
     """How commands pass, the same for all lanes."""
 
-    rules: Any
+    rules: Operand
     """(RULES,) int64."""
-    slices_ns: Any
+    slices_ns: Operand
     """(S,) int64: simulated time of a command's samples."""
-    offsets_ns: Any
+    offsets_ns: Operand
     """(S,) int64: wall time of ADSC's samples after the command was issued."""
     latencies: Latencies
 
@@ -60,12 +61,12 @@ class Timing(NamedTuple):
 class Command(NamedTuple):
     """How a command is flown and seen, the same for all lanes."""
 
-    slices: Any
+    slices: Operand
     """Ticks (S,) of its samples."""
     event_ticks: int
     """Ticks from one of the event camera's frames to the next; 0: it sees the samples alone."""
     tick_ns: int
-    hull: Any
+    hull: Operand
     """(3,) (kernels/flight)."""
     hold_ticks: int
     """After which position hold sets in unless another command came."""
@@ -75,21 +76,21 @@ class Command(NamedTuple):
 class Clocks(NamedTuple):
     """The clocks of L lanes."""
 
-    row: Any
+    row: Operand
     """(L, FIELDS) int64."""
-    scale: Any
+    scale: Operand
     """(L,) float64: requests and replies take so many times what their tables say."""
-    brightness: Any
+    brightness: Operand
     """(L,) float64: what the guard compares the next picture with; NaN before the first."""
-    shown: Any
+    shown: Operand
     """(L, 7) float64: the pose at tick `SHOWN`."""
-    ticks: Any
+    ticks: Operand
     """(L, S) int64: of the last command's samples, those before a touch."""
-    taken: Any
+    taken: Operand
     """(L,) int64: how many they are."""
 
 
-def clocks(lanes: int, samples: int, empty: Any = np.zeros) -> Clocks:
+def clocks(lanes: int, samples: int, empty: Operand = np.zeros) -> Clocks:
     """Room for lanes; `empty` makes an array of a shape and a type."""
     f8, i8 = np.float64, np.int64
     return Clocks(
@@ -106,7 +107,7 @@ def clocks(lanes: int, samples: int, empty: Any = np.zeros) -> Clocks:
 
 
 @part
-def draw(row: Any, timing: Timing, table: int) -> int:
+def draw(row: Operand, timing: Timing, table: int) -> int:
     """The next latency of a table, as it stands there."""
     if timing.rules[LATENCY] == 0:
         return 0
@@ -115,7 +116,7 @@ def draw(row: Any, timing: Timing, table: int) -> int:
 
 
 @part
-def message(row: Any, scale: float, timing: Timing, direction: int, channel: int) -> int:
+def message(row: Operand, scale: float, timing: Timing, direction: int, channel: int) -> int:
     """The next latency of a request or a reply."""
     spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
     spent = round(spent * scale)
@@ -126,7 +127,7 @@ def message(row: Any, scale: float, timing: Timing, direction: int, channel: int
 
 
 @part
-def with_frame(row: Any, timing: Timing, asked_ns: int) -> int:
+def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
     """When a frame that is asked for is there (sim/frames)."""
     return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
 
@@ -143,14 +144,14 @@ def nearest(numerator: int, denominator: int) -> int:
 
 
 @part
-def wall_due(row: Any, timing: Timing, tick: int) -> int:
+def wall_due(row: Operand, timing: Timing, tick: int) -> int:
     """The first nanosecond of wall time at which a tick is due."""
     speed = timing.rules[SPEED]
     return row[WALL0] + ((tick - row[TICK0]) * timing.rules[TICK_WALL] + speed - 1) // speed
 
 
 @part
-def pause(row: Any, timing: Timing, wall_ns: int) -> None:
+def pause(row: Operand, timing: Timing, wall_ns: int) -> None:
     """Stop the simulation; a continue-for is over."""
     if row[PAUSED] == 0:
         row[PAUSED], row[WALL] = 1, wall_ns
@@ -160,7 +161,7 @@ def pause(row: Any, timing: Timing, wall_ns: int) -> None:
 
 
 @part
-def let_run(row: Any, wall_ns: int) -> None:
+def let_run(row: Operand, wall_ns: int) -> None:
     """Let the simulation run from here."""
     if row[PAUSED] == 1:
         row[PAUSED], row[WALL] = 0, wall_ns
@@ -168,7 +169,7 @@ def let_run(row: Any, wall_ns: int) -> None:
 
 
 @part
-def advance_through(row: Any, timing: Timing, wall_ns: int) -> None:
+def advance_through(row: Operand, timing: Timing, wall_ns: int) -> None:
     """Fly every tick that is due by then, and end what ends on the way."""
     while row[PAUSED] == 0:
         end = min(row[COMMAND_END], row[PERIOD_END])
@@ -187,7 +188,7 @@ def advance_through(row: Any, timing: Timing, wall_ns: int) -> None:
 
 
 @part
-def advance(row: Any, timing: Timing, wall_ns: int) -> None:
+def advance(row: Operand, timing: Timing, wall_ns: int) -> None:
     """The same, and show what frames show."""
     if timing.rules[STALE_POSE] and row[PAUSED] == 0:
         period_ns = timing.rules[FRAME_NS]
@@ -201,7 +202,7 @@ def advance(row: Any, timing: Timing, wall_ns: int) -> None:
 
 
 @part
-def next_event(row: Any, timing: Timing) -> int:
+def next_event(row: Operand, timing: Timing) -> int:
     """When something ends unless a message comes first; NEVER while nothing will."""
     end = min(row[COMMAND_END], row[PERIOD_END])
     if row[PAUSED] == 1 or end == NEVER:
@@ -213,7 +214,7 @@ def next_event(row: Any, timing: Timing) -> int:
 
 
 @part
-def run_to(row: Any, timing: Timing, wall_ns: int) -> None:
+def run_to(row: Operand, timing: Timing, wall_ns: int) -> None:
     """Let the simulation's wall time pass; a wall timer ends on the dot."""
     if row[PAUSED] == 0 and row[PERIOD_TIMER] <= wall_ns:
         advance(row, timing, row[PERIOD_TIMER])
@@ -222,7 +223,7 @@ def run_to(row: Any, timing: Timing, wall_ns: int) -> None:
 
 
 @part
-def ask(row: Any, scale: float, timing: Timing, channel: int) -> None:
+def ask(row: Operand, scale: float, timing: Timing, channel: int) -> None:
     """Send a message, up to the moment at which it is handled."""
     arrival = row[NOW] + message(row, scale, timing, wire.REQUEST, channel)
     if timing.rules[STALL_NS] > 0 and row[UNANSWERED] == 1:
@@ -232,21 +233,21 @@ def ask(row: Any, scale: float, timing: Timing, channel: int) -> None:
 
 
 @part
-def answer(row: Any, scale: float, timing: Timing, channel: int) -> None:
+def answer(row: Operand, scale: float, timing: Timing, channel: int) -> None:
     """Wait for the answer."""
     ready = with_frame(row, timing, row[HANDLED]) if channel == wire.IMAGE else row[HANDLED]
     row[NOW] = max(row[NOW], ready + message(row, scale, timing, wire.REPLY, channel))
 
 
 @part
-def call(row: Any, scale: float, timing: Timing, channel: int) -> None:
+def call(row: Operand, scale: float, timing: Timing, channel: int) -> None:
     """A call that changes nothing."""
     ask(row, scale, timing, channel)
     answer(row, scale, timing, channel)
 
 
 @part
-def move(row: Any, scale: float, timing: Timing) -> None:
+def move(row: Operand, scale: float, timing: Timing) -> None:
     """Send the command without waiting for its end; it acts from `TICK` on."""
     ask(row, scale, timing, wire.MOVE)
     row[COMMAND_END], row[COMMAND_OVER] = row[TICK] + timing.rules[COMMAND_TICKS], NEVER
@@ -255,7 +256,7 @@ def move(row: Any, scale: float, timing: Timing) -> None:
 
 
 @part
-def join(row: Any, scale: float, timing: Timing, deadline_ns: int) -> bool:
+def join(row: Operand, scale: float, timing: Timing, deadline_ns: int) -> bool:
     """Wait for the command's end, or for the deadline if that comes first: then False."""
     while row[COMMAND_OVER] == NEVER:
         event_ns = next_event(row, timing)
@@ -271,7 +272,7 @@ def join(row: Any, scale: float, timing: Timing, deadline_ns: int) -> bool:
 
 
 @part
-def continue_for(row: Any, scale: float, timing: Timing, duration_ns: int) -> None:
+def continue_for(row: Operand, scale: float, timing: Timing, duration_ns: int) -> None:
     """Run for a simulated time, or in `airsim` for the wall time that it takes, and pause."""
     ask(row, scale, timing, wire.CONTINUE_FOR)
     handled, rules = row[HANDLED], timing.rules
@@ -292,7 +293,7 @@ def continue_for(row: Any, scale: float, timing: Timing, duration_ns: int) -> No
 
 
 @part
-def call_pause(row: Any, scale: float, timing: Timing) -> None:
+def call_pause(row: Operand, scale: float, timing: Timing) -> None:
     """simPause(True)."""
     ask(row, scale, timing, wire.PAUSE)
     pause(row, timing, row[HANDLED])
@@ -300,7 +301,7 @@ def call_pause(row: Any, scale: float, timing: Timing) -> None:
 
 
 @part
-def call_run(row: Any, scale: float, timing: Timing) -> None:
+def call_run(row: Operand, scale: float, timing: Timing) -> None:
     """simPause(False)."""
     ask(row, scale, timing, wire.CONTINUE)
     let_run(row, row[HANDLED])
@@ -311,7 +312,7 @@ def call_run(row: Any, scale: float, timing: Timing) -> None:
 
 
 @part
-def switch(row: Any, phase: int) -> None:
+def switch(row: Operand, phase: int) -> None:
     """What passes from now on belongs to a phase, or to none."""
     if row[PHASE] != NO_PHASE:
         row[FIRST_PHASE + row[PHASE]] += row[NOW] - row[SINCE]
@@ -319,14 +320,14 @@ def switch(row: Any, phase: int) -> None:
 
 
 @part
-def charge(row: Any, duration_ns: int, phase: int) -> None:
+def charge(row: Operand, duration_ns: int, phase: int) -> None:
     """Work of the agent's between two commands."""
     row[NOW] += duration_ns
     row[FIRST_PHASE + phase] += duration_ns
 
 
 @part
-def start(row: Any, scale: float, timing: Timing, seed: int) -> None:
+def start(row: Operand, scale: float, timing: Timing, seed: int) -> None:
     """A game begins, up to its first picture, which `show_start` asks for."""
     for field in range(FIELDS):
         row[field] = 0
@@ -345,7 +346,7 @@ def start(row: Any, scale: float, timing: Timing, seed: int) -> None:
 
 
 @part
-def show_start(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
+def show_start(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
     """The picture of a game's start, and what comes before the first command."""
     ask_for_picture(row, scale, timing, suspect)
     switch(row, NO_PHASE)
@@ -356,7 +357,7 @@ def show_start(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
 
 
 @part
-def ask_for_picture(row: Any, scale: float, timing: Timing, suspect: bool) -> None:
+def ask_for_picture(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
     """A suspect picture is asked for again, and is the same: the simulation stands (vision/guard)."""
     if timing.rules[IMAGES] == 0:
         return
@@ -367,7 +368,7 @@ def ask_for_picture(row: Any, scale: float, timing: Timing, suspect: bool) -> No
 
 
 @part
-def issue(row: Any, scale: float, timing: Timing) -> int:
+def issue(row: Operand, scale: float, timing: Timing) -> int:
     """A command begins; the tick from which it acts."""
     switch(row, SIMULATION)
     row[ISSUED], row[PAUSED_NS], row[LAST] = row[NOW], 0, 0
@@ -379,7 +380,7 @@ def issue(row: Any, scale: float, timing: Timing) -> int:
 
 
 @part
-def reach(row: Any, scale: float, timing: Timing, sample: int) -> int:
+def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
     """Wait for a command's next sample; its tick. `LAST` says that none follows."""
     if timing.rules[IS_ADSC]:
         reach_adsc(row, scale, timing, sample)
@@ -396,7 +397,7 @@ def reach(row: Any, scale: float, timing: Timing, sample: int) -> int:
 
 
 @part
-def reach_adsc(row: Any, scale: float, timing: Timing, sample: int) -> None:
+def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
     """Until the sample is due, or the command's end is known; then pause."""
     row[LAST] = 1
     if sample < timing.slices_ns.shape[0] - 1:
@@ -410,7 +411,7 @@ def reach_adsc(row: Any, scale: float, timing: Timing, sample: int) -> None:
 
 
 @part
-def leave(row: Any, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
+def leave(row: Operand, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
     """Look at a sample and go on; after a touch there is no picture, and nothing is made of it."""
     if not touched:
         ask_for_picture(row, scale, timing, suspect)
