@@ -7,19 +7,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.saved import State
-from uavaccel.vision.dvs import DvsParameters
-from uavaccel.vision.dvs import make_sensor as make_dvs
-from uavaccel.vision.event_counter import EventCounter
+from uavaccel.vision.dvs_sensor import DvsParameters
+from uavaccel.vision.dvs_sensor import make_sensor as make_dvs
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
-from uavaccel.wire.image_api import HEIGHT, WIDTH
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
 DEPTH_FAR_M = 50.0  # seen as 255
@@ -78,7 +76,9 @@ class EventCamera:
     noise_seed = 0
 
     def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
-        self.blank: NDArray[Any] = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
+        from uavaccel.vision.event_counter import EventCounter  # compiled
+
+        self.blank: NDArray[Any] = blank_frame("dvs")
         self.counter = EventCounter(make_dvs(parameters, (HEIGHT, WIDTH), seed), listed)
 
     def reset(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
@@ -105,7 +105,7 @@ class ColourCamera(Memoryless):
     picture: str | None = "colour"
 
     def __init__(self) -> None:
-        self.blank: NDArray[Any] = np.zeros((3, *SIZE), np.uint8)
+        self.blank: NDArray[Any] = blank_frame("colour")
 
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         return np.ascontiguousarray(_reduced(image).transpose(2, 0, 1))
@@ -117,7 +117,7 @@ class DepthCamera(Memoryless):
     picture: str | None = "depth"
 
     def __init__(self) -> None:
-        self.blank: NDArray[Any] = np.zeros((1, *SIZE), np.uint8)
+        self.blank: NDArray[Any] = blank_frame("depth")
 
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         depth = _reduced(np.minimum(image, np.float32(DEPTH_FAR_M)))
@@ -135,6 +135,12 @@ class StateSensor(Memoryless):
 
     def frame(self, state: Kinematics, image: NDArray[Any], course: Mapping[str, Any]) -> NDArray[Any]:
         return self._features(state, course)
+
+
+def blank_frame(picture: Literal["dvs", "colour", "depth"]) -> NDArray[np.uint8]:
+    """A frame without content (C, 36, 64): no events, black, or all at hand."""
+    planes = 3 if picture == "colour" else 1
+    return np.full((planes, *SIZE), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
 
 
 def make_sensor(
@@ -166,4 +172,6 @@ def state_fields(state: Any) -> list[Any]:
 
 
 def _reduced(image: NDArray[Any]) -> NDArray[Any]:
+    import cv2
+
     return np.asarray(cv2.resize(image, (SIZE[1], SIZE[0]), interpolation=cv2.INTER_AREA))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from uavaccel.rl.algorithms import OWN
 from uavaccel.rl.baseline import Baseline
+from uavaccel.rl.checks import OWN
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.learner import Learner

@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
-from joblib import Parallel, parallel_config
-
 from uavaccel.errors import UsageError, UserError
 
 LOKY = "loky"
@@ -36,6 +34,8 @@ def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Any]) -> Iter
 
     Raises UserError where a worker is lost.
     """
+    from joblib import Parallel, parallel_config
+
     clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
     most = jobs * batch * AHEAD
     with (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.limits import Games
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT, policy_sha256
+from uavaccel.rl.agents import DEFAULT, make_agent, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
@@ -88,6 +88,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         return suite.renders(evaluation)
 
     def provenance(self, config: PolicyConfig) -> Mapping[str, Any]:
+        make_agent(config.agent, self.first(config)[1].task)
         return {"policy_sha256": policy_sha256(config.agent)}
 
     def open(

@@ -10,7 +10,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.rl.agents import FLIGHT
-from uavaccel.rl.algorithms import OWN, baseline_class
+from uavaccel.rl.algorithms import baseline_class
+from uavaccel.rl.checks import OWN
 from uavaccel.suites.training.config import TrainConfig
 
 COMMANDS = 20  # of the modelled game: by then their mean moves by less than 1 %
