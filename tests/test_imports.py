@@ -1,6 +1,7 @@
 """Imports point one way, time has one owner, and importing the package is cheap."""
 
 import ast
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -49,6 +50,10 @@ ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
 ROOMS["cli"] = ROOMS["suites"] | {"suites", "fly", "__init__"}
 ROOMS["__main__"] = {"cli"}
+HEAVY = {
+    *("cv2", "gymnasium", "joblib", "matplotlib", "mujoco", "numba", "scipy", "stable_baselines3", "sympy"),
+    *("tensorboard", "torch"),
+}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -100,8 +105,53 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     program = "import sys, uavaccel, uavaccel.errors; print(*sys.modules)"
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
-    heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
-    assert not heavy & set(done.stdout.split())
+    assert not (HEAVY | {"numpy", "pydantic"}) & set(done.stdout.split())
+
+
+COMMAND = """
+import sys
+from uavaccel.cli.main import main
+try:
+    main()
+finally:
+    print("loaded:", *sys.modules)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needed"),
+    [
+        ("--help", set()),
+        ("doctor", set()),
+        ("run dp1 --dry-run", {"mujoco"}),
+        ("train --dry-run", {"gymnasium", "mujoco"}),
+        ("evaluate --dry-run", {"gymnasium", "mujoco"}),
+        ("fly print.py", set()),
+    ],
+)
+def test_a_command_loads_what_it_needs(arguments: str, needed: set[str], tmp_path: Path) -> None:
+    """The doctor tries the simulator in other processes; configurations need the profiles, which are MuJoCo's."""
+    (tmp_path / "print.py").write_text("print(1)")
+    command = [sys.executable, "-c", COMMAND, *arguments.split()]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert HEAVY & set(done.stdout.splitlines()[-1].split()) == needed
+
+
+def test_a_learner_does_not_load_pytorchs_compiler() -> None:
+    program = """
+import sys
+from uavaccel.rl.agents import first_policy
+from uavaccel.rl.config import LearnerConfig
+optimizer = first_policy(LearnerConfig(channels=(1,), hidden=()), lambda _: 1e-3).optimizer
+optimizer.zero_grad()
+optimizer.step()
+optimizer.load_state_dict(optimizer.state_dict())
+print(*sys.modules)
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
+    assert not {"torch._dynamo", "sympy", "numba", "scipy"} & set(done.stdout.split())
 
 
 def test_modules_of_the_world_do_not_import_each_other_in_circles() -> None:

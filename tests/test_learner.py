@@ -20,6 +20,7 @@ from tests.learning import tiny_config
 from uavaccel.config import validate
 from uavaccel.rl import device_network, double_dqn
 from uavaccel.rl.agents import first_policy
+from uavaccel.rl.algorithms import Adam
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.learner import Game, learning_rhythm
@@ -599,3 +600,24 @@ def test_on_a_device_the_first_convolution_is_a_product_of_patches(monkeypatch: 
     with th.no_grad():
         ours = device_network.rate(net, flat, 9, 16)
         np.testing.assert_allclose(ours.numpy(), net(seen).numpy(), atol=1e-5)
+
+
+def test_adam_is_pytorchs_to_the_bit() -> None:
+    generator = th.Generator().manual_seed(0)
+    shapes = [(20, 30), (30,)]
+    weights = [th.randn(shape, generator=generator) for shape in shapes]
+    gradients = [[th.randn(shape, generator=generator) for shape in shapes] for _ in range(20)]
+    learned = []
+    for kind in (Adam, th.optim.Adam):
+        parameters = [th.nn.Parameter(weight.clone()) for weight in weights]
+        optimizer = kind(parameters, lr=1e-3, fused=True)
+        for step in gradients:
+            optimizer.zero_grad()
+            for parameter, gradient in zip(parameters, step, strict=True):
+                parameter.grad = gradient.clone()
+            optimizer.step()
+        optimizer.load_state_dict(optimizer.state_dict())
+        learned.append(
+            [*parameters, *(each for state in optimizer.state.values() for each in state.values())]
+        )
+    assert all(th.equal(ours, theirs) for ours, theirs in zip(*learned, strict=True))

@@ -198,11 +198,11 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
 
 
 def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderService | None:
-    if renderer == "own" or task.sensor().picture is None:
-        return None
     known = known_renderer()
-    if renderer == "auto" and known is not None and known.software:
+    if renderer == "own" or (renderer == "auto" and known is not None and known.software):
         return None  # no process need be started to say so
+    if task.sensor().picture is None:
+        return None
     service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:
         drawn_by = service.ready()

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple
-from typing import Final, Generic
+from typing import TYPE_CHECKING, Final, Generic
 
 import gymnasium
 import numpy as np
@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.envs.checks import TaskT, known_options, make_task, within
-from uavaccel.envs.flight_client import FlightClient, FlightSample
-from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment
@@ -27,9 +25,12 @@ from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
 from uavaccel.sim.saved import SavedState, State, part, under
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.image_noise import ImageNoise, noise_seed
-from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, open_session
+
+if TYPE_CHECKING:  # tasks are made where nothing is flown
+    from uavaccel.envs.flight_client import FlightClient, FlightSample
+    from uavaccel.envs.observer import Observer
+    from uavaccel.wire.client import Client
+    from uavaccel.wire.session import Session
 
 CONDITIONS: Final = "conditions"  # of a game, where they were drawn: in its course
 
@@ -46,6 +47,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     task_class: type[TaskT]
 
     def __init__(self, render_mode: str | None = None, **keys: object) -> None:
+        from uavaccel.vision.image_noise import ImageNoise
+
         self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
         self.flown: TaskT = self.task
         """The task under the running game's conditions."""
@@ -194,12 +197,16 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
 
     def _make_noise(self, seed: int, start_ns: int) -> None:
         """Of this game's pictures and events."""
+        from uavaccel.vision.image_noise import ImageNoise
+
         assert self._client is not None
         self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
         if isinstance(self.sensor, EventCamera):
             self.sensor.noise_seed = self.flown.events_seed(seed)
 
     def _opened(self) -> Session:
+        from uavaccel.wire.session import open_session
+
         task = self.task
         if self.sensor.picture is not None:
             gl.check_process()
@@ -220,6 +227,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
 
     def _connect(self, client: Client, start_ns: int) -> None:
         """Fly with this client a game that began at `start_ns` of its wall clock."""
+        from uavaccel.envs.flight_client import FlightClient
+
         self._start_ns = start_ns
         self._stopwatches = [Stopwatch(client.transport.clock)]
         if self.task.report_host_times:
@@ -227,6 +236,9 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         self._client = FlightClient(client, self.sensor.picture, self._stopwatches)
 
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
+        from uavaccel.envs.observer import Game
+        from uavaccel.vision.image_noise import noise_seed
+
         session = self._opened()
         self._take_on(course)
         task, start_z_m = self.flown, -self.flown.altitude_m

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Literal, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +16,8 @@ from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.saved import SavedState, State
-from uavaccel.vision.dvs import DvsParameters
-from uavaccel.vision.dvs import make_sensor as make_dvs
-from uavaccel.vision.event_counter import EventCounter
+from uavaccel.vision.dvs_sensor import DvsParameters
+from uavaccel.vision.dvs_sensor import make_sensor as make_dvs
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
@@ -79,7 +77,9 @@ class EventCamera:
     noise_seed = 0
 
     def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
-        self.blank: Frame = np.full((1, *SIZE), NEUTRAL_LEVEL, np.uint8)
+        from uavaccel.vision.event_counter import EventCounter  # compiled
+
+        self.blank: Frame = blank_frame("dvs")
         self.counter = EventCounter(make_dvs(parameters, (HEIGHT, WIDTH), seed), listed)
 
     def reset(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
@@ -106,7 +106,7 @@ class ColourCamera(Memoryless):
     picture: str | None = "colour"
 
     def __init__(self) -> None:
-        self.blank: Frame = np.zeros((3, *SIZE), np.uint8)
+        self.blank: Frame = blank_frame("colour")
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         return np.ascontiguousarray(_reduced(image).transpose(2, 0, 1))
@@ -118,7 +118,7 @@ class DepthCamera(Memoryless):
     picture: str | None = "depth"
 
     def __init__(self) -> None:
-        self.blank: Frame = np.zeros((1, *SIZE), np.uint8)
+        self.blank: Frame = blank_frame("depth")
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         depth = _reduced(np.minimum(image, np.float32(DEPTH_FAR_M)))
@@ -137,6 +137,12 @@ class StateSensor(Memoryless):
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         return self._features(state, course)
+
+
+def blank_frame(picture: Literal["dvs", "colour", "depth"]) -> NDArray[np.uint8]:
+    """A frame without content (C, 36, 64): no events, black, or all at hand."""
+    planes = 3 if picture == "colour" else 1
+    return np.full((planes, *SIZE), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
 
 
 def make_sensor(
@@ -168,4 +174,6 @@ def state_fields(state: Kinematics) -> list[Number]:
 
 
 def _reduced(image: AnyImage) -> AnyImage:
+    import cv2
+
     return np.asarray(cv2.resize(image, (SIZE[1], SIZE[0]), interpolation=cv2.INTER_AREA))

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
-from uavaccel.envs.sensors import Sensor, make_sensor, state_fields
+from uavaccel.envs.sensors import Sensor, blank_frame, make_sensor, state_fields
 from uavaccel.envs.told import Told
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
@@ -28,7 +28,6 @@ from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
-from uavaccel.wire.image_api import lane_layout
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -192,10 +191,17 @@ class Task(Config):
 
     def sensor(self) -> Sensor:
         """What turns samples into frames."""
-        blank = np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
         return make_sensor(
-            self.observation, self.features, blank, self.dvs_parameters, self.dvs_seed, self.list_events
+            self.observation,
+            self.features,
+            self._blank_features(),
+            self.dvs_parameters,
+            self.dvs_seed,
+            self.list_events,
         )
+
+    def _blank_features(self) -> NDArray[np.float32]:
+        return np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
 
     @property
     def dvs_parameters(self) -> DvsParameters:
@@ -209,7 +215,7 @@ class Task(Config):
 
     def observation_space(self) -> spaces.Box:
         """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""
-        blank = self.sensor().blank
+        blank = self._blank_features() if self.observation == "state" else blank_frame(self.observation)
         told = self.told()
         planes = 0 if told is None else told.planes
         shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])
@@ -271,6 +277,8 @@ class Task(Config):
 
     def drawn(self, course: Course) -> LaneLayout | None:
         """The same as obstacles. Raises UserError."""
+        from uavaccel.wire.image_api import lane_layout  # as heavy as the simulation
+
         layout = self.layout(course)
         return None if layout is None else lane_layout(layout)
 

@@ -5,21 +5,22 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import Schedule
 
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.values import Frame, Info
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
 from uavaccel.sim.lane.layout import WIDTH_M
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.policies import BasePolicy
+    from stable_baselines3.common.type_aliases import Schedule
 
 DEFAULT = "default"
 STRAIGHT = "straight"
@@ -79,7 +80,7 @@ def trained_keys(name: str) -> dict[str, object]:
     """Keys of the task that the agent was trained with; a baseline needs no pictures. Raises UserError."""
     if is_baseline(name):
         return {"observation": "state", "history": 1}
-    trained = load_policy(policy_folder(name)).config.task.model_dump(mode="json")
+    trained = read_manifest(policy_folder(name))[1].task.model_dump(mode="json")
     return {key: trained[key] for key in SENSES + FLIGHT}
 
 
@@ -93,25 +94,36 @@ def make_agent(name: str, task: LaneTask) -> Agent:
 
     Raises UserError if there is none, or its network cannot take what the task lets it see and do.
     """
+    check_agent(name, task)
+    return (
+        OffsetAgent(_offset_m(name), task)
+        if is_baseline(name)
+        else PolicyAgent(load_policy(policy_folder(name)))
+    )
+
+
+def check_agent(name: str, task: LaneTask) -> None:
+    """Raises UserError as `make_agent`, but for weights that are no tensors of that network: they are not read."""
+    if is_baseline(name):
+        _offset_m(name)
+    else:
+        _refuse_misfit(name, read_manifest(policy_folder(name))[1].task, task)
+
+
+def _offset_m(name: str) -> float:
+    """Metres east of the middle along which a baseline flies. Raises UserError."""
     if name == STRAIGHT:
-        return OffsetAgent(0.0, task)
-    if name.startswith(OFFSET):
-        try:
-            offset_m = float(name.removeprefix(OFFSET))
-        except ValueError:
-            offset_m = math.nan
-        if not abs(offset_m) <= WIDTH_M:
-            raise UserError(
-                f"{name}: must be offset:METRES, as in offset:-1.5, within the lane of {WIDTH_M:g} m"
-            )
-        return OffsetAgent(offset_m, task)
-    policy = load_policy(policy_folder(name))
-    _refuse_misfit(name, policy, task)
-    return PolicyAgent(policy)
+        return 0.0
+    try:
+        offset_m = float(name.removeprefix(OFFSET))
+    except ValueError:
+        offset_m = math.nan
+    if not abs(offset_m) <= WIDTH_M:
+        raise UserError(f"{name}: must be offset:METRES, as in offset:-1.5, within the lane of {WIDTH_M:g} m")
+    return offset_m
 
 
-def _refuse_misfit(name: str, policy: Policy, task: LaneTask) -> None:
-    trained = policy.config.task
+def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:
     for key in ("observation", "history", "knows"):
         if getattr(task, key) != getattr(trained, key):
             raise UserError(
@@ -141,6 +153,8 @@ def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
 
     Raises UserError if that is no policy, or its network is another one than the configuration's.
     """
+    from uavaccel.rl.algorithms import make_policy
+
     policy = make_policy(config, learning_rate)
     if config.start_from is None:
         return policy

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from uavaccel.rl.algorithms import OWN
 from uavaccel.rl.baseline import Baseline
+from uavaccel.rl.checks import OWN
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.lanes import AnyLanes

@@ -8,20 +8,22 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, file_sha256, parse_json, replacing, to_json
-from uavaccel.rl.algorithms import OWN, action_ratings, baseline_class, greedy, make_policy
+from uavaccel.rl.checks import OWN
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.mirror import turned_actions
+
+if TYPE_CHECKING:  # a manifest is read without PyTorch
+    import torch as th
+    from stable_baselines3.common.policies import BasePolicy
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # a copy for learning alone
@@ -41,15 +43,21 @@ class Policy:
 
     def act(self, observations: Frame) -> NDArray[np.int64]:
         """Actions (n,) for observations (n, ...)."""
+        from uavaccel.rl.algorithms import greedy
+
         return greedy(self.network, observations, self.turned)
 
     def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
         """What its ratings are, and those of all actions (n, actions) for observations (n, ...)."""
+        from uavaccel.rl.algorithms import action_ratings
+
         return action_ratings(self.network, observations, self.turned)
 
     @property
     def turned(self) -> list[int] | None:
         """Each action's mirror image, of a policy that decides by the mean of both ways."""
+        from uavaccel.rl.mirror import turned_actions
+
         return turned_actions(self.config.task.headings_deg) if self.config.mirrored_decisions else None
 
 
@@ -66,6 +74,8 @@ def export_policy(
     folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]
 ) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
+    import torch as th
+
     weights = {
         name: tensor.detach().cpu().clone()
         for name, tensor in policy.state_dict().items()
@@ -114,10 +124,10 @@ def _stamp(file: Path) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=4)  # a sweep asks for the same policy in each of its cases
 def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
-    manifest = _read_manifest(path)
-    weights = _read_weights(path / WEIGHTS, manifest)
-    described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
-    config = validate(LearnerConfig, described, str(path / MANIFEST))
+    from uavaccel.rl.algorithms import baseline_class, make_policy
+
+    manifest, config = _read_manifest(path, *stamps)
+    weights = _read_weights(path / WEIGHTS)
     if config.algorithm != OWN:
         baseline_class(config.algorithm)
     network = make_policy(config, lambda _: 0.0, learns=False)
@@ -134,7 +144,27 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
     return Policy(network, config, manifest)
 
 
-def _read_manifest(path: Path) -> Mapping[str, Plain]:
+def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
+    """The manifest of the policy in a folder, and the configuration that it was trained with.
+
+    Raises UserError if there is none, or its file of weights is not the one that it describes.
+    """
+    return _read_manifest(path, _stamp(path / MANIFEST), _stamp(path / WEIGHTS))
+
+
+@lru_cache(maxsize=4)
+def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping[str, Plain], LearnerConfig]:
+    manifest = _parsed_manifest(path)
+    wanted = manifest.get("weights_file_sha256")
+    if wanted is not None and file_sha256(path / WEIGHTS) != wanted:
+        raise UserError(
+            f"{path / WEIGHTS}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
+        )
+    described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
+    return manifest, validate(LearnerConfig, described, str(path / MANIFEST))
+
+
+def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     try:
         manifest = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
     except OSError as error:
@@ -150,13 +180,10 @@ def _read_manifest(path: Path) -> Mapping[str, Plain]:
     return manifest
 
 
-def _read_weights(path: Path, manifest: Mapping[str, Plain]) -> Mapping[str, th.Tensor]:
-    """The tensors in a file. Raises UserError if it is not the one that the manifest means."""
-    wanted = manifest.get("weights_file_sha256")
-    if wanted is not None and file_sha256(path) != wanted:
-        raise UserError(
-            f"{path}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
-        )
+def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
+    """The tensors in a file. Raises UserError if it holds anything else."""
+    import torch as th
+
     try:
         weights = th.load(path, weights_only=True, map_location="cpu")
     except UnpicklingError as error:
@@ -165,7 +192,10 @@ def _read_weights(path: Path, manifest: Mapping[str, Plain]) -> Mapping[str, th.
         raise UserError(
             f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew"
         ) from error
-    if not (isinstance(weights, dict) and all(map(_is_weight, weights.items()))):
+    if not (
+        isinstance(weights, dict)
+        and all(isinstance(name, str) and isinstance(each, th.Tensor) for name, each in weights.items())
+    ):
         raise UserError(f"{path}: is no state dict of tensors alone")
     for name, tensor in weights.items():
         if not tensor.isfinite().all():

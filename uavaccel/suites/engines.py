@@ -11,8 +11,6 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 
-from joblib import Parallel, parallel_config
-
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites.suite import GameResult
 
@@ -37,6 +35,8 @@ def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Delayed]) -> 
 
     Raises UserError where a worker is lost.
     """
+    from joblib import Parallel, parallel_config
+
     clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
     most = jobs * batch * AHEAD
     with (

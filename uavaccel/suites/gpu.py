@@ -9,8 +9,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO, TypeVar
 
-import torch as th
-
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
 MOST_PROCESSES = 256
 
@@ -26,6 +24,8 @@ def take_gpu(device: str) -> None:
     again however its process ended. Nothing happens where there is one GPU, or the device names one. It has to be
     before CUDA's first use, which fixes what this process sees.
     """
+    import torch as th
+
     if device != "cuda" or _place is not None or th.cuda.is_initialized():
         return
     visible = visible_gpus()
@@ -60,6 +60,8 @@ def visible_gpus() -> list[str]:
     """The GPUs of this process, as CUDA_VISIBLE_DEVICES names them."""
     if named := os.environ.get(VISIBLE):
         return [name.strip() for name in named.split(",") if name.strip()]
+    import torch as th
+
     return [str(number) for number in range(th.cuda.device_count())]
 
 

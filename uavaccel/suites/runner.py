@@ -11,10 +11,6 @@ from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-from uavaccel.envs.environment_processes import BatchError
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json
 from uavaccel.leftovers import clear_leftovers
@@ -150,6 +146,8 @@ def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[
 def _fly_one_by_one(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[GameResult]:
+    from uavaccel.envs.environment_processes import BatchError
+
     try:
         with suite.open(config, cases[0].timing, run) as opened:
             for case in cases:
@@ -161,6 +159,8 @@ def _fly_one_by_one(
 def _fly_in_parallel(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[GameResult]:
+    from joblib import Parallel, delayed, parallel_config
+
     # bound to this process before they import what takes them seconds
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
@@ -178,12 +178,16 @@ def _fly_in_parallel(
 def _fly_on_cluster(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[GameResult]:
+    from joblib import delayed
+
     folder = run.path.resolve()  # workers may have another working directory
     calls = [delayed(_fly_in_worker)(config, case, folder) for case in cases]
     yield from on_cluster(engine, jobs, suite.batch, calls)
 
 
 def _told_of_dead_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
     try:
         for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
             yield game

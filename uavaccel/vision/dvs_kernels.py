@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.parts import njit, part
+from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 
 ONE = np.float32(1.0)
@@ -252,3 +253,17 @@ def list_events(
                         events[row, 2], events[row, 3] = y, polarity
                         last[y, x] = stamps_s[i]
                         row += 1
+
+
+@njit(nogil=True, cache=True)
+def block_sums(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """128 plus ON - OFF, summed over blocks of 4 x 4 pixels and clipped to 0..255: (H, W) become (H / 4, W / 4)."""
+    image = np.empty((on.shape[0] // BLOCK_SIDE, on.shape[1] // BLOCK_SIDE), np.uint8)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            level = np.int64(NEUTRAL_LEVEL)
+            for y in range(row * BLOCK_SIDE, (row + 1) * BLOCK_SIDE):
+                for x in range(column * BLOCK_SIDE, (column + 1) * BLOCK_SIDE):
+                    level += np.int64(on[y, x]) - np.int64(off[y, x])
+            image[row, column] = min(max(level, 0), 255)
+    return image

@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import njit
-
 BLOCK_SIDE = 4  # pixels; each block is summed into one
 NEUTRAL_LEVEL = 128  # grey level for as many ON as OFF events
 
@@ -19,17 +17,6 @@ def dvs_observation(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArra
         raise ValueError(
             f"ON and OFF need one (H, W) shape of multiples of {BLOCK_SIDE}: {on.shape}, {off.shape}"
         )
-    return _block_sums(on, off)
+    from uavaccel.vision.dvs_kernels import block_sums  # compiled: who asks for the sizes alone need not wait
 
-
-@njit(nogil=True, cache=True)
-def _block_sums(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArray[np.uint8]:
-    image = np.empty((on.shape[0] // BLOCK_SIDE, on.shape[1] // BLOCK_SIDE), np.uint8)
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            level = np.int64(NEUTRAL_LEVEL)
-            for y in range(row * BLOCK_SIDE, (row + 1) * BLOCK_SIDE):
-                for x in range(column * BLOCK_SIDE, (column + 1) * BLOCK_SIDE):
-                    level += np.int64(on[y, x]) - np.int64(off[y, x])
-            image[row, column] = min(max(level, 0), 255)
-    return image
+    return block_sums(on, off)

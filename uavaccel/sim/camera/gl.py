@@ -28,7 +28,7 @@ _driver = threading.RLock()
 _in_thread = threading.local()  # .context: the one that is current
 _drawn = False  # whether this process, or one that it was forked from, has made a context
 _forked = False  # whether it was forked after that
-_found: GlRenderer | None = None  # who drew in the last context of this process
+_found: GlRenderer | None = None  # who drew in the last context of this process, or in the one that was tried
 
 # MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
 _PROBE = """
@@ -36,7 +36,7 @@ import mujoco
 context = mujoco.GLContext(8, 8)
 context.make_current()
 from OpenGL import GL
-assert GL.glGetString(GL.GL_RENDERER)
+print(GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
 
@@ -85,8 +85,11 @@ def _current_renderer(backend: str) -> GlRenderer:
     name = GL.glGetString(GL.GL_RENDERER)
     if name is None:  # GLFW without a display makes a context that is none
         raise RuntimeError("the context draws nothing")
-    text = name.decode()
-    return GlRenderer(backend, text, any(software in text.lower() for software in SOFTWARE_RENDERERS))
+    return _named(backend, name.decode())
+
+
+def _named(backend: str, name: str) -> GlRenderer:
+    return GlRenderer(backend, name, any(software in name.lower() for software in SOFTWARE_RENDERERS))
 
 
 def sample_textures_fast(context: mujoco.MjrContext) -> None:
@@ -130,7 +133,10 @@ def pixel_reader() -> Callable[..., None]:
 
 
 def describe_renderer() -> GlRenderer:
-    """The renderer that cameras of this process get. Raises UserError where there is none."""
+    """The renderer that cameras of this process get, and of its children. Raises UserError where there is none."""
+    choose_backend()
+    if _found is not None:  # by whoever tried the backend, in a context of its own
+        return _found
     context, renderer = make_context(8, 8)
     release(context)
     return renderer
@@ -179,33 +185,36 @@ def release(context: mujoco.GLContext) -> None:
 
 def choose_backend() -> str:
     """The backend's name, as MUJOCO_GL takes it; written there, so that child processes need not try again."""
+    global _found
     chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
     if chosen in ("disable", "disabled", "off", "false", "0"):
         raise UserError(f"MUJOCO_GL={chosen} switches images off; unset it, or run without a camera")
     if chosen or sys.platform != "linux":
         return chosen
-    backend = _first_that_works()
-    if backend is None:
+    found = _first_that_works()
+    if found is None:
         raise UserError(f"no OpenGL here to draw images with: install {PACKAGES} (Debian)")
-    os.environ["MUJOCO_GL"] = backend
-    return backend
+    _found = _found or found
+    os.environ["MUJOCO_GL"] = found.backend
+    return found.backend
 
 
 @cache
-def _first_that_works() -> str | None:
-    return next((backend for backend in HEADLESS if _works(backend)), None)
+def _first_that_works() -> GlRenderer | None:
+    return next((found for backend in HEADLESS if (found := _tried(backend)) is not None), None)
 
 
-def _works(backend: str) -> bool:
+def _tried(backend: str) -> GlRenderer | None:
+    """Who draws with that backend; None where it does not work."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     try:
         command = [sys.executable, "-c", _PROBE]
         probe = subprocess.run(
-            command, env=environment, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False
+            command, env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S, check=True
         )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return probe.returncode == 0
+        return _named(backend, probe.stdout.splitlines()[-1])
+    except (OSError, subprocess.SubprocessError, IndexError):
+        return None
 
 
 def _first_line(error: Exception) -> str:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from uavaccel.bench.traces import record_trace
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.cases import Case, cases
 from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, fly_game
-from uavaccel.suites.dp1.report import Dp1Report
+from uavaccel.suites.report import Report
 from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
-from uavaccel.wire.session import Session, open_session
+
+if TYPE_CHECKING:
+    from uavaccel.wire.session import Session
 
 CALL_S = 150e-6  # wall time of a call on a loopback socket, about
 CALLS = 6  # of a command
@@ -25,8 +25,13 @@ class Dp1(Suite[Dp1Config, Case]):
 
     name = "dp1"
     config = Dp1Config
-    report_class = Dp1Report
     quick: ClassVar[Mapping[str, object]] = {"games": 3, "reference_games": 3}
+
+    @property
+    def report_class(self) -> type[Report]:
+        from uavaccel.suites.dp1.report import Dp1Report  # loads what draws
+
+        return Dp1Report
 
     def cases(self, config: Dp1Config) -> Iterator[Case]:
         return cases(config)
@@ -35,14 +40,21 @@ class Dp1(Suite[Dp1Config, Case]):
         return ("games",)
 
     def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> Session:
+        from uavaccel.suites.dp1.flights import SCENE
+        from uavaccel.wire.session import open_session
+
         return open_session(timing, config.profile, SCENE, config.latency)
 
     def fly(self, config: Dp1Config, case: Case, opened: Session) -> GameResult:
+        from uavaccel.suites.dp1.flights import fly_game
+
         row, arrays = fly_game(config, case, opened)
         return GameResult(row, arrays)
 
     def finish(self, config: Dp1Config, run: RunDirectory) -> None:
         """One trace of each command, for Figure 4."""
+        from uavaccel.bench.traces import record_trace
+
         with self.open(config, config.timing, run) as session:
             for command in config.command:
                 trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))

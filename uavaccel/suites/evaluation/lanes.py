@@ -17,9 +17,8 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.flyable import CUDA, check_flyable
+from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.simulators import EXACT, check_names
 from uavaccel.envs.values import Info
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
@@ -41,14 +40,6 @@ class Lanes(Protocol):
         ...
 
     def close(self) -> None: ...
-
-
-def check_kernels(config: EvaluateConfig) -> None:
-    """Raises UserError, one line, for what the kernels do not fly."""
-    check_names(config.simulator, config.device)
-    if config.simulator == EXACT:
-        return
-    check_flyable(config.task, 1, config.device)
 
 
 class GamesOverArrays:

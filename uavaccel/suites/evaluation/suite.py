@@ -5,24 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-
-import torch as th
+from typing import TYPE_CHECKING
 
 from uavaccel.config import validate
-from uavaccel.draw.film import Film
+from uavaccel.envs.flyable import check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.envs.simulators import KERNELS, check_names, check_simulator
 from uavaccel.files import Plain
 from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import make_agent, policy_sha256
-from uavaccel.suites.evaluation.batch import GamesInBatch
+from uavaccel.rl.agents import check_agent, make_agent, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, cases, fly_game
-from uavaccel.suites.evaluation.lanes import GamesOverArrays, check_kernels
-from uavaccel.suites.evaluation.side_by_side import write_simulators
 from uavaccel.suites.report import Report, Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, choose_row, flying_s, kernels_s
+
+if TYPE_CHECKING:
+    from uavaccel.draw.film import Film
 
 Opened = Callable[[int], GameResult]
 
@@ -43,8 +42,10 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return completed(mapping)
 
     def check(self, config: EvaluateConfig) -> None:
-        make_agent(config.agent, config.task)
-        check_kernels(config)
+        check_agent(config.agent, config.task)
+        check_names(config.simulator, config.device)
+        if config.simulator == KERNELS:
+            check_flyable(config.task, 1, config.device)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Case]:
         return cases(config)
@@ -55,6 +56,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
         """What flies the game on a lane: an environment and the agent, or many of them side by side."""
+        from uavaccel.suites.evaluation.batch import GamesInBatch
+        from uavaccel.suites.evaluation.lanes import GamesOverArrays
+
         if self.why_serial(config):
             done = run.done_cases()
             left = [case.lane for case in cases(config) if case.id not in done]
@@ -62,6 +66,8 @@ class Evaluation(Suite[EvaluateConfig, Case]):
             with closing(games(config, left)) as batch:
                 yield batch.game
             return
+        import torch as th
+
         th.set_num_threads(1)
         with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
             agent = make_agent(config.agent, config.task)
@@ -87,8 +93,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
-        """Raises UserError for a device that this machine does not have."""
+        """Raises UserError for a device that this machine does not have, and for weights that cannot be read."""
         check_simulator(config.simulator, config.device)
+        make_agent(config.agent, config.task)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device}
         return {"policy_sha256": policy_sha256(config.agent), **by}
 
@@ -96,6 +103,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.evaluation.side_by_side import write_simulators
         from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
 
         both = write_simulators(runs)

@@ -8,7 +8,7 @@ import numpy as np
 
 from uavaccel.envs.simulators import EXACT
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.rl.algorithms import OWN
+from uavaccel.rl.checks import OWN
 from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.rl.cases import (

@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import FrameType
 
 import torch as th
@@ -24,28 +24,6 @@ from uavaccel.suites.training.evaluations import Evaluations, drop_evaluations_a
 from uavaccel.suites.training.rows import GameRows
 
 CHECKPOINTS = "checkpoints"
-
-
-@dataclass(frozen=True)
-class Case:
-    """One game to learn from."""
-
-    game: int
-    timing: str
-    typical_s: float
-
-    @property
-    def id(self) -> str:
-        return f"game-{self.game:07d}"
-
-    def simulated_s(self) -> float:
-        return self.typical_s
-
-
-def cases(config: TrainConfig) -> Iterator[Case]:
-    """Games by number: which lane and environment each one is comes out of the training."""
-    for game in range(config.games):
-        yield Case(game, config.task.timing, config.task.typical_s)
 
 
 class Trainer:

@@ -11,7 +11,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.files import to_json
 from uavaccel.rl.agents import FLIGHT
-from uavaccel.rl.algorithms import OWN, baseline_class
+from uavaccel.rl.algorithms import baseline_class
+from uavaccel.rl.checks import OWN
 from uavaccel.suites.report import Row, Values
 from uavaccel.suites.training.config import TrainConfig
 

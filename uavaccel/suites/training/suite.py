@@ -5,29 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-
-import torch as th
+from typing import TYPE_CHECKING
 
 from uavaccel.envs.simulators import KERNELS
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
-from uavaccel.rl.algorithms import check_algorithm
-from uavaccel.rl.checkpoint import find_checkpoint
+from uavaccel.rl.checks import check_algorithm
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Report, Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s, kernels_s
+from uavaccel.suites.training.cases import Case, cases
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.flights import (
-    CHECKPOINTS,
-    Case,
-    Trainer,
-    cases,
-    drop_games_after_checkpoint,
-    open_trainer,
-)
-from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
-from uavaccel.suites.training.rows import RECENT
+
+if TYPE_CHECKING:  # what learns loads PyTorch, and is imported where it does
+    from uavaccel.suites.training.flights import Trainer
 
 LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
 
@@ -55,20 +47,29 @@ class Training(Suite[TrainConfig, Case]):
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         """More games are learned from where there is a checkpoint to go on from."""
+        from uavaccel.rl.checkpoint import find_checkpoint
+        from uavaccel.suites.training.flights import CHECKPOINTS
+
         return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """A finished training stays as it is; another one goes on from its last checkpoint."""
+        from uavaccel.suites.training.flights import drop_games_after_checkpoint
+
         if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
             drop_games_after_checkpoint(run)
 
     def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
+        from uavaccel.suites.training.flights import open_trainer
+
         return open_trainer(config, run)
 
     def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> GameResult:
         return opened.next_game()
 
     def finish(self, config: TrainConfig, run: RunDirectory) -> None:
+        from uavaccel.suites.training.real_time import REAL_TIME, model_real_time
+
         run.write_json(REAL_TIME, model_real_time(config))
 
     def renders(self, config: TrainConfig) -> bool:
@@ -76,6 +77,8 @@ class Training(Suite[TrainConfig, Case]):
 
     def provenance(self, config: TrainConfig) -> Mapping[str, object]:
         """Raises UserError for a device that this machine does not have."""
+        import torch as th
+
         try:
             th.zeros(1, device=config.device)
         except (RuntimeError, AssertionError) as error:
@@ -92,6 +95,8 @@ class Training(Suite[TrainConfig, Case]):
         return Cost(game_s * (1.0 + evaluated) + commands * LEARNING_S, ROW_BYTES)
 
     def status(self, rows: Sequence[Row]) -> str:
+        from uavaccel.suites.training.rows import RECENT
+
         recent = rows[-RECENT:]
         return (
             f"success of the last {len(recent)}: {sum(row['is_success'] for row in recent) / len(recent):.0%}"
