@@ -199,11 +199,11 @@ def test_patches_are_what_the_first_convolution_sees(
     assert device_replay.patches_of(3, 36, 64) == (9, 16, 192)
     levels = np.random.default_rng(0).integers(0, 256, (4, LANES, frames, rows, columns), dtype=np.uint8)
     row, lane, mirrored = np.array([3, 1]), np.array([2, 0]), np.array([0, 1])
-    patches = np.empty((2 * down * across, numbers), np.int16)
+    patches = np.empty((2 * down * across, numbers // 4), np.int64)  # words of four numbers
     bits = device_replay.spread_levels(CPU).numpy()
     for thread in range(len(patches) * frames * device_replay.KERNEL):
         monkeypatch.setattr(device_replay, "cuda", SimpleNamespace(grid=lambda _, at=thread: at))
-        device_replay._cut(row, lane, mirrored, bits, levels, patches, down, across)
+        device_replay._cut(row, lane, mirrored, bits, levels.view(np.int16), patches, down, across)
     seen = th.from_numpy(np.stack([levels[3, 2], levels[1, 0, :, :, ::-1]]).astype(np.float32))
     padded = functional.unfold(contrast(seen), 8, stride=4, padding=2)
     expected = padded.transpose(1, 2).reshape(len(patches), numbers).to(th.bfloat16)

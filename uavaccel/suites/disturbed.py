@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from uavaccel.envs.values import Info
 from uavaccel.suites.report import Disturbances, GameRow, Row
 from uavaccel.units import NS_PER_S
+
+if TYPE_CHECKING:  # environments load Gymnasium
+    from uavaccel.envs.values import Info
 
 KEYS: tuple[Literal["lost_wall_s", "stalled_wall_s", "restarts"], ...] = (
     "lost_wall_s",
