@@ -24,7 +24,7 @@ from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
-from uavaccel.fly.script import Enough, run_script
+from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.sent import as_received
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
@@ -249,7 +249,7 @@ def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> N
     client = client_of(flight)
     client.enableApiControl(True)
     client.moveByVelocityAsync(1, 0, 0, 7).join()
-    with pytest.raises(Enough), contextlib.suppress(Exception):  # what a script may do
+    with pytest.raises(FlightOver), contextlib.suppress(Exception):  # what a script may do
         client.moveByVelocityAsync(1, 0, 0, 3).join()
     assert flight.summary()["simulated_s"] == 8.0
 
@@ -404,7 +404,7 @@ def test_a_wait_without_an_end_is_worth_a_line(
     flight = flight_in(tmp_path, until_s=30.0)
     client = client_of(flight)
     client.enableApiControl(True)
-    with pytest.raises(Enough):
+    with pytest.raises(FlightOver):
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
     line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
     assert capsys.readouterr().err.count(line) == 1

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.learning import tiny_config
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.told import Told
+from uavaccel.envs.told import ContextPlanes
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
 from uavaccel.rl.double_dqn import DoubleDQN
@@ -25,7 +25,7 @@ MS = 1_000_000
 
 
 def action_plane(headings: list[float], action: int) -> np.ndarray:
-    told = Told(["last_action"], headings, 1)
+    told = ContextPlanes(["last_action"], headings, 1)
     told.flown(action, [0], 0, 0)
     return told.seen()[0]
 
@@ -60,7 +60,7 @@ def test_a_learner_mirrors_the_plane_with_the_action() -> None:
 
 
 def test_ages_are_bands_a_level_for_20_ms() -> None:
-    told = Told(["frame_age"], [0.0], 3)
+    told = ContextPlanes(["frame_age"], [0.0], 3)
     assert (told.seen() == 128).all()
     told.flown(0, [100 * MS, 500 * MS], 1, 3000 * MS)
     bands = told.seen()[0].reshape(3, 12, 64)

@@ -13,7 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.vehicle import Newcomer, Start
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -577,7 +577,9 @@ def test_many_fly_and_the_last_command_wins() -> None:
     world = World("blocks", NATIVE)
     simulation = Simulation(world)
     places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
-    simulation.add_vehicles([Newcomer(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
+    simulation.add_vehicles(
+        [AddedVehicle(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)]
+    )
     api = Api(simulation, render=False)
     names = [vehicle.name for vehicle in world.vehicles]
     replies: dict[str, list[Any]] = {name: [] for name in names}

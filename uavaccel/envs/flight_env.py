@@ -23,7 +23,7 @@ from uavaccel.envs.values import Action, Course, Frame, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
-from uavaccel.sim.saved import SavedState, State, part, under
+from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:  # tasks are made where nothing is flown
@@ -154,12 +154,12 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
         if self.flown.image_noise:
-            state |= under("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
+            state |= prefixed("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
         if self._told is not None:
-            state |= under("told", self._told.get_state())
-        state |= under("session", session) | under("sensor", self.sensor.get_state())
+            state |= prefixed("told", self._told.get_state())
+        state |= prefixed("session", session) | prefixed("sensor", self.sensor.get_state())
         assert self._client is not None
-        return state | under("guard", self._client.get_state())
+        return state | prefixed("guard", self._client.get_state())
 
     def set_state(self, state: SavedState) -> Frame:
         """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
@@ -169,18 +169,18 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             return self.reset()[0]
         session, game = self._opened(), json.loads(str(state["game"]))
         self._take_on(game["course"])
-        self._connect(session.set_state(part("session", state)), game.pop("start_ns"))
+        self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
         numbers: list[Number] = [
             tuple(value) if isinstance(value, list) else value for value in game.pop("state")
         ]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
-        self.sensor.set_state(part("sensor", state))
+        self.sensor.set_state(without_prefix("sensor", state))
         if self._told is not None:
-            self._told.set_state(part("told", state))
+            self._told.set_state(without_prefix("told", state))
         assert self._client is not None
-        self._client.set_state(part("guard", state))
+        self._client.set_state(without_prefix("guard", state))
         self._make_noise(int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
         self._frames.extend(state["frames"])
         return self._observation()

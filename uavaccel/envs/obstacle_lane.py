@@ -18,7 +18,7 @@ from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.task import AnyMoment, Count, Moment, Task
-from uavaccel.envs.told import Knowledge, Told
+from uavaccel.envs.told import ContextPlanes, Knowledge
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
@@ -125,11 +125,11 @@ class LaneTask(Task):
             validate(LaneTask, keys | drawn, "randomise")
         return self
 
-    def told(self) -> Told | None:
+    def told(self) -> ContextPlanes | None:
         """Its last action and the age of its frames, where `knows` says so."""
         if not self.knows:
             return None
-        return Told(self.knows, self.headings_deg, self.frames_per_command * self.history)
+        return ContextPlanes(self.knows, self.headings_deg, self.frames_per_command * self.history)
 
     @property
     def scenery(self) -> str:

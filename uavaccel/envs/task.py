@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.sensors import Sensor, blank_frame, make_sensor, state_fields
-from uavaccel.envs.told import Told
+from uavaccel.envs.told import ContextPlanes
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
@@ -223,7 +223,7 @@ class Task(Config):
             return spaces.Box(0, 255, shape, np.uint8)
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
-    def told(self) -> Told | None:
+    def told(self) -> ContextPlanes | None:
         """What the agent is told beside its frames."""
         return None
 

@@ -26,7 +26,7 @@ AGE_LEVEL_NS = NS_PER_S // 50  # of simulated time, for a grey level: 2.54 s are
 NO_ACTION = -1
 
 
-class Told:
+class ContextPlanes:
     """Planes (len(knows), 36, 64) uint8, 128 where nothing is said.
 
     `last_action`: white where the picture's width, cut into as many parts as there are headings, has the last one, the

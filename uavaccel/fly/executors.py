@@ -17,7 +17,7 @@ from types import ModuleType
 from uavaccel.fly.event_loop import loops_taking_turns
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import Enough
+from uavaccel.fly.script import FlightOver
 from uavaccel.fly.threads import ThreadKinds, changed
 from uavaccel.fly.turns import Turns
 
@@ -80,7 +80,7 @@ def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
 
 def _is_no_end(record: logging.LogRecord) -> bool:
     """Whether a logger's record is of anything but a flight's end."""
-    return not (record.exc_info and isinstance(record.exc_info[1], Enough))
+    return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
 
 
 def _of_a_script(turns: Turns) -> bool:

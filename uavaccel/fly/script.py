@@ -18,7 +18,7 @@ from uavaccel.units import NS_PER_S
 INTERRUPTED = 130  # exit status
 
 
-class Enough(BaseException):
+class FlightOver(BaseException):
     """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
 
     Raised by every call from then on. A script that catches even this for ever ends its process.
@@ -28,8 +28,8 @@ class Enough(BaseException):
     raised = 0
 
     def __init__(self) -> None:
-        Enough.raised += 1
-        if Enough.raised > self.MOST:
+        FlightOver.raised += 1
+        if FlightOver.raised > self.MOST:
             flush_output()
             print(
                 "uavaccel: the script catches every exception and does not end; it is ended here",
@@ -40,7 +40,7 @@ class Enough(BaseException):
 
 def unraisable(event: sys.UnraisableHookArgs) -> None:
     """sys.unraisablehook: an end that reaches a destructor is no news."""
-    if not isinstance(event.exc_value, Enough):
+    if not isinstance(event.exc_value, FlightOver):
         sys.__unraisablehook__(event)
 
 
@@ -62,7 +62,7 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
     try:
         status, finished = _run(code, path, arguments), True
         outlive()
-    except Enough:
+    except FlightOver:
         status, finished = 0, False
     except KeyboardInterrupt:
         status, finished = INTERRUPTED, False

@@ -17,7 +17,7 @@ from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import Enough, Outcome, run_script
+from uavaccel.fly.script import FlightOver, Outcome, run_script
 from uavaccel.fly.threads import ThreadKinds
 from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.turns import LOOK_NS, Turns
@@ -44,7 +44,7 @@ class SimulatedFlight:
     """What a script lives in. The same script and options give the same messages and trajectory, byte for byte.
 
     `options.until_s` bounds wall time times ClockSpeed: the call, sleep or look at the clock that reaches it raises
-    Enough. The simulation is made when a client connects.
+    FlightOver. The simulation is made when a client connects.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class SimulatedFlight:
             return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
 
     def end(self) -> None:
-        """Write what was flown, and say what was refused. Calls from then on, of destructors, raise Enough."""
+        """Write what was flown, and say what was refused. Calls from then on, of destructors, raise FlightOver."""
         self._over = True
         if not self._is_flown():
             return
@@ -193,7 +193,7 @@ class SimulatedFlight:
 
     def _think(self) -> None:
         if self._over:
-            raise Enough
+            raise FlightOver
         self._stop_at_the_end()
         self._clock.charge(self._think_ns)
         self._calls_since_wait += 1
@@ -252,7 +252,7 @@ class SimulatedFlight:
     def _stop_at_the_end(self) -> None:
         if self._until_ns is not None and self._clock.now_ns() >= self._until_ns:
             self._catch_up()
-            raise Enough
+            raise FlightOver
 
     def _check_process(self) -> None:
         if self._is_child:

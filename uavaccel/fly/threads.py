@@ -13,7 +13,7 @@ from functools import partial
 from types import ModuleType
 from typing import Self, TypeVar
 
-from uavaccel.fly.script import Enough
+from uavaccel.fly.script import FlightOver
 from uavaccel.fly.tracebacks import hide_ours
 from uavaccel.fly.turns import Turn, Turns
 
@@ -188,7 +188,7 @@ class Thread(threading.Thread):
         self.turns.begin(turn)
         try:
             run()
-        except Enough:
+        except FlightOver:
             pass
         except BaseException as error:
             hide_ours(error)

@@ -13,7 +13,7 @@ from weakref import WeakSet
 
 from uavaccel.clock import WallClock
 from uavaccel.errors import UserError
-from uavaccel.fly.script import Enough
+from uavaccel.fly.script import FlightOver
 from uavaccel.parent import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
@@ -45,7 +45,7 @@ class Turn:
 class Turns:
     """Hands the run of a script from thread to thread. Made in the first thread, which runs.
 
-    At `limit_ns` of the clock waits end with Enough.
+    At `limit_ns` of the clock waits end with FlightOver.
     """
 
     def __init__(self, clock: WallClock, limit_ns: int | None = None) -> None:
@@ -89,7 +89,7 @@ class Turns:
     ) -> bool:
         """Let the others run until something has happened, or the time is over: then False.
 
-        Raises RuntimeError where nobody is left who could let it happen, Enough where that is not before the limit.
+        Raises RuntimeError where nobody is left who could let it happen, FlightOver where that is not before the limit.
         """
         if happened():
             return True
@@ -102,7 +102,7 @@ class Turns:
         if happened():
             return True
         if self.now_ns() >= self._limit_ns:
-            raise Enough
+            raise FlightOver
         if self.now_ns() < end_ns:
             raise RuntimeError("this would wait for ever: no other thread of the script runs")
         return False

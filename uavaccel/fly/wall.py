@@ -30,7 +30,7 @@ from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import Enough, Outcome, run_script
+from uavaccel.fly.script import FlightOver, Outcome, run_script
 from uavaccel.fly.sent import as_sent
 from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.trajectory import write_trajectory
@@ -52,7 +52,8 @@ main()
 class LoggedConnection:
     """A connection over TCP whose messages are logged with the wall time since the flight's start.
 
-    In a process that was forked off it is another one, whose messages are not. Raises Enough once the server has gone.
+    In a process that was forked off it is another one, whose messages are not. Raises FlightOver once the server has
+    gone.
     """
 
     def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
@@ -87,12 +88,12 @@ class LoggedConnection:
     def _ending(self) -> Iterator[None]:
         """Let a call that finds the server gone end the flight."""
         if self._watch.lost:
-            raise Enough
+            raise FlightOver
         try:
             yield
         except ConnectionError:
             if self._watch.is_lost_soon():
-                raise Enough from None
+                raise FlightOver from None
             raise
 
     def close(self) -> None:
@@ -194,7 +195,7 @@ def serving(
 ) -> Iterator[Served]:
     """A server for one flight, on `port` or a free one. Raises UserError if it does not start.
 
-    Where it ends, or is stopped, before the `with` block does, that raises Enough in the first thread.
+    Where it ends, or is stopped, before the `with` block does, that raises FlightOver in the first thread.
     """
     arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
     arguments += ["--profile", options.profile, "--scene", options.scene]
@@ -232,7 +233,7 @@ def _end(server: subprocess.Popen[str]) -> None:
 
 @contextmanager
 def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
-    """What other threads call to raise Enough in the first one."""
+    """What other threads call to raise FlightOver in the first one."""
     first = threading.main_thread().ident or 0
     before = signal.signal(number, _stop)
     try:
@@ -242,7 +243,7 @@ def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
 
 
 def _stop(*_: object) -> None:
-    raise Enough
+    raise FlightOver
 
 
 def _tell_warnings(lines: Iterator[str]) -> None:
@@ -264,7 +265,7 @@ def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @contextmanager
 def stopping_after(simulated_s: float | None, clock_speed: float) -> Iterator[None]:
-    """Raise Enough in the `with` block after so much wall time times ClockSpeed."""
+    """Raise FlightOver in the `with` block after so much wall time times ClockSpeed."""
     if simulated_s is None:
         yield
         return

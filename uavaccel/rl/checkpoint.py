@@ -23,7 +23,7 @@ from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
-from uavaccel.sim.saved import State, part, under
+from uavaccel.sim.saved import State, prefixed, without_prefix
 
 _COMPLETE = "state.json"
 DAMAGE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError)
@@ -132,7 +132,8 @@ def _save_games(path: Path, lanes: Lanes) -> None:
     games: list[State] = lanes.env_method("get_state")
     with naming(path), path.open("wb") as file:
         np.savez(
-            file, **{key: each for n, game in enumerate(games) for key, each in under(str(n), game).items()}
+            file,
+            **{key: each for n, game in enumerate(games) for key, each in prefixed(str(n), game).items()},
         )
 
 
@@ -142,5 +143,5 @@ def _load_games(path: Path, lanes: Lanes) -> Frame:
     count = len({name.partition(".")[0] for name in state})
     if lanes.num_envs != count:
         raise UserError(f"the checkpoint has {count} environments; go on with as many")
-    games = [part(str(n), state) for n in range(count)]
+    games = [without_prefix(str(n), state) for n in range(count)]
     return np.stack([lanes.env_method("set_state", game, indices=[n])[0] for n, game in enumerate(games)])

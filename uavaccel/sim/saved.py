@@ -18,13 +18,13 @@ SavedState = Mapping[str, SavedValue]
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
-def under(name: str, state: SavedState) -> State:
+def prefixed(name: str, state: SavedState) -> State:
     """The state of a part, as the whole keeps it."""
     return {f"{name}.{key}": value for key, value in state.items()}
 
 
-def part(name: str, state: SavedState) -> State:
-    """The inverse of `under`, out of the state of the whole."""
+def without_prefix(name: str, state: SavedState) -> State:
+    """The inverse of `prefixed`, out of the state of the whole."""
     prefix = f"{name}."
     return {key[len(prefix) :]: value for key, value in state.items() if key.startswith(prefix)}
 

@@ -21,8 +21,8 @@ from uavaccel.sim.frames import Frames
 from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.saved import SavedState, State, number_or_none, optional, part, under
-from uavaccel.sim.vehicle.vehicle import Newcomer
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional, prefixed, without_prefix
+from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.sim.world import FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
@@ -264,7 +264,7 @@ class Simulation:
         """Who flies the first vehicle, which is meant wherever none is named."""
         return self.pilots[0]
 
-    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+    def add_vehicles(self, newcomers: Sequence[AddedVehicle]) -> None:
         """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
         self.world.add_vehicles(newcomers)
         self.frames.forget()  # the pose that was shown is of the model before
@@ -345,32 +345,34 @@ class Simulation:
         period = self.period
         state |= {"running.period_end_tick": optional(period.end_tick if period else None)}
         state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
-        state |= under("running", self.lead.get_state()) | under("commands", self.lead.log.get_state())
+        state |= prefixed("running", self.lead.get_state()) | prefixed("commands", self.lead.log.get_state())
         for pilot in self.pilots[1:]:
             kept = (
-                pilot.get_state() | under("log", pilot.log.get_state()) | {"api_control": pilot.api_control}
+                pilot.get_state()
+                | prefixed("log", pilot.log.get_state())
+                | {"api_control": pilot.api_control}
             )
-            state |= under(f"pilots.{pilot.vehicle.name}", kept)
-        return state | under("frames", self.frames.get_state()) | under("world", self.world.get_state())
+            state |= prefixed(f"pilots.{pilot.vehicle.name}", kept)
+        return state | prefixed("frames", self.frames.get_state()) | prefixed("world", self.world.get_state())
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
-        self.world.set_state(part("world", state))
+        self.world.set_state(without_prefix("world", state))
         self.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), self.profile.tick_ns
         self.pacer = Pacer(self.executor.speed(self.clock_speed, tick_ns), tick_ns)
         self.pacer.anchor(*(int(number) for number in state["anchor"]))
         self.time0_ns, self.wall_ns = int(state["time0_ns"]), int(state["wall_ns"])
         self.paused, self.failure = bool(state["paused"]), str(state["failure"]) or None
         self.speed = Speed(*(int(number) for number in state["speed"]))
-        self.frames.set_state(part("frames", state), self.world.data)
-        running = part("running", state)
+        self.frames.set_state(without_prefix("frames", state), self.world.data)
+        running = without_prefix("running", state)
         ends = [number_or_none(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
         self.period = None if ends == [None, None] else ContinueFor(DeferredReply(), *ends)
         self.lead.set_state(running)
-        self.lead.log.set_state(part("commands", state))
+        self.lead.log.set_state(without_prefix("commands", state))
         self.lead.api_control = bool(state["api_control"])
         for pilot in self.pilots[1:]:
-            kept = part(f"pilots.{pilot.vehicle.name}", state)
+            kept = without_prefix(f"pilots.{pilot.vehicle.name}", state)
             pilot.set_state(kept)
-            pilot.log.set_state(part("log", kept))
+            pilot.log.set_state(without_prefix("log", kept))
             pilot.api_control = bool(kept["api_control"])

@@ -15,7 +15,7 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import SavedState, State, into_physics, of_physics, part, under
+from uavaccel.sim.saved import SavedState, State, into_physics, of_physics, prefixed, without_prefix
 from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.scene.model import load_scene, scene_path
 from uavaccel.sim.scene.objects import take_over
@@ -23,7 +23,7 @@ from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.sim.vehicle.standing import depth, on_the_ground, stand
-from uavaccel.sim.vehicle.vehicle import BODY, HERE, LEVEL, Newcomer, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import BODY, HERE, LEVEL, AddedVehicle, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera.camera import FrontCamera
@@ -148,7 +148,7 @@ class World:
             vehicle.state["wind"] = wind_m_s
         self.clearance.look_anew()
 
-    def add_vehicles(self, newcomers: Sequence[Newcomer]) -> None:
+    def add_vehicles(self, newcomers: Sequence[AddedVehicle]) -> None:
         """More vehicles, at their starts; the others fly on. Cameras are made anew.
 
         Raises UserError, and adds none, for a name that is taken or cannot be, for a place where nothing can begin, and
@@ -365,11 +365,11 @@ class World:
         """
         state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self.failed}
         state |= {"physics": self.physics(), "warnings": self.warnings.copy()}
-        state |= self.lead.get_state() | under("samples", self.recorder.get_state())
-        state |= under("contacts", self.clearance.get_state())
+        state |= self.lead.get_state() | prefixed("samples", self.recorder.get_state())
+        state |= prefixed("contacts", self.clearance.get_state())
         for vehicle in self.vehicles[1:]:
-            state |= under(f"vehicles.{vehicle.name}", vehicle.get_state())
-        return state | (under("lane", vars(self.lane)) if self.lane else {})
+            state |= prefixed(f"vehicles.{vehicle.name}", vehicle.get_state())
+        return state | (prefixed("lane", vars(self.lane)) if self.lane else {})
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
@@ -382,15 +382,15 @@ class World:
             if found != own:
                 raise UserError(f"the saved state's {name} is {found}, not {own}")
         self.failed = bool(state["failed"])
-        if lane := part("lane", state):
+        if lane := without_prefix("lane", state):
             self.set_lane(layout_of(lane))
         self.set_physics(state["physics"])
         self.warnings[:] = state["warnings"]
         self.lead.set_state(state)
         for vehicle in self.vehicles[1:]:
-            vehicle.set_state(part(f"vehicles.{vehicle.name}", state))
-        self.recorder.set_state(part("samples", state))
-        self.clearance.set_state(part("contacts", state))
+            vehicle.set_state(without_prefix(f"vehicles.{vehicle.name}", state))
+        self.recorder.set_state(without_prefix("samples", state))
+        self.clearance.set_state(without_prefix("contacts", state))
 
     def physics(self) -> NDArray[np.float64]:
         """MuJoCo's state for its integrator."""

@@ -23,7 +23,7 @@ from uavaccel.config import Config, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
-from uavaccel.sim.saved import SavedState, State, number_or_none, optional, part, under
+from uavaccel.sim.saved import SavedState, State, number_or_none, optional, prefixed, without_prefix
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
@@ -290,7 +290,7 @@ class Latency:
         entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
         state: State = {"config": self._config.model_dump_json(), "wait_ns": optional(self._wait_ns)}
         state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
-        return state | under("drawn", {" ".join(key): count for key, count in self._drawn.items()})
+        return state | prefixed("drawn", {" ".join(key): count for key, count in self._drawn.items()})
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave. Raises UserError if these are not the quantiles that it drew from."""
@@ -301,5 +301,5 @@ class Latency:
         self._seed = np.random.SeedSequence(entropy if len(entropy) > 1 else entropy[0], spawn_key=spawn_key)
         self._wait_ns = number_or_none(state["wait_ns"])
         self._streams.clear()
-        drawn = {key.partition(" "): int(count) for key, count in part("drawn", state).items()}
+        drawn = {key.partition(" "): int(count) for key, count in without_prefix("drawn", state).items()}
         self._drawn = {(kind, name): count for (kind, _, name), count in drawn.items()}

@@ -13,7 +13,7 @@ from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_soc
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.saved import SavedState, State, part, under
+from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
@@ -334,12 +334,12 @@ class VirtualTransport:
     def get_state(self) -> State:
         """Wall clock, latencies and simulation, between two calls: replies under way are not in it."""
         state: State = {"wall_ns": self.clock.now_ns(), "handled_ns": self._handled_ns}
-        state |= under("latency", self._latency.get_state())
-        return state | under("simulation", self._api.simulation.get_state())
+        state |= prefixed("latency", self._latency.get_state())
+        return state | prefixed("simulation", self._api.simulation.get_state())
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave; the clock of a transport made for this has to stand at 0."""
         self.clock.sleep_until(int(state["wall_ns"]))
         self._handled_ns = int(state["handled_ns"])
-        self._latency.set_state(part("latency", state))
-        self._api.simulation.set_state(part("simulation", state))
+        self._latency.set_state(without_prefix("latency", state))
+        self._api.simulation.set_state(without_prefix("simulation", state))

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 from uavaccel.kinematics import Vector
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.vehicle.vehicle import Newcomer
+from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
@@ -82,7 +82,7 @@ class VehicleApi(Calls, title="Vehicles"):
         there = [vehicle.place_m for vehicle in self.simulation.world.vehicles]
         yaw_rad = euler_from_quaternion(pose.orientation_wxyz)[2]
         start = standing(free_place(pose.position_m, there), yaw_rad)
-        self.simulation.add_vehicles([Newcomer(vehicle_name, *start)])
+        self.simulation.add_vehicles([AddedVehicle(vehicle_name, *start)])
         return True
 
     @call("simGetVehiclePose")

@@ -15,7 +15,7 @@ from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.vehicle import HERE, Newcomer, Start
+from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
 from uavaccel.sim.world import START_M
 from uavaccel.wire.settings import Settings, Vehicle
 
@@ -41,7 +41,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
                 world.lead.start, world.lead.origin_m = start, origin_m
                 simulation.reset(simulation.wall_ns)
             elif name not in there:
-                newcomers.append(Newcomer(name, start, origin_m))
+                newcomers.append(AddedVehicle(name, start, origin_m))
         key = ""
         if newcomers:
             simulation.add_vehicles(newcomers)

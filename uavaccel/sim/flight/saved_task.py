@@ -10,7 +10,7 @@ import numpy as np
 from uavaccel.sim.flight.manual import MoveByManual
 from uavaccel.sim.flight.path import FollowPath
 from uavaccel.sim.flight.task import Land, RotateToYaw, Task
-from uavaccel.sim.saved import SavedState, SavedValue, State, part, under
+from uavaccel.sim.saved import SavedState, SavedValue, State, prefixed, without_prefix
 
 TASKS: dict[str, type[Task]] = {kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)}
 
@@ -35,12 +35,12 @@ def state_of(task: Task | None) -> State:
     if task is None:
         return {}
     kept = {field.name: np.asarray(getattr(task, field.name)) for field in fields(task)}  # type: ignore[arg-type]
-    return {"task": type(task).__name__} | under("task", kept)
+    return {"task": type(task).__name__} | prefixed("task", kept)
 
 
 def task_of(state: SavedState) -> Task | None:
     """The inverse of `state_of`."""
     if "task" not in state:
         return None
-    kind, kept = TASKS[str(state["task"])], part("task", state)
+    kind, kept = TASKS[str(state["task"])], without_prefix("task", state)
     return kind(**{field.name: _READ[str(field.type)](kept[field.name]) for field in fields(kind)})  # type: ignore[arg-type]

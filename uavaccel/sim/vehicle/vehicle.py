@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import SavedState, State, into_record, of_record, part, under
+from uavaccel.sim.saved import SavedState, State, into_record, of_record, prefixed, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.airframe import set_airframe
 from uavaccel.sim.vehicle.collisions import Touches
@@ -52,7 +52,7 @@ class Start:
     idle: bool = False
 
 
-class Newcomer(NamedTuple):
+class AddedVehicle(NamedTuple):
     """A vehicle that is to be added; `origin_m` is where its own frame begins, NED in the world."""
 
     name: str
@@ -336,12 +336,12 @@ class Vehicle:
 
     def get_state(self) -> State:
         """Its record, its touches, its gains; the pose is MuJoCo's."""
-        state = under("flight", of_record(self._flight)) | under("touches", self.touches.get_state())
-        return state | under("gains", {name: self.parameters[name].copy() for name in GAINS})
+        state = prefixed("flight", of_record(self._flight)) | prefixed("touches", self.touches.get_state())
+        return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
-        into_record(self._flight, part("flight", state))
-        self.touches.set_state(part("touches", state))
-        for name, gains in part("gains", state).items():
+        into_record(self._flight, without_prefix("flight", state))
+        self.touches.set_state(without_prefix("touches", state))
+        for name, gains in without_prefix("gains", state).items():
             self.parameters[name] = gains
