@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.opengl import needs_opengl
-from tests.processes import descendants, left_after
+from tests.processes import descendants, left_after, state_of
 from uavaccel.envs import environment_processes
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.environment_processes import BatchError
@@ -211,6 +211,8 @@ def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
         batch.reset(seed=0)
         pids = batch.process_ids
         os.kill(pids[0], signal.SIGSTOP)
+        while state_of(pids[0]) != "T":
+            pass
         batch.call_async(0, "get_state")
         batch.call_async(1, "get_state")
         assert batch.call_wait()[0] == 1

@@ -11,14 +11,14 @@ from contextlib import ExitStack
 
 import pytest
 
-from tests.processes import state_of
+from tests.processes import descendants, state_of
 from uavaccel.standstill import LOOKS, STOPPED_LOOKS, Standstill, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
 PARENT = (
     f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"
-)
+)  # what it prints says that its child is there
 
 Start = Callable[[str], int]
 
@@ -79,9 +79,10 @@ def test_the_work_of_a_helper_and_of_a_child_counts(start: Start) -> None:
         assert standstill.look([waiting], helper) == []
     assert standstill.look([waiting], start(WAITS), looks=3) == []
     parent = start(PARENT)
+    (child,) = descendants(parent)
     for _ in range(2 * LOOKS):
-        work_a_little(helper)  # and as much of the child's
-        assert standstill.look([parent], looks=5) == []
+        work_a_little(child)
+        assert standstill.look([parent]) == []
 
 
 def test_who_is_not_waited_for_any_more_begins_anew(start: Start) -> None:
