@@ -16,7 +16,9 @@ from uavaccel.standstill import LOOKS, STOPPED_LOOKS, Standstill, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
-PARENT = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"  # what it prints says that its child is there
+PARENT = (
+    f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"
+)
 
 Start = Callable[[str], int]
 
