@@ -41,12 +41,13 @@ ROOMS: dict[str, set[str]] = {
     "metrics": GROUND,
     "airsim": {"units", "errors", "clock", "wire"},
     "kernels": GROUND | {"clock", "sim", "vision"},
+    "realtime": GROUND | {"clock", "wire"},
 }
-ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim"}
+ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim", "realtime"}
 ROOMS["rl"] = ROOMS["envs"] | {"envs"}
 ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["bench"] = ROOMS["rl"]
-ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench"}
+ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench", "realtime"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
 ROOMS["cli"] = ROOMS["suites"] | {"suites", "fly", "__init__"}
 ROOMS["__main__"] = {"cli"}

@@ -1,0 +1,362 @@
+"""Real time for any environment: what it flies while its agent thinks, tick by tick, and the same every time."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from uavaccel.errors import UserError
+from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
+from uavaccel.realtime.thinking import thinking_time
+from uavaccel.wire.latency import read_latency
+
+Env = gymnasium.Env[Any, Any]
+
+
+class Counting(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A stranger's: it counts its steps, a reward each is its action, and an episode ends after 50."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    dt = 0.02
+
+    def reset(
+        self, *, seed: int | None = None, options: Any = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        super().reset(seed=seed)
+        self.applied: list[float] = []
+        return np.zeros(1, np.float32), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        self.applied.append(float(action[0]))
+        count = len(self.applied)
+        return np.full(1, count, np.float32), float(action[0]), count >= 50, False, {}
+
+
+def one(value: float) -> NDArray[np.float32]:
+    return np.full(1, value, np.float32)
+
+
+def applied(env: RealTime, actions: list[Any]) -> list[float]:
+    """What the environment inside was given, period by period."""
+    env.reset(seed=0)
+    for action in actions:
+        env.step(np.asarray(action, np.float32))
+    return [round(each, 3) for each in env.unwrapped.applied]  # type: ignore[attr-defined]
+
+
+def cheetah() -> Env:
+    return gymnasium.make("HalfCheetah-v5")
+
+
+@pytest.mark.parametrize(
+    ("keys", "actions", "expected"),
+    [
+        # 50 ms of thinking are three control periods of 20 ms: an action waits for the end of the third.
+        ({}, [[0.1], [0.2]], [0, 0, 0, 0.1, 0.1, 0.1, 0.1, 0.2]),
+        (
+            {"meanwhile": "default", "default_action": [-1.0]},
+            [[0.1], [0.2]],
+            [-1, -1, -1, 0.1, -1, -1, -1, 0.2],
+        ),
+        ({"command": "tcsc"}, [[0.1], [0.2]], [0.1, 0.2]),
+        ({"latency_s": 0.005, "clock_speed": 10}, [[0.1]], [0, 0, 0, 0.1]),
+        ({"latency_s": 0.04}, [[0.1]], [0, 0, 0.1]),
+        ({"latency_s": 0.0}, [[0.1], [0.2]], [0.1, 0.2]),
+        # Two of four actions, then the other two and the last of them for as long as the agent thinks.
+        (
+            {"chunk": 4, "execute": 2},
+            [[[0.1], [0.2], [0.3], [0.4]], [[0.5], [0.6], [0.7], [0.8]]],
+            [0, 0, 0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.5, 0.6],
+        ),
+        # An agent that observes as soon as its action is on its way decides every three periods, not every four.
+        ({"overlap": True}, [[0.1], [0.2]], [0, 0, 0, 0.1, 0.1, 0.1]),
+        (
+            {"overlap": True, "latency_s": 0.02, "chunk": 2},
+            [[[0.1], [0.2]], [[0.3], [0.4]]],
+            [0, 0.1, 0.2, 0.3],
+        ),
+    ],
+)
+def test_what_is_flown_while_the_agent_thinks(
+    keys: dict[str, Any], actions: list[Any], expected: list[float]
+) -> None:
+    env = RealTime(Counting(), **{"latency_s": 0.05, **keys})
+    assert applied(env, actions) == expected
+    assert env.action_space.contains(np.asarray(actions[0], np.float32))
+
+
+def test_a_step_says_what_passed_and_sums_its_rewards() -> None:
+    env = RealTime(Counting(), 0.05, clock_speed=2)
+    env.reset(seed=0)
+    env.step(one(0.5))
+    observation, reward, terminated, truncated, info = env.step(one(0.1))
+    assert (int(observation[0]), terminated, truncated) == (12, False, False)
+    assert reward == pytest.approx(5 * 0.5 + 0.1)
+    assert info == {"thinking_s": 0.05, "meanwhile_s": 0.1, "simulated_s": 0.24, "wall_s": 0.12}
+    env = RealTime(Counting(), 0.05, "tcsc", 2)
+    env.reset(seed=0)
+    env.step(one(0.5))
+    info = env.step(one(0.1))[-1]
+    assert info == {"thinking_s": 0.05, "meanwhile_s": 0.0, "simulated_s": 0.04, "wall_s": 0.12}
+
+
+def test_an_episode_may_end_while_the_agent_thinks() -> None:
+    env = RealTime(Counting(), 0.4)
+    env.reset(seed=0)
+    results = [env.step(one(1.0)) for _ in range(3)]
+    assert [result[2] for result in results] == [False, False, True]
+    assert results[-1][0] == 50
+    assert env.reset()[0] == 0
+
+
+def flight(env: Env, steps: int = 60) -> tuple[NDArray[np.float64], list[float], list[float]]:
+    """Observations, rewards and simulated times of drawn actions."""
+    generator, observation = np.random.default_rng(1), env.reset(seed=3)[0]
+    observations, rewards, times = [observation], [], []
+    for _ in range(steps):
+        action = generator.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        rewards.append(float(reward))
+        times.append(info.get("simulated_s", 0.0))
+        if terminated or truncated:
+            break
+    return np.array(observations), rewards, times
+
+
+@pytest.mark.parametrize(
+    "keys", [{"latency_s": 0.0}, {"command": "tcsc"}, {"command": "tcsc", "clock_speed": 100}]
+)
+def test_without_delay_the_flight_is_the_environments_own_to_the_bit(keys: dict[str, Any]) -> None:
+    own, timed = flight(cheetah()), flight(RealTime(cheetah(), **keys))
+    assert (timed[0].tobytes(), timed[1]) == (own[0].tobytes(), own[1])
+
+
+def test_delays_are_exact_to_the_physics_step() -> None:
+    """Thirteen milliseconds of half cheetah's 10 ms steps are two of its five: the same as by MuJoCo alone."""
+    env = RealTime(cheetah(), 0.013)
+    inside: Any = env.unwrapped
+    env.reset(seed=5)
+    start, actions = (inside.data.qpos.copy(), inside.data.qvel.copy()), [np.full(6, 0.3), np.full(6, -0.5)]
+    rewards = [env.step(action.astype(np.float32))[1] for action in actions]
+    timed = inside.data.qpos.copy()
+    twin: Any = cheetah().unwrapped
+    twin.reset(seed=5)
+    np.testing.assert_array_equal(twin.data.qpos, start[0])
+    expected, held = [], np.zeros(6)
+    for action in actions:
+        total = 0.0
+        for control, ticks in ((held, 2), (action, 5)):
+            before = twin.data.qpos[0]
+            twin.do_simulation(control.astype(np.float32), ticks)
+            velocity = (twin.data.qpos[0] - before) / (ticks * 0.01)
+            total += ticks / 5 * (velocity - 0.1 * float(np.sum(np.square(control))))
+        expected.append(total)
+        held = action
+    np.testing.assert_array_equal(timed, twin.data.qpos)
+    np.testing.assert_allclose(rewards, expected, rtol=1e-6)
+
+
+@given(delay_ms=st.integers(0, 300), speed=st.sampled_from([1, 2.5, 10]))
+def test_a_time_limit_is_one_of_simulated_time(delay_ms: int, speed: float) -> None:
+    env = RealTime(gymnasium.make("HalfCheetah-v5", max_episode_steps=8), delay_ms / 1000, clock_speed=speed)
+    env.reset(seed=0)
+    truncated = False
+    while not truncated:
+        _, _, terminated, truncated, info = env.step(np.zeros(6, np.float32))
+        assert not terminated
+        assert truncated == (info["simulated_s"] >= 0.4 - 1e-9)
+    assert info["simulated_s"] < 0.4 + 0.05
+
+
+def test_the_same_seed_draws_the_same_delays_and_flies_to_the_same_bytes() -> None:
+    make = partial(RealTime, latency_s=[0.01, 0.05, 0.2], observe_age=True, observe_actions=2)
+    first, second = flight(make(cheetah())), flight(make(cheetah()))
+    assert (first[0].tobytes(), first[1:]) == (second[0].tobytes(), second[1:])
+    ages = first[0][1:, 17]
+    assert len(set(ages)) > 5
+    assert 0.01 <= ages.min() < ages.max() <= 0.2
+    np.testing.assert_array_equal(first[0][2:, 18:24], first[0][1:-1, 24:])  # the action before the last one
+    assert flight(RealTime(cheetah(), 0.05))[2] != flight(RealTime(cheetah(), [0.05, 0.3]))[2]
+
+
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_gymnasiums_checker_and_vectors_take_it() -> None:
+    with pytest.warns(UserWarning, match="different from the unwrapped version|infinity"):
+        check_env(RealTime(Counting(), 0.05, observe_age=True, observe_actions=1), skip_render_check=True)
+    wrapper = partial(RealTime, latency_s=[0.0, 0.1])
+    vector = gymnasium.make_vec("HalfCheetah-v5", 3, vectorization_mode="sync", wrappers=[wrapper])
+    observations, _ = vector.reset(seed=4)
+    vector.step(vector.action_space.sample())
+    single = RealTime(cheetah(), [0.0, 0.1])
+    np.testing.assert_array_equal(observations[1], single.reset(seed=5)[0])
+    spec = RealTime(cheetah(), 0.05, "tcsc").spec
+    assert spec is not None
+    kwargs = spec.additional_wrappers[-1].kwargs
+    assert kwargs is not None
+    assert kwargs["command"] == "tcsc"
+
+
+# --- thinking times -------------------------------------------------------------------------------
+
+
+def drawn_s(source: ThinkingTime, count: int = 4000) -> NDArray[np.float64]:
+    generator = np.random.default_rng(0)
+    return np.array([source.draw_ns(generator) for _ in range(count)]) / 1e9
+
+
+def test_distributions_are_those_that_were_named() -> None:
+    log = drawn_s(lognormal(0.05, 0.2))
+    assert np.median(log) == pytest.approx(0.05, rel=0.05)
+    assert np.quantile(log, 0.99) == pytest.approx(0.2, rel=0.15)
+    few = drawn_s(samples([0.1, 0.3, 0.2]))
+    assert (few.min() >= 0.1, few.max() <= 0.3) == (True, True)
+    assert np.median(few) == pytest.approx(0.2, abs=0.01)
+    shipped = read_latency(Path("experiments/latency_airsim.yaml"))
+    trips = drawn_s(thinking_time("experiments/latency_airsim.yaml"))
+    tables = shipped.request_us.get("move", shipped.request_us["call"]), shipped.reply_us["image"]
+    middle = [dict(zip(shipped.quantiles, table, strict=True))[0.5] for table in tables]
+    assert np.median(trips) == pytest.approx(sum(middle) / 1e6, rel=0.1)
+
+
+def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None:
+    measured = Measured()
+    with pytest.raises(UserError, match="no thinking time has been measured yet"):
+        measured.save(tmp_path / "thinking.yaml")
+    env = RealTime(Counting(), measured)
+    env.reset()
+    env.step(one(0.1))
+    assert len(measured.taken_ns) == 1
+    for taken_ns in range(10_000_000, 30_000_000, 100_000):
+        measured.add_ns(taken_ns)
+    replayed = drawn_s(thinking_time(str(measured.save(tmp_path / "thinking.yaml"))))
+    assert np.median(replayed) == pytest.approx(0.02, rel=0.05)
+    assert np.quantile(replayed, 0.9) == pytest.approx(0.028, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: RealTime(Counting(), -1.0), "latency_s: must be 0 to 3600 seconds, not -1"),
+        (lambda: RealTime(Counting(), float("nan")), "latency_s: must be 0 to 3600 seconds, not nan"),
+        (lambda: RealTime(Counting(), "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
+        (lambda: RealTime(Counting(), []), r"latency_s: a sample is a list of seconds, not \[\]"),
+        (
+            lambda: RealTime(Counting(), None),
+            "latency_s: must be seconds, a list of them, a calibration file",
+        ),
+        (lambda: RealTime(Counting(), 0.1, "stop"), "command: must be 'adsc' or 'tcsc', not 'stop'"),  # type: ignore[arg-type]
+        (lambda: RealTime(Counting(), 0.1, clock_speed=0), "clock_speed must be a finite number above 0"),
+        (lambda: RealTime(Counting(), 0.1, chunk=2, execute=3), "execute: must be at most chunk = 2, not 3"),
+        (lambda: RealTime(Counting(), 0.1, chunk=0), "chunk: must be a count of actions, 1 or more, not 0"),
+        (lambda: RealTime(Counting(), 0.1, default_action=[3.0]), "default_action: .* is not in Box"),
+        (
+            lambda: RealTime(Counting(), 0.1, period_s=0),
+            "period_s: must be a number of seconds above 0, not 0",
+        ),
+        (
+            lambda: RealTime(Counting(), 0.1, observe_actions=-1),
+            "observe_actions: must be a count of actions",
+        ),
+        (
+            lambda: RealTime(gymnasium.make("CartPole-v1"), 0.1),
+            "default_action: a Discrete has no neutral action",
+        ),
+        (
+            lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1),
+            "period_s: FrozenLakeEnv does not say how long",
+        ),
+        (
+            lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1, "tcsc", period_s=1, observe_age=True),
+            r"observe_age, observe_actions: need a flat Box of observations, not Discrete\(16\)",
+        ),
+        (lambda: lognormal(0.2, 0.1), "lognormal: needs 0 < median_s <= p99_s"),
+        (
+            lambda: RealTime(gymnasium.make("uavaccel/Hover-v0"), 0.1),
+            "Hover: timing = lockstep: make it with timing='virtual' to fly it in real time",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_one_line(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(UserError, match=f"^{said}") as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+# --- the drone, and the machine's own clock -------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["adsc", "tcsc"])
+def test_the_lane_through_the_wrapper_is_the_lane_under_that_command(command: str) -> None:
+    keys: dict[str, Any] = {
+        "timing": "virtual",
+        "command": command,
+        "clock_speed": 5.0,
+        "observation": "state",
+    }
+    own, inside = (gymnasium.make("uavaccel/ObstacleLane-v0", **keys) for _ in range(2))
+    wrapped = RealTime(inside, 0.2, command, 5.0)  # type: ignore[arg-type]
+    first, _ = own.reset(seed=1)
+    np.testing.assert_array_equal(first, wrapped.reset(seed=1)[0])
+    for action in (2, 1, 3, 2):
+        own.unwrapped.charge(0.2)  # type: ignore[attr-defined]
+        expected, got = own.step(action), wrapped.step(action)
+        np.testing.assert_array_equal(expected[0], got[0])
+        assert expected[1:4] == got[1:4]
+        assert expected[4]["wall_s"] == got[4]["wall_s"]
+    own.close()
+    wrapped.close()
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+def test_a_process_of_its_own_goes_on_by_the_machines_clock() -> None:
+    """However long anything took: what passed inside is what the thinking times that were measured say."""
+    process = RealTimeProcess(Counting)
+    process.reset(seed=0)
+    expected = 0
+    for thinking_ticks in range(5):
+        observation, _, over, _, info = process.step(one(0.1))
+        expected += -(-round(info["thinking_s"] * 1e9) // 20_000_000) + 1
+        if over:
+            break
+        assert observation == expected
+        assert info["meanwhile_s"] >= info["thinking_s"] - 1e-9
+        assert len(process.thinking.taken_ns) == thinking_ticks + 1
+    process.close()
+    with pytest.raises(UserError, match="the process of the environment has ended with status 0"):
+        process.step(one(0.1))
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+def test_in_a_process_too_tcsc_stops_the_clock_and_errors_are_one_line() -> None:
+    process = RealTimeProcess(Counting, "tcsc", clock_speed=100)
+    process.reset(seed=0)
+    assert [int(process.step(one(0.1))[0][0]) for _ in range(3)] == [1, 2, 3]
+    process.close()
+    with pytest.raises(UserError, match=r"^period_s: FrozenLakeEnv does not say how long a step is"):
+        RealTimeProcess(partial(gymnasium.make, "FrozenLake-v1"))
+
+
+def test_it_loads_neither_pytorch_nor_opengl() -> None:
+    heavy = ("torch", "OpenGL", "numba", "scipy.stats")
+    asked = f"import sys, uavaccel.realtime; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

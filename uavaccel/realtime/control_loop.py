@@ -1,0 +1,200 @@
+"""The control loop of an agent that needs time to think: what is flown meanwhile, then its actions."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any, Literal, get_args
+
+import numpy as np
+from gymnasium import spaces
+
+from uavaccel.clock import positive_clock_speed
+from uavaccel.errors import UserError
+from uavaccel.realtime.plant import Action, Passed, Plant
+from uavaccel.units import ceil_div
+
+Command = Literal["adsc", "tcsc"]
+Meanwhile = Literal["hold", "default"]
+AnyBox = spaces.Box[Any]
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """How an agent and its environment take turns. Raises UserError for values that do not fit.
+
+    Under "adsc" the environment goes on while the agent thinks, at `clock_speed` simulated seconds per second of wall
+    time; under "tcsc" it stands still. An action is a `chunk` of so many, a control period each, of which `execute`
+    are applied before the next observation; what is left of the chunk goes on while the agent thinks, and after it
+    `meanwhile`: the action applied last ("hold"), or the `default_action`, which is zero in a Box. With `overlap` the
+    agent observes `execute` periods after its last observation, or as soon as its actions are on their way if its
+    thinking took longer; without it, `execute` periods after its actions arrived, as the paper's client does.
+    """
+
+    command: Command = "adsc"
+    clock_speed: float = 1.0
+    meanwhile: Meanwhile = "hold"
+    default_action: Any = None
+    chunk: int = 1
+    execute: int | None = None
+    overlap: bool = False
+    speed: Fraction = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name, kind in (("command", Command), ("meanwhile", Meanwhile)):
+            if getattr(self, name) not in get_args(kind):
+                known = " or ".join(repr(each) for each in get_args(kind))
+                raise UserError(f"{name}: must be {known}, not {getattr(self, name)!r}")
+        for name in ("chunk", "execute"):
+            value = getattr(self, name)
+            if (
+                not isinstance(value, int | None)
+                or isinstance(value, bool)
+                or (value is not None and value < 1)
+            ):
+                raise UserError(f"{name}: must be a count of actions, 1 or more, not {value!r}")
+        if self.execute is not None and self.execute > self.chunk:
+            raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
+        object.__setattr__(self, "speed", positive_clock_speed(self.clock_speed))
+
+    @property
+    def executed(self) -> int:
+        """How many actions of a chunk are applied before the next observation."""
+        return self.chunk if self.execute is None else self.execute
+
+    def action_space(self, single: spaces.Space[Any]) -> spaces.Space[Any]:
+        """That of a chunk of actions. Raises UserError for a space whose actions do not stack."""
+        if self.chunk == 1:
+            return single
+        if isinstance(single, spaces.Box):
+            low, high = (np.stack([bound] * self.chunk) for bound in (single.low, single.high))
+            return spaces.Box(low, high, dtype=single.dtype.type)
+        if isinstance(single, spaces.Discrete) and single.start == 0:
+            return spaces.MultiDiscrete([int(single.n)] * self.chunk)
+        raise UserError(f"chunk: actions of a {type(single).__name__} do not stack; use chunk=1")
+
+    def idle_action(self, single: spaces.Space[Any]) -> Action:
+        """What is flown before the first action. Raises UserError where nothing is given and nothing is neutral."""
+        if self.default_action is not None:
+            action = self.default_action
+            if isinstance(single, spaces.Box):
+                action = np.asarray(action, single.dtype)
+            if not single.contains(action):
+                raise UserError(f"default_action: {self.default_action!r} is not in {single}")
+            return action
+        if isinstance(single, spaces.Box):
+            return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
+        raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
+
+
+class ControlLoop:
+    """One episode after another of a plant, under an agent's actions and what is flown meanwhile."""
+
+    def __init__(self, plant: Plant, options: LoopOptions, action_space: spaces.Space[Any]) -> None:
+        self.plant, self.options = plant, options
+        self.goes_on = options.command == "adsc"
+        self._default = options.idle_action(action_space) if self.goes_on else None
+        self._holds = options.meanwhile == "hold"
+        self._act_ticks = options.executed * plant.period_ticks
+        self._numerator, self._denominator = options.speed.as_integer_ratio()
+        self.begin()
+
+    def begin(self) -> None:
+        """Nothing is planned, and the action applied last is the default one."""
+        self.plant.reset()
+        self._planned: deque[tuple[Action, int]] = deque()
+        self._idle = self._default
+
+    def ticks_within(self, wall_ns: int) -> int:
+        """How many ticks pass while an agent thinks: an action waits for the end of the tick it arrives in."""
+        if not self.goes_on:
+            return 0
+        return ceil_div(wall_ns * self._numerator, self.plant.tick_ns * self._denominator)
+
+    def wall_ns(self, ticks: int) -> int:
+        """The wall time that so many ticks take."""
+        return ceil_div(ticks * self.plant.tick_ns * self._denominator, self._numerator)
+
+    def act_ticks(self, thinking_ticks: int) -> int:
+        """How many ticks pass from an action's arrival to the next observation."""
+        return max(self._act_ticks - thinking_ticks, 0) if self.options.overlap else self._act_ticks
+
+    def plan(self, action: Action) -> None:
+        """The agent's actions have arrived."""
+        actions, ticks = ([action] if self.options.chunk == 1 else action), self.plant.period_ticks
+        self._planned = deque((each, ticks) for each in actions)
+
+    def advance(self, ticks: int, before: Passed | None = None) -> Passed:
+        """Let at least one tick pass, under what is planned; the result is summed up with what passed `before`."""
+        left = ticks
+        while True:
+            action, count = self._planned.popleft() if self._planned else (self._idle, left)
+            if count > left:
+                self._planned.appendleft((action, count - left))
+                count = left
+            if self._holds:
+                self._idle = action
+            passed = self.plant.advance(action, count)
+            before = passed if before is None else _summed(before, passed)
+            left -= count
+            if left == 0 or passed.terminated or passed.truncated:
+                return before
+
+
+def _summed(before: Passed, after: Passed) -> Passed:
+    return after._replace(reward=before.reward + after.reward, ticks=before.ticks + after.ticks)
+
+
+class Extras:
+    """What may be added to a flat observation: how long ago what it is acted upon was seen, and the latest actions.
+
+    Raises UserError where observations or actions are no arrays.
+    """
+
+    def __init__(
+        self, observation: spaces.Space[Any], action: spaces.Space[Any], age: bool, actions: int
+    ) -> None:
+        if not isinstance(actions, int) or isinstance(actions, bool) or actions < 0:
+            raise UserError(f"observe_actions: must be a count of actions, 0 or more, not {actions!r}")
+        self._age, self._count = age, actions
+        self.space, self._size = observation, 0
+        if not age and not actions:
+            return
+        if not isinstance(observation, spaces.Box) or len(observation.shape) != 1:
+            raise UserError(
+                f"observe_age, observe_actions: need a flat Box of observations, not {observation}"
+            )
+        self._type = np.result_type(observation.dtype, np.float32)
+        low, high = [observation.low], [observation.high]
+        if age:
+            low, high = [*low, np.zeros(1)], [*high, np.full(1, np.inf)]
+        if actions:
+            self._size = spaces.flatdim(action)
+            flat: Any = spaces.flatten_space(action)
+            low, high = (
+                [*low, np.minimum(np.tile(flat.low, actions), 0)],
+                [*high, np.maximum(np.tile(flat.high, actions), 0)],
+            )
+        self._action = action
+        self.space = spaces.Box(
+            np.concatenate(low).astype(self._type),
+            np.concatenate(high).astype(self._type),
+            dtype=self._type.type,
+        )
+
+    def begin(self) -> None:
+        """No action yet."""
+        self._latest = deque([np.zeros(self._size)] * self._count, maxlen=self._count)
+
+    def note(self, action: Action) -> None:
+        """An action is on its way."""
+        if self._count:
+            self._latest.append(np.asarray(spaces.flatten(self._action, action), float))
+
+    def added(self, observation: Any, age_s: float) -> Any:
+        """The observation with what is added: the last action's age in simulated seconds, then actions, latest last."""
+        if self.space is None or (not self._age and not self._count):
+            return observation
+        age = [np.array([age_s])] if self._age else []
+        return np.concatenate([observation, *age, *self._latest]).astype(self._type)

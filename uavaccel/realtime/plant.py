@@ -1,0 +1,151 @@
+"""Environments whose simulated time passes by ticks: a physics step where MuJoCo's is known, else a control period."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import gymnasium
+from gymnasium.wrappers import TimeLimit
+
+from uavaccel.errors import UserError
+from uavaccel.units import NS_PER_S, exact
+
+Observation = Any
+Action = Any
+
+
+class Passed(NamedTuple):
+    """What became of some ticks: Gymnasium's five, the reward being the sum, and how many ticks passed."""
+
+    observation: Observation
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+    ticks: int
+
+
+class Plant(Protocol):
+    """An environment that can be let go on for any number of ticks."""
+
+    tick_ns: int
+    """Simulated time of one tick."""
+    period_ticks: int
+    """Ticks of a control period, for which an action is meant."""
+
+    def reset(self) -> None:
+        """An episode has begun."""
+        ...
+
+    def advance(self, action: Action, ticks: int) -> Passed:
+        """Apply an action for at least one tick; an episode that ends on the way stops the count."""
+        ...
+
+
+class PeriodicPlant:
+    """Any environment: a tick is a control period, one call of `step`."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any], period_s: float) -> None:
+        self._step, self.tick_ns, self.period_ticks = env.step, _period_ns(period_s), 1
+
+    def reset(self) -> None:
+        pass
+
+    def advance(self, action: Action, ticks: int) -> Passed:
+        total, passed = 0.0, 0
+        while True:
+            observation, reward, terminated, truncated, info = self._step(action)
+            total, passed = total + float(reward), passed + 1
+            if passed == ticks or terminated or truncated:
+                return Passed(observation, total, terminated, truncated, info, passed)
+
+
+class MujocoPlant:
+    """One of Gymnasium's MuJoCo environments: a tick is one physics step, of which `frame_skip` are a control period.
+
+    Part of a period is one `step` with a smaller `frame_skip`, so that velocities, and what they earn, are those over
+    the time that passed; its reward counts for the share of a period that it is. A time limit counts whole periods of
+    simulated time.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        self._env, self._inside = env, env.unwrapped
+        self.period_ticks = int(self._inside.frame_skip)  # type: ignore[attr-defined]
+        timestep_s = float(self._inside.model.opt.timestep)  # type: ignore[attr-defined]
+        self.tick_ns = _period_ns(timestep_s)
+        self._limit, self._ticks = _time_limit(env), 0
+
+    def reset(self) -> None:
+        self._ticks = 0
+
+    def advance(self, action: Action, ticks: int) -> Passed:
+        if ticks == self.period_ticks and self._ticks % ticks == 0:  # as without delays, at no cost
+            observation, reward, terminated, truncated, info = self._env.step(action)
+            self._ticks += ticks
+            return Passed(observation, float(reward), terminated, truncated, info, ticks)
+        total, passed = 0.0, 0
+        while True:
+            count = min(ticks - passed, self.period_ticks)
+            observation, reward, terminated, truncated, info = self._part(action, count)
+            total, passed = total + float(reward) * count / self.period_ticks, passed + count
+            if passed == ticks or terminated or truncated:
+                return Passed(observation, total, terminated, truncated, info, passed)
+
+    def _part(self, action: Action, ticks: int) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+        self._ticks += ticks
+        if self._limit is not None:
+            self._limit._elapsed_steps = self._ticks // self.period_ticks - 1  # its step adds one
+        self._inside.frame_skip = ticks  # type: ignore[attr-defined]
+        try:
+            return self._env.step(action)
+        finally:
+            self._inside.frame_skip = self.period_ticks  # type: ignore[attr-defined]
+
+
+def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
+    """The environment's, by its physics step or, with `period_s` or where no physics is known, by its control period.
+
+    Raises UserError where nobody says how long a step is.
+    """
+    inside: Any = env.unwrapped
+    if period_s is not None:
+        return PeriodicPlant(env, period_s)
+    if hasattr(inside, "frame_skip") and hasattr(inside, "model") and hasattr(inside, "do_simulation"):
+        return MujocoPlant(env)
+    for source in (_dm_control, _own):
+        if (found := source(inside)) is not None:
+            return PeriodicPlant(env, found)
+    raise UserError(
+        f"period_s: {type(inside).__name__} does not say how long a step is; "
+        "give the simulated seconds of one, as in period_s=0.02"
+    )
+
+
+def _dm_control(inside: Any) -> float | None:
+    """The control period of an environment of dm_control inside shimmy's."""
+    control = getattr(getattr(inside, "_env", None), "control_timestep", None)
+    return float(control()) if callable(control) else None
+
+
+def _own(inside: Any) -> float | None:
+    """What an environment says itself: `dt` or `tau`, in seconds."""
+    for name in ("dt", "tau"):
+        value = getattr(inside, name, None)
+        if isinstance(value, int | float) and value > 0:
+            return float(value)
+    return None
+
+
+def _time_limit(env: gymnasium.Env[Any, Any]) -> Any:
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, TimeLimit):
+            return env
+        env = env.env
+    return None
+
+
+def _period_ns(period_s: float) -> int:
+    """Raises UserError for what is not a time, or is less than a nanosecond."""
+    if not isinstance(period_s, int | float) or not 1e-9 <= period_s <= 1e6:
+        raise UserError(f"period_s: must be a number of seconds above 0, not {period_s!r}")
+    return max(round(exact(period_s) * NS_PER_S), 1)

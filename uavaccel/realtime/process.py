@@ -1,0 +1,191 @@
+"""Real time on the machine's own clock: the environment lives in a process of its own, and waits for nobody."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+import gymnasium
+
+from uavaccel.clock import MonotonicClock, Pacer
+from uavaccel.errors import UserError
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
+from uavaccel.realtime.plant import Passed, plant_of
+from uavaccel.realtime.thinking import Measured
+from uavaccel.units import NS_PER_S
+
+MakeEnv = Callable[[], "gymnasium.Env[Any, Any]"]
+
+
+class RealTimeProcess(gymnasium.Env[Any, Any]):
+    """What `RealTime` models, measured: an environment in a second process, paced by the machine's clock.
+
+    `make_env` makes the environment there and has to be picklable, such as functools.partial(gymnasium.make, ID); a
+    script that calls this needs `if __name__ == "__main__"`. The other arguments are `RealTime`'s; what the agent
+    really takes to think is in `thinking`, whose `save` writes the calibration file that `RealTime` replays. Infos
+    have `late_s` too: how much later than its clock the environment was, by which a machine too slow for the
+    ClockSpeed is known. Raises UserError for arguments that do not fit, and where the process has ended.
+    """
+
+    def __init__(
+        self,
+        make_env: MakeEnv,
+        command: Command = "adsc",
+        clock_speed: float = 1.0,
+        *,
+        meanwhile: Meanwhile = "hold",
+        default_action: Any = None,
+        chunk: int = 1,
+        execute: int | None = None,
+        overlap: bool = False,
+        period_s: float | None = None,
+        observe_age: bool = False,
+        observe_actions: int = 0,
+    ) -> None:
+        options = LoopOptions(command, clock_speed, meanwhile, default_action, chunk, execute, overlap)
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, make_env, options, period_s), daemon=True, name="uavaccel-realtime"
+        )
+        self._process.start()
+        theirs.close()
+        observation, single, self.metadata, self._tick_ns = self._answer()
+        self.action_space = options.action_space(single)
+        self._extras = Extras(observation, self.action_space, observe_age, observe_actions)
+        self.observation_space = self._extras.space
+        self.thinking = Measured()
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; under "adsc" its time runs from here on."""
+        super().reset(seed=seed)
+        observation, info = self._ask("reset", seed, options)
+        self._extras.begin()
+        return self._extras.added(observation, 0.0), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Send an action, and wait for the observation after it."""
+        passed, thinking_ns, thought, late_ns = self._ask("step", action)
+        self._extras.note(action)
+        self.thinking.add_ns(thinking_ns)
+        age_s = thought * self._tick_ns / NS_PER_S
+        info = {**passed.info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
+        info["late_s"] = late_ns / NS_PER_S
+        observation = self._extras.added(passed.observation, age_s)
+        return observation, passed.reward, passed.terminated, passed.truncated, info
+
+    def close(self) -> None:
+        """End the process."""
+        self._connection.close()
+        self._process.join(5)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _ask(self, *question: Any) -> Any:
+        try:
+            self._connection.send(question)
+        except OSError:
+            raise self._ended() from None
+        return self._answer()
+
+    def _answer(self) -> Any:
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            raise self._ended() from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _ended(self) -> UserError:
+        self._process.join(1)
+        return UserError(f"the process of the environment has ended with status {self._process.exitcode}")
+
+
+class _Server:
+    """The environment's side: it steps when a tick is due, whatever the agent does."""
+
+    def __init__(self, connection: Connection, loop: ControlLoop, env: gymnasium.Env[Any, Any]) -> None:
+        self._connection, self._loop, self._env = connection, loop, env
+        self._clock = MonotonicClock()
+        self._pacer = Pacer(loop.options.speed, loop.plant.tick_ns)
+        self._thinks = False  # the agent, about an observation that it has
+        self._meanwhile: Passed | None = None
+        self._thought = self._since_ns = self._arrived_ns = 0
+
+    def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
+        result = self._env.reset(seed=seed, options=None if options is None else dict(options))
+        self._loop.begin()
+        self._hand_over(self._clock.now_ns())
+        self._thinks = True
+        return result
+
+    def step(self, action: Any) -> tuple[Passed, int, int, int]:
+        """Its result, the thinking time, in ns and in ticks, and how late it is."""
+        loop, thought = self._loop, self._thought
+        passed, thinking_ns = self._meanwhile, self._arrived_ns - self._since_ns
+        if not loop.goes_on:
+            self._pacer.anchor(self._arrived_ns, 0)
+        if passed is None or not (passed.terminated or passed.truncated):
+            loop.plan(action)
+            if acted := loop.act_ticks(thought):
+                passed = loop.advance(acted, passed)
+        assert passed is not None
+        due_ns = self._pacer.wall_due(passed.ticks)
+        late_ns = max(self._clock.now_ns() - due_ns, 0)
+        self._clock.sleep_until(due_ns)
+        self._hand_over(due_ns + late_ns)
+        self._thinks = not (passed.terminated or passed.truncated)
+        return passed, thinking_ns, thought, late_ns
+
+    def wait(self) -> tuple[Any, ...]:
+        """The agent's next message; the environment goes on until it comes."""
+        while self._goes_on() and not self._connection.poll(self._left_s()):
+            due = self._pacer.ticks_due(self._clock.now_ns()) - self._thought
+            if due > 0:
+                self._go_on(due)
+        message: tuple[Any, ...] = self._connection.recv()
+        self._arrived_ns = self._clock.now_ns()
+        if message[0] == "step" and self._goes_on():
+            whole = self._loop.ticks_within(self._arrived_ns - self._since_ns)
+            if whole > self._thought:
+                self._go_on(whole - self._thought)
+        return message
+
+    def _hand_over(self, wall_ns: int) -> None:
+        """The agent has its observation, and thinks."""
+        self._since_ns = self._arrived_ns = wall_ns
+        self._pacer.anchor(wall_ns, 0)
+        self._thought, self._meanwhile = 0, None
+
+    def _goes_on(self) -> bool:
+        passed = self._meanwhile
+        over = passed is not None and (passed.terminated or passed.truncated)
+        return self._thinks and self._loop.goes_on and not over
+
+    def _left_s(self) -> float:
+        return max(self._pacer.wall_due(self._thought + 1) - self._clock.now_ns(), 0) / NS_PER_S
+
+    def _go_on(self, ticks: int) -> None:
+        self._meanwhile = self._loop.advance(ticks, self._meanwhile)
+        self._thought = self._meanwhile.ticks
+
+
+def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, period_s: float | None) -> None:
+    """The process: until the agent's end of the connection is closed."""
+    try:
+        env = make_env()
+        loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
+        server = _Server(connection, loop, env)
+        connection.send((env.observation_space, env.action_space, env.metadata, loop.plant.tick_ns))
+        while True:
+            name, *arguments = server.wait()
+            connection.send(getattr(server, name)(*arguments))
+    except EOFError:
+        return
+    except UserError as error:
+        connection.send(error)

@@ -1,0 +1,153 @@
+"""Real time on a simulated wall clock, for any Gymnasium environment: the same flight to the byte, every time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+
+from uavaccel.errors import UserError
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
+from uavaccel.realtime.plant import plant_of
+from uavaccel.realtime.thinking import thinking_time
+from uavaccel.units import NS_PER_S
+
+_STREAM = (
+    0x7EA1  # thinking times have a generator of their own, so that the environment's draws stay as they are
+)
+
+
+@runtime_checkable
+class HasWallClock(Protocol):
+    """An environment that models the wall clock itself, as this package's drones do."""
+
+    task: Any
+
+    def charge(self, duration_s: float, phase: str = ...) -> None: ...
+
+
+class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Let an environment go on while its agent thinks, on a simulated wall clock.
+
+    Between an observation and the action that follows it `latency_s` of wall time pass: seconds, a list of seconds to
+    draw from, the name of a calibration file, "measured" (the time that the agent really takes; the one source that
+    does not repeat), or any `ThinkingTime`. Under `command="adsc"` the environment goes on meanwhile, at `clock_speed`
+    simulated seconds per second; under "tcsc" it stands still, as the paper's command makes it. See `LoopOptions` for
+    `meanwhile`, `default_action`, `chunk`, `execute` and `overlap`.
+
+    One tick is a physics step of Gymnasium's MuJoCo environments, elsewhere a control period: `period_s`, or what the
+    environment says itself (`dt`, `tau`, dm_control's). An action that arrives within a tick waits for its end. A drone
+    of this package keeps its own clocks: make it with `timing="virtual"`, the same command and ClockSpeed.
+
+    `observe_age` and `observe_actions` append to a flat observation how old the last action's was when it was applied,
+    in simulated seconds, and the latest actions. Rewards are summed over all that passed since the last observation.
+    Infos gain `thinking_s` (wall time), `meanwhile_s` (simulated), and `wall_s` and `simulated_s` of the episode.
+    A wrapper inside counts ticks, not decisions: put episode statistics outside.
+
+    Raises UserError for arguments that do not fit.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        latency_s: object = 0.05,
+        command: Command = "adsc",
+        clock_speed: float = 1.0,
+        *,
+        meanwhile: Meanwhile = "hold",
+        default_action: Any = None,
+        chunk: int = 1,
+        execute: int | None = None,
+        overlap: bool = False,
+        period_s: float | None = None,
+        observe_age: bool = False,
+        observe_actions: int = 0,
+    ) -> None:
+        given = {key: value for key, value in locals().items() if key not in ("self", "env", "__class__")}
+        RecordConstructorArgs.__init__(self, **given)
+        gymnasium.Wrapper.__init__(self, env)
+        options = LoopOptions(command, clock_speed, meanwhile, default_action, chunk, execute, overlap)
+        self.thinking = thinking_time(latency_s)
+        self._drone = _drone(env, options)
+        self._loop = None
+        if self._drone is None:
+            self._loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
+        self.action_space = options.action_space(env.action_space)
+        self._extras = Extras(env.observation_space, self.action_space, observe_age, observe_actions)
+        self.observation_space = self._extras.space
+        self._generator = np.random.default_rng()
+        self._wall_ns = self._ticks = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; a seed is the environment's, and that of thinking times drawn from now on."""
+        if seed is not None:
+            self._generator = np.random.default_rng([_STREAM, seed])
+        observation, info = self.env.reset(seed=seed, options=None if options is None else dict(options))
+        if self._loop is not None:
+            self._loop.begin()
+        self._extras.begin()
+        self._wall_ns = self._ticks = 0
+        observation = self._extras.added(observation, 0.0)
+        self.thinking.observed()
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Think, then act: rewards are those of both."""
+        thinking_ns = self.thinking.draw_ns(self._generator)
+        if self._loop is None:
+            return self._command(action, thinking_ns)
+        loop, passed = self._loop, None
+        thought = loop.ticks_within(thinking_ns)
+        if thought:
+            passed = loop.advance(thought)
+        if passed is None or not (passed.terminated or passed.truncated):
+            loop.plan(action)
+            self._extras.note(action)
+            if acted := loop.act_ticks(thought):
+                passed = loop.advance(acted, passed)
+        assert passed is not None
+        self._ticks += passed.ticks
+        tick_s, info = loop.plant.tick_ns / NS_PER_S, dict(passed.info)
+        age_s = min(thought, passed.ticks) * tick_s
+        self._wall_ns += loop.wall_ns(passed.ticks) + (0 if loop.goes_on else thinking_ns)
+        info["thinking_s"], info["meanwhile_s"] = thinking_ns / NS_PER_S, age_s
+        info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * tick_s
+        observation = self._extras.added(passed.observation, age_s)
+        self.thinking.observed()
+        return observation, passed.reward, passed.terminated, passed.truncated, info
+
+    def _command(self, action: Any, thinking_ns: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """A drone's: its own clocks say what it flies meanwhile."""
+        assert self._drone is not None
+        self._drone.charge(thinking_ns / NS_PER_S)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._extras.note(action)
+        age_s = thinking_ns / NS_PER_S * self._drone.task.clock_speed * (self._drone.task.command == "adsc")
+        info = {**info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
+        observation = self._extras.added(observation, age_s)
+        self.thinking.observed()
+        return observation, float(reward), terminated, truncated, info
+
+
+def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions) -> HasWallClock | None:
+    """The environment that keeps its own clocks. Raises UserError where they are not those of the wrapper."""
+    inside = env.unwrapped
+    if not isinstance(inside, HasWallClock):
+        return None
+    task, name = inside.task, type(inside).__name__
+    if task.timing != "virtual":
+        raise UserError(
+            f"{name}: timing = {task.timing}: make it with timing='virtual' to fly it in real time"
+        )
+    for key in ("command", "clock_speed"):
+        if getattr(task, key) != getattr(options, key):
+            here, there = getattr(options, key), getattr(task, key)
+            raise UserError(f"{key}: {here!r} here, but {there!r} in {name}; give both the same")
+    if options.chunk != 1 or options.overlap or options.default_action is not None:
+        raise UserError(f"chunk, overlap, default_action: {name} holds its position while its agent thinks")
+    return inside
