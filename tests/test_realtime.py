@@ -284,7 +284,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
         ),
         (
             lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1, "tcsc", period_s=1, observe_age=True),
-            r"observe_age, observe_actions: need a flat Box of observations, not Discrete\(16\)",
+            r"observe_age, observe_actions: need a Box of observations, not Discrete\(16\)",
         ),
         (lambda: lognormal(0.2, 0.1), "lognormal: needs 0 < median_s <= p99_s"),
         (

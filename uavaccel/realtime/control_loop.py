@@ -147,9 +147,9 @@ def _summed(before: Passed, after: Passed) -> Passed:
 
 
 class Extras:
-    """What may be added to a flat observation: how long ago what it is acted upon was seen, and the latest actions.
+    """What may be added to an observation, which is flat then: how old the last one was, and the latest actions.
 
-    Raises UserError where observations or actions are no arrays.
+    Raises UserError where observations are no arrays.
     """
 
     def __init__(
@@ -161,12 +161,10 @@ class Extras:
         self.space, self._size = observation, 0
         if not age and not actions:
             return
-        if not isinstance(observation, spaces.Box) or len(observation.shape) != 1:
-            raise UserError(
-                f"observe_age, observe_actions: need a flat Box of observations, not {observation}"
-            )
+        if not isinstance(observation, spaces.Box):
+            raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
         self._type = np.result_type(observation.dtype, np.float32)
-        low, high = [observation.low], [observation.high]
+        low, high = [observation.low.ravel()], [observation.high.ravel()]
         if age:
             low, high = [*low, np.zeros(1)], [*high, np.full(1, np.inf)]
         if actions:
@@ -194,7 +192,7 @@ class Extras:
 
     def added(self, observation: Any, age_s: float) -> Any:
         """The observation with what is added: the last action's age in simulated seconds, then actions, latest last."""
-        if self.space is None or (not self._age and not self._count):
+        if not self._age and not self._count:
             return observation
         age = [np.array([age_s])] if self._age else []
-        return np.concatenate([observation, *age, *self._latest]).astype(self._type)
+        return np.concatenate([np.ravel(observation), *age, *self._latest]).astype(self._type)

@@ -42,9 +42,10 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     environment says itself (`dt`, `tau`, dm_control's). An action that arrives within a tick waits for its end. A drone
     of this package keeps its own clocks: make it with `timing="virtual"`, the same command and ClockSpeed.
 
-    `observe_age` and `observe_actions` append to a flat observation how old the last action's was when it was applied,
-    in simulated seconds, and the latest actions. Rewards are summed over all that passed since the last observation.
-    Infos gain `thinking_s` (wall time), `meanwhile_s` (simulated), and `wall_s` and `simulated_s` of the episode.
+    `observe_age` and `observe_actions` append to the observation, which is flat then, how old the last one was when
+    its action was applied, in simulated seconds, and the latest actions. Rewards are summed over all that passed since
+    the last observation. Infos gain `thinking_s` (wall time), `meanwhile_s` (simulated), and `wall_s` and
+    `simulated_s` of the episode.
     A wrapper inside counts ticks, not decisions: put episode statistics outside.
 
     Raises UserError for arguments that do not fit.

@@ -24,6 +24,7 @@ SUITES = {
     "sweep": "uavaccel.suites.sweep.suite:Sweep",
     "paper": "uavaccel.suites.paper.suite:Paper",
     "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
+    "realtime": "uavaccel.suites.realtime.suite:Realtime",
 }
 
 

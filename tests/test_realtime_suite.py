@@ -1,0 +1,273 @@
+"""The experiment on agents that need time to think: its agents, cells, rankings and bytes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.running import configured
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.resources import experiment
+from uavaccel.suites.realtime.agents import LookAhead, Policy, train
+from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase, cases
+from uavaccel.suites.realtime.config import AgentBlock, EnvironmentBlock
+from uavaccel.suites.realtime.environments import timed, training
+from uavaccel.suites.realtime.report import agreement
+from uavaccel.suites.realtime.suite import Realtime
+from uavaccel.suites.realtime.summary import Cell, cells_of, rankings_of, tcsc_equal
+from uavaccel.suites.runner import begin_run, run_suite
+
+PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=2048)
+TINY = (
+    "environments={pendulum: {id: InvertedPendulum-v5, train_steps: 2048}}",
+    "agents={naive: {}, look_ahead: {look_ahead: true}, chunk: {chunk: 2, training_delay_s: [0, 0.1]}}",
+    "latency_s=[0, 0.05]",
+    "clock_speed=[1, 4]",
+    "episodes=2",
+)
+
+
+def flown(out: Path, *overrides: str, jobs: int = 1, resume: bool = False) -> RunDirectory:
+    suite, config = Realtime(), configured("realtime_smoke", *TINY, *overrides)
+    run = begin_run(suite, config, out, {}, resume)
+    run_suite(suite, config, run, jobs=jobs)
+    return run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    return flown(tmp_path_factory.mktemp("realtime") / "run")
+
+
+def test_its_cases_are_each_training_once_and_each_delay() -> None:
+    config = configured("realtime_smoke", *TINY, "seeds=2")
+    trainings = [case for case in cases(config) if isinstance(case, TrainingCase)]
+    met = [case for case in cases(config) if isinstance(case, EvaluationCase)]
+    assert [case.id for case in trainings] == [
+        "pendulum-naive-s0",
+        "pendulum-naive-s1",
+        "pendulum-chunk-s0",
+        "pendulum-chunk-s1",
+    ]
+    assert len(met) == 3 * 2 * (2 * 2 + 2)  # under TCSC one latency stands for all
+    assert {case.training.agent for case in met if case.agent == "look_ahead"} == {"naive"}
+    assert len({case.id for case in met}) == len(met)
+
+
+def test_the_same_bytes_every_time_killed_or_not(run: RunDirectory, tmp_path: Path) -> None:
+    again = flown(tmp_path / "again", jobs=2)
+    rows = (again.path / "rows.jsonl").read_bytes()
+    assert rows == (run.path / "rows.jsonl").read_bytes()
+    lines = rows.splitlines(keepends=True)
+    (again.path / "rows.jsonl").write_bytes(b"".join(lines[:-3]))
+    assert (flown(tmp_path / "again", resume=True).path / "rows.jsonl").read_bytes() == rows
+
+
+def test_under_tcsc_the_clock_speed_changes_nothing_and_under_adsc_the_delay_counts(
+    run: RunDirectory,
+) -> None:
+    rows = [row for row in run.rows() if row["kind"] == "evaluation"]
+    assert tcsc_equal(rows) is True
+    naive = {
+        (row["command"], row["latency_s"], row["clock_speed"]): row for row in rows if row["agent"] == "naive"
+    }
+    assert (
+        naive["adsc", 0, 1]["returns"] == naive["adsc", 0, 4]["returns"] == naive["tcsc", 0.05, 4]["returns"]
+    )
+    assert naive["adsc", 0.05, 1]["returns"] != naive["adsc", 0.05, 4]["returns"]
+    assert naive["adsc", 0.05, 1]["delays_s"] == pytest.approx([0.06, 0.06])  # to the physics step of 20 ms
+    assert naive["adsc", 0.05, 4]["delays_s"] == pytest.approx([0.2, 0.2])
+
+
+def test_its_report_says_who_is_best_and_how_fast_one_may_simulate(run: RunDirectory) -> None:
+    report = Realtime().report(run)
+    summary = report.write()
+    assert report.headline().endswith("under TCSC all returns are the same to the bit at every ClockSpeed")
+    assert {ranking["latency_s"] for ranking in summary["rankings"]} == {0.0, 0.05}
+    assert len(summary["trainings"]) == 2
+    page = (run.path / "report.html").read_text()
+    assert "How fast may one simulate before the ranking changes?" in page
+    assert (run.path / "figures/returns.png").stat().st_size > 10_000
+    assert json.loads((run.path / "summary.json").read_text())["provenance"] == "modelled"
+
+
+# --- agents ---------------------------------------------------------------------------------------
+
+
+def test_an_agent_is_what_its_weights_are() -> None:
+    """The same seed trains the same weights, another others; loaded, they decide as the learner's own policy did."""
+    first, second, other = (train(PENDULUM, AgentBlock(), seed) for seed in (0, 0, 1))
+    assert {name: each.tobytes() for name, each in first.weights.items()} == {
+        name: each.tobytes() for name, each in second.weights.items()
+    }
+    assert first.weights["action_net.weight"].tobytes() != other.weights["action_net.weight"].tobytes()
+    env = timed(PENDULUM, AgentBlock(), 0.0, "adsc", 1.0)
+    weights, seen = first.weights, np.array([0.1, -0.05, 0.3, 0.2])
+    scaled = (seen - weights["observation.mean"]) / np.sqrt(weights["observation.var"] + 1e-8)
+    hidden = scaled
+    for layer in ("0", "2"):
+        prefix = f"mlp_extractor.policy_net.{layer}"
+        hidden = np.tanh(weights[f"{prefix}.weight"] @ hidden + weights[f"{prefix}.bias"])
+    expected = weights["action_net.weight"] @ hidden + weights["action_net.bias"]
+    np.testing.assert_allclose(
+        Policy(env, AgentBlock(), weights).act(seen), np.clip(expected, -3, 3), rtol=1e-5
+    )
+
+
+class Echo(Policy):
+    """Acts by the pole's angle, and keeps what it has been shown."""
+
+    def __init__(self) -> None:
+        self.shown: list[Any] = []
+
+    def act(self, observation: Any) -> Any:
+        self.shown.append(observation)
+        return np.array([10 * observation[1] + 2 * observation[3]], np.float32)
+
+
+@pytest.mark.parametrize("clock_speed", [1.0, 2.0])
+def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(clock_speed: float) -> None:
+    env = timed(PENDULUM, AgentBlock(), 0.03, "adsc", clock_speed)
+    echo = Echo()
+    ahead = LookAhead(echo, env, PENDULUM, 0.03, clock_speed)
+    inside: Any = env.unwrapped
+    observation, _ = env.reset(seed=3)
+    ahead.begin()
+    applied, do_simulation = [], inside.do_simulation
+
+    def watched(control: Any, ticks: int) -> None:
+        applied.append(np.concatenate([inside.data.qpos, inside.data.qvel]))
+        do_simulation(control, ticks)
+
+    inside.do_simulation = watched
+    for _ in range(4):
+        observation, *_ = env.step(ahead.act(observation))
+    del inside.do_simulation
+    steps = len(applied) // 4  # of each decision the last one begins where its action is applied
+    np.testing.assert_allclose(echo.shown, applied[steps - 1 :: steps], atol=1e-12)
+    env.close()
+
+
+def test_a_training_meets_one_delay_an_episode_from_its_range() -> None:
+    env = training(PENDULUM, AgentBlock(training_delay_s=(0.02, 0.2)), seed=5)
+    delays = []
+    for _ in range(8):
+        env.reset(seed=0)
+        delays.append([round(env.step(env.action_space.sample())[-1]["thinking_s"], 4) for _ in range(2)])
+    assert all(first == second for first, second in delays)
+    assert len({first for first, _ in delays}) == 8
+    assert all(0.02 <= first <= 0.2 for first, _ in delays)
+
+
+# --- rankings -------------------------------------------------------------------------------------
+
+
+def cell(agent: str, clock_speed: float, mean: float, width: float = 1.0, **keys: Any) -> Cell:
+    values: Any = {
+        "environment": "hopper",
+        "agent": agent,
+        "command": "adsc",
+        "latency_s": 0.05,
+        "clock_speed": clock_speed,
+        "delay_s": 0.05 * clock_speed,
+        "seeds": 3,
+        "episodes": 30,
+        "return_mean": mean,
+        "return_low": mean - width,
+        "return_high": mean + width,
+        "late_s": 0.0,
+    }
+    result: Cell = values | keys
+    return result
+
+
+def test_a_ranking_holds_until_two_agents_change_places_for_sure() -> None:
+    cells = [
+        cell("a", 1, 10),
+        cell("b", 1, 5),
+        cell("c", 1, 1),
+        cell("a", 5, 6),
+        cell("b", 5, 6.5),
+        cell("c", 5, 1),
+    ]
+    (held,) = rankings_of(cells)
+    assert (held["holds_to"], held["reversals"]) == (5, [])  # b is ahead of a, but their intervals overlap
+    assert held["kendall_tau"] == [1.0, pytest.approx(1 / 3)]
+    assert held["orders"] == [["a", "b", "c"], ["b", "a", "c"]]
+    (broken,) = rankings_of([*cells, cell("a", 20, 1), cell("b", 20, 2), cell("c", 20, 9)])
+    assert broken["holds_to"] == 5
+    assert broken["reversals"] == [
+        {"clock_speed": 20, "ahead": "c", "behind": "a"},
+        {"clock_speed": 20, "ahead": "c", "behind": "b"},
+    ]
+
+
+def test_an_interval_is_over_trainings_and_episodes() -> None:
+    row: Any = {"environment": "e", "agent": "a", "command": "adsc", "latency_s": 0.0, "clock_speed": 1.0}
+    rows: Any = [
+        {**row, "returns": [1.0, 3.0], "delays_s": [0.0, 0.1], "late_s": 0.0},
+        {**row, "returns": [7.0, 9.0], "delays_s": [0.2, 0.1], "late_s": 0.3},
+    ]
+    (found,) = cells_of(rows, seed=0)
+    assert (found["return_mean"], found["seeds"], found["episodes"]) == (5.0, 2, 4)
+    assert 1.0 <= found["return_low"] < 5.0 < found["return_high"] <= 9.0
+    assert found["delay_s"] == pytest.approx(0.1)
+    assert found["late_s"] == 0.3
+
+
+def test_clocks_that_agree_are_said_to() -> None:
+    modelled = [cell("a", 1, 10), cell("b", 1, 5), cell("c", 1, 2)]
+    measured = [cell("a", 1, 9.5), cell("b", 1, 5.2, late_s=0.02), cell("c", 1, 6)]
+    said = agreement(list(zip(modelled, measured, strict=True)))
+    assert said["return_difference_median"] == pytest.approx(0.05)
+    assert said["delay_difference_median"] == 0.0
+    assert said["kendall_tau_mean"] == pytest.approx(1 / 3)
+    assert said["late_s"] == 0.02
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(
+    run: RunDirectory, tmp_path: Path
+) -> None:
+    """Delays cannot be shorter than the agent's thinking; how much longer depends on the machine."""
+    keys = "agents={naive: {}}", "latency_s=[0.05]", "clock_speed=[1]", "command=[adsc]", "episodes=1"
+    measured = flown(tmp_path / "wall", *keys, "timing=wall")
+    row = next(row for row in measured.rows() if row["kind"] == "evaluation")
+    assert row["delays_s"][0] >= 0.05
+    (picture,) = Realtime().compare([run, measured])
+    assert picture.is_file()
+    assert json.loads((measured.path / "agreement.json").read_text())["cells"] == 1
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        (
+            "environments={x: {id: Nowhere-v0}}",
+            "environments.x: Nowhere-v0 cannot be made: Environment `Nowhere`",
+        ),
+        ("environments={x: {id: CartPole-v1}}", "environments.x, agents.naive: default_action: a Discrete"),
+        ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
+        ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
+        ("latency_s=[0.1, 0.1]", "latency_s has a latency twice"),
+        ("timing=wall", "look_ahead needs timing virtual"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        Realtime().check(configured("realtime_smoke", *TINY, override))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_ships_can_be_flown_within_two_hours() -> None:
+    for path in sorted(Path(experiment("dp1.yaml")).parent.glob("realtime*.yaml")):
+        suite, config = Realtime(), configured(path.stem)
+        suite.check(config)
+        cost_s = sum(suite.cost(config, case).wall_s for case in suite.cases(config))
+        assert cost_s / 2 <= 7200  # on two cores

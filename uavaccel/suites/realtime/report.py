@@ -1,0 +1,231 @@
+"""The report of the experiment: who is best under which delay, and how fast one may simulate before that changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from uavaccel.draw import style
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.errors import UserError
+from uavaccel.files import Plain
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites.realtime.figures import plot_agreement, plot_rankings, plot_returns
+from uavaccel.suites.realtime.flights import EvaluationRow
+from uavaccel.suites.realtime.summary import (
+    Cell,
+    Ranking,
+    cells_of,
+    evaluations,
+    kendall_tau,
+    means_of,
+    rankings_of,
+    tcsc_equal,
+)
+from uavaccel.suites.report import Report, Summary
+
+
+class RealtimeReport(Report):
+    """Of `uavaccel run realtime`."""
+
+    def summarise(self) -> Summary:
+        rows = self._evaluations()
+        cells = cells_of(rows, self.config["seed"])
+        return {
+            "suite": "realtime",
+            "seed": self.config["seed"],
+            "provenance": timing_provenance(self.config["timing"]),
+            "cells": cells,
+            "rankings": rankings_of(cells),
+            "tcsc_equal_at_every_clock_speed": tcsc_equal(rows),
+            "trainings": [
+                {
+                    key: row[key]
+                    for key in ("environment", "agent", "seed", "steps", "last_return", "weights_sha256")
+                }
+                for row in self.rows
+                if row["kind"] == "training"
+            ],
+        }
+
+    def _evaluations(self) -> list[EvaluationRow]:
+        if not (rows := evaluations(self.rows)):
+            raise UserError(f"{self.run.path / 'rows.jsonl'}: holds no finished evaluation yet")
+        return rows
+
+    def title(self) -> str:
+        return "Agents that need time to think"
+
+    def headline(self) -> str:
+        """How far rankings hold, and what TCSC does to them."""
+        said = [_of_speed(ranking) for ranking in _at_middle_latency(self._rankings())]
+        equal = self.summary["tcsc_equal_at_every_clock_speed"]
+        if equal is not None:
+            how = "are the same to the bit" if equal else "DIFFER"
+            said.append(f"under TCSC all returns {how} at every ClockSpeed")
+        return "; ".join(said)
+
+    def overview(self) -> Table:
+        return _returns_table(_at_middle_latency_cells(self._cells()))
+
+    def figures(self) -> list[Picture]:
+        cells, rankings, source = self._cells(), self._rankings(), self._source()
+        returns, held = "Return over the delay from observation to action", "Rankings over ClockSpeed"
+        drawn = [
+            Picture(
+                style.save(plot_returns(cells, returns, source), self.run.file("figures/returns.png")),
+                f"{returns}, means with 95 % intervals over trainings and episodes. Source: {source}.",
+            )
+        ]
+        if max(len(ranking["clock_speeds"]) for ranking in rankings or [EMPTY]) > 1:
+            drawn.append(
+                Picture(
+                    style.save(plot_rankings(rankings, held, source), self.run.file("figures/rankings.png")),
+                    f"{held}: Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each "
+                    f"latency. Source: {source}.",
+                )
+            )
+        return drawn
+
+    def blocks(self, figures: Sequence[Picture]) -> list[Block]:
+        said = [f"{_of_speed(ranking)}." for ranking in self._rankings() if len(ranking["clock_speeds"]) > 1]
+        return [
+            Paragraph(self.headline() + "."),
+            *figures,
+            Heading("How fast may one simulate before the ranking changes?"),
+            *([Paragraph(" ".join(said))] if said else []),
+            Paragraph(_READING),
+            Heading("All cells"),
+            _returns_table(self._cells(), "all returns"),
+        ]
+
+    def _cells(self) -> list[Cell]:
+        return cast("list[Cell]", self.summary["cells"])
+
+    def _rankings(self) -> list[Ranking]:
+        return cast("list[Ranking]", self.summary["rankings"])
+
+    def _source(self) -> str:
+        cells = self._cells()
+        seeds, episodes = {cell["seeds"] for cell in cells}, {cell["episodes"] for cell in cells}
+        counts = f"{_range(seeds)} trainings, {_range(episodes)} episodes a cell"
+        return f"{self.summary['provenance']} · {counts} · seed {self.summary['seed']}"
+
+
+EMPTY: Ranking = {
+    "environment": "", "latency_s": 0.0, "clock_speeds": [], "orders": [], "kendall_tau": [], "holds_to": 0.0,
+    "reversals": [],
+}  # fmt: skip
+
+
+def compare_clocks(modelled: RunDirectory, measured: RunDirectory) -> list[Path]:
+    """The machine's clock against the simulated one: a figure and agreement.json, in the second run's folder."""
+    both = [
+        cells_of(
+            evaluations([row for row in run.rows() if row.get("suite") == "realtime"]), run.config()["seed"]
+        )
+        for run in (modelled, measured)
+    ]
+    by_key = [{_key(cell): cell for cell in cells} for cells in both]
+    pairs = [(by_key[0][key], by_key[1][key]) for key in by_key[0] if key in by_key[1]]
+    if not pairs:
+        raise UserError(f"{measured.path}: has no cell that {modelled.path} has too")
+    measured.write_json("agreement.json", agreement(pairs))
+    source = f"modelled: {modelled.path.name}; measured: {measured.path.name}"
+    figure = plot_agreement(pairs, "The machine's clock against the simulated one", source)
+    return [style.save(figure, measured.file("figures/agreement.png"))]
+
+
+def agreement(pairs: Sequence[tuple[Cell, Cell]]) -> dict[str, Plain]:
+    """Ratios of returns and of delays, and Kendall's tau of the agents' rankings, for each environment and cell."""
+    groups: dict[tuple[str, str, float, float], list[tuple[Cell, Cell]]] = {}
+    for modelled, measured in pairs:
+        key = (modelled["environment"], modelled["command"], modelled["latency_s"], modelled["clock_speed"])
+        groups.setdefault(key, []).append((modelled, measured))
+    taus = [
+        kendall_tau(means_of([each[0] for each in group]), means_of([each[1] for each in group]))
+        for group in groups.values()
+    ]
+    known = [tau for tau in taus if tau is not None]
+    returns = [_relative(each["return_mean"], other["return_mean"]) for each, other in pairs]
+    delays = [_relative(each["delay_s"], other["delay_s"]) for each, other in pairs if each["delay_s"] > 0]
+    return {
+        "cells": len(pairs),
+        "return_difference_median": float(np.median(np.abs(returns))),
+        "delay_difference_median": float(np.median(np.abs(delays))) if delays else None,
+        "kendall_tau_mean": float(np.mean(known)) if known else None,
+        "kendall_tau_least": min(known, default=None),
+        "late_s": max(measured["late_s"] for _, measured in pairs),
+    }
+
+
+def _relative(modelled: float, measured: float) -> float:
+    return (measured - modelled) / max(abs(modelled), 1e-9)
+
+
+def _key(cell: Cell) -> tuple[str, str, str, float, float]:
+    return cell["environment"], cell["agent"], cell["command"], cell["latency_s"], cell["clock_speed"]
+
+
+def _of_speed(ranking: Ranking) -> str:
+    """hopper, 50 ms: the ranking holds up to 5x; at 20x naive is behind aware, of which it was ahead"""
+    where = f"{ranking['environment']}, {1e3 * ranking['latency_s']:g} ms"
+    speeds, reversals = ranking["clock_speeds"], ranking["reversals"]
+    if len(speeds) < 2:
+        return f"{where}: {' > '.join(ranking['orders'][0])}"
+    if not reversals:
+        return f"{where}: no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
+    first = reversals[0]
+    return (
+        f"{where}: the ranking holds up to {clock_label(ranking['holds_to'])}; at "
+        f"{clock_label(first['clock_speed'])} {first['ahead']} is ahead of {first['behind']}, which beats it at "
+        f"{clock_label(speeds[0])}"
+    )
+
+
+def _at_middle_latency(rankings: Sequence[Ranking]) -> list[Ranking]:
+    latencies = sorted({ranking["latency_s"] for ranking in rankings})
+    middle = latencies[len(latencies) // 2] if latencies else 0.0
+    return [ranking for ranking in rankings if ranking["latency_s"] == middle]
+
+
+def _at_middle_latency_cells(cells: Sequence[Cell]) -> list[Cell]:
+    """Those at the slowest ClockSpeed under ADSC, at no latency and at the middle one."""
+    own = [cell for cell in cells if cell["command"] == "adsc"]
+    slowest = min((cell["clock_speed"] for cell in own), default=0.0)
+    latencies = sorted({cell["latency_s"] for cell in own})
+    shown = {latencies[0], latencies[len(latencies) // 2]} if latencies else set()
+    return [cell for cell in own if cell["clock_speed"] == slowest and cell["latency_s"] in shown]
+
+
+def _returns_table(cells: Sequence[Cell], folded: str = "") -> Table:
+    return Table.of(
+        cells,
+        ("environment", lambda cell: cell["environment"]),
+        ("agent", lambda cell: cell["agent"]),
+        ("command", lambda cell: command_name(cell["command"])),
+        ("latency, ms", lambda cell: f"{1e3 * cell['latency_s']:g}"),
+        ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"])),
+        ("delay, simulated s", lambda cell: f"{cell['delay_s']:.3g}"),
+        ("return", lambda cell: f"{cell['return_mean']:.4g}"),
+        ("95 % interval", lambda cell: f"{cell['return_low']:.4g} to {cell['return_high']:.4g}"),
+        ("late at most, s", lambda cell: or_dash(cell["late_s"] or None, "{:.3f}".format)),
+        folded=folded,
+    )
+
+
+def _range(counts: set[int]) -> str:
+    return f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+
+
+_READING = (
+    "Between an observation and its action an agent thinks for the latency, on a wall clock that runs ClockSpeed times "
+    "slower than the simulation: the environment goes on for their product (ADSC) or stands still (TCSC). Two agents "
+    "change places where one is ahead of the other at the slowest ClockSpeed and behind it here, and their 95 % "
+    "intervals are apart both times; Kendall's tau compares the order of the means alone."
+)

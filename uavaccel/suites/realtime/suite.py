@@ -1,0 +1,92 @@
+"""The experiment as a suite: trainings first, whose weights the evaluations load from the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import cast
+
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase, cases, flies
+from uavaccel.suites.realtime.config import RealtimeConfig
+from uavaccel.suites.report import Report
+from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite
+
+AnyCase = TrainingCase | EvaluationCase
+WEIGHTS_BYTES = 100_000  # of a trained agent, about
+
+
+class Realtime(Suite[RealtimeConfig, AnyCase]):
+    """`uavaccel run realtime`."""
+
+    name = "realtime"
+    config = RealtimeConfig
+    batch = 1
+
+    @property
+    def report_class(self) -> type[Report]:
+        from uavaccel.suites.realtime.report import RealtimeReport
+
+        return RealtimeReport
+
+    def check(self, config: RealtimeConfig) -> None:
+        """Every environment can be made, and every agent can act in it."""
+        from uavaccel.suites.realtime.environments import timed
+
+        for name, block in config.environments.items():
+            for agent in (agent for agent in config.agents if flies(config, name, agent)):
+                try:
+                    timed(block, config.agents[agent], 0.0, "adsc", 1.0).close()
+                except UserError as error:
+                    raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
+                except Exception as error:  # whatever an environment of anybody's raises
+                    said = (str(error) or type(error).__name__).splitlines()[0]
+                    raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
+
+    def cases(self, config: RealtimeConfig) -> Iterator[AnyCase]:
+        return cases(config)
+
+    def stage(self, case: AnyCase) -> int:
+        """An agent is trained before it is evaluated."""
+        return int(isinstance(case, EvaluationCase))
+
+    def why_serial(self, config: RealtimeConfig) -> str:
+        if config.timing == "wall":
+            return "neighbours would spoil the measurement on the wall clock"
+        return ""
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("seeds",)
+
+    def cost(self, config: RealtimeConfig, case: AnyCase) -> Cost:
+        trained = isinstance(case, TrainingCase)
+        return Cost(case.wall_s(), ROW_BYTES + trained * WEIGHTS_BYTES)
+
+    def games(self, config: RealtimeConfig, case: AnyCase) -> int:
+        return case.episodes if isinstance(case, EvaluationCase) else 1
+
+    def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> nullcontext[RunDirectory]:
+        return nullcontext(run)
+
+    def fly(self, config: RealtimeConfig, case: AnyCase, opened: RunDirectory) -> GameResult:
+        from uavaccel.suites.realtime.flights import fly_evaluation, fly_training
+
+        if isinstance(case, TrainingCase):
+            return GameResult(*fly_training(config, case))
+        row = next(row for row in opened.rows() if row["case"] == case.training.id)
+        return GameResult(fly_evaluation(config, case, opened.load_arrays(row)))
+
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        """A run on the simulated clock and one on the machine's, in whatever order."""
+        from uavaccel.suites.realtime.report import compare_clocks
+
+        by_timing = {str(run.config()["timing"]): run for run in runs}
+        if set(by_timing) != {"virtual", "wall"}:
+            raise UserError("realtime: compares a run with timing virtual and one with timing wall")
+        return compare_clocks(by_timing["virtual"], by_timing["wall"])
+
+    def status(self, rows: Sequence[object]) -> str:
+        row = cast("dict[str, object]", rows[-1])
+        return f"{row['case']}"
