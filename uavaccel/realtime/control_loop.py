@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from uavaccel.clock import positive_clock_speed
 from uavaccel.errors import UserError
-from uavaccel.realtime.plant import Action, Passed, Plant
+from uavaccel.realtime.plant import Action, Passed, Period, Plant
 from uavaccel.units import ceil_div
 
 Command = Literal["adsc", "tcsc"]
@@ -94,10 +94,12 @@ class ControlLoop:
     def __init__(self, plant: Plant, options: LoopOptions, action_space: spaces.Space[Any]) -> None:
         self.plant, self.options = plant, options
         self.goes_on = options.command == "adsc"
+        self.acts_singly = options.chunk == 1
         self._default = options.idle_action(action_space) if self.goes_on else None
         self._holds = options.meanwhile == "hold"
         self._act_ticks = options.executed * plant.period_ticks
-        self._numerator, self._denominator = options.speed.as_integer_ratio()
+        self._numerator, denominator = options.speed.as_integer_ratio()
+        self._tick_wall = plant.tick_ns * denominator  # wall ns of `numerator` ticks
         self.begin()
 
     def begin(self) -> None:
@@ -110,20 +112,31 @@ class ControlLoop:
         """How many ticks pass while an agent thinks: an action waits for the end of the tick it arrives in."""
         if not self.goes_on:
             return 0
-        return ceil_div(wall_ns * self._numerator, self.plant.tick_ns * self._denominator)
+        return ceil_div(wall_ns * self._numerator, self._tick_wall)
 
     def wall_ns(self, ticks: int) -> int:
         """The wall time that so many ticks take."""
-        return ceil_div(ticks * self.plant.tick_ns * self._denominator, self._numerator)
+        return -(-ticks * self._tick_wall // self._numerator)
 
     def act_ticks(self, thinking_ticks: int) -> int:
         """How many ticks pass from an action's arrival to the next observation."""
         return max(self._act_ticks - thinking_ticks, 0) if self.options.overlap else self._act_ticks
 
-    def plan(self, action: Action) -> None:
-        """The agent's actions have arrived."""
-        actions, ticks = ([action] if self.options.chunk == 1 else action), self.plant.period_ticks
-        self._planned = deque((each, ticks) for each in actions)
+    def step(self, action: Action) -> Period:
+        """A single action for its control period, before which nothing has passed."""
+        if self._planned:
+            self._planned.clear()
+        if self._holds:
+            self._idle = action
+        return self.plant.step(action)
+
+    def act(self, action: Action, ticks: int, before: Passed | None = None) -> Passed:
+        """The agent's actions have arrived: fly them for so many ticks, none if that took longer than they last."""
+        actions = [action] if self.options.chunk == 1 else action
+        self._planned = deque((each, self.plant.period_ticks) for each in actions)
+        if ticks == 0 and before is not None:
+            return before
+        return self.advance(ticks, before)
 
     def advance(self, ticks: int, before: Passed | None = None) -> Passed:
         """Let at least one tick pass, under what is planned; the result is summed up with what passed `before`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, SupportsFloat
 
 import gymnasium
 from gymnasium.wrappers import TimeLimit
@@ -12,6 +12,10 @@ from uavaccel.units import NS_PER_S, exact
 
 Observation = Any
 Action = Any
+
+
+Period = tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]
+"""What became of a control period, as Gymnasium's `step` has it."""
 
 
 class Passed(NamedTuple):
@@ -37,6 +41,10 @@ class Plant(Protocol):
         """An episode has begun."""
         ...
 
+    def step(self, action: Action) -> Period:
+        """Apply an action for a control period."""
+        ...
+
     def advance(self, action: Action, ticks: int) -> Passed:
         """Apply an action for at least one tick; an episode that ends on the way stops the count."""
         ...
@@ -46,7 +54,7 @@ class PeriodicPlant:
     """Any environment: a tick is a control period, one call of `step`."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], period_s: float) -> None:
-        self._step, self.tick_ns, self.period_ticks = env.step, _period_ns(period_s), 1
+        self.step, self.tick_ns, self.period_ticks = env.step, _period_ns(period_s), 1
 
     def reset(self) -> None:
         pass
@@ -54,7 +62,7 @@ class PeriodicPlant:
     def advance(self, action: Action, ticks: int) -> Passed:
         total, passed = 0.0, 0
         while True:
-            observation, reward, terminated, truncated, info = self._step(action)
+            observation, reward, terminated, truncated, info = self.step(action)
             total, passed = total + float(reward), passed + 1
             if passed == ticks or terminated or truncated:
                 return Passed(observation, total, terminated, truncated, info, passed)
@@ -78,11 +86,13 @@ class MujocoPlant:
     def reset(self) -> None:
         self._ticks = 0
 
+    def step(self, action: Action) -> Period:
+        if self._ticks % self.period_ticks:
+            return self._part(action, self.period_ticks)
+        self._ticks += self.period_ticks
+        return self._env.step(action)
+
     def advance(self, action: Action, ticks: int) -> Passed:
-        if ticks == self.period_ticks and self._ticks % ticks == 0:  # as without delays, at no cost
-            observation, reward, terminated, truncated, info = self._env.step(action)
-            self._ticks += ticks
-            return Passed(observation, float(reward), terminated, truncated, info, ticks)
         total, passed = 0.0, 0
         while True:
             count = min(ticks - passed, self.period_ticks)
@@ -91,7 +101,7 @@ class MujocoPlant:
             if passed == ticks or terminated or truncated:
                 return Passed(observation, total, terminated, truncated, info, passed)
 
-    def _part(self, action: Action, ticks: int) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+    def _part(self, action: Action, ticks: int) -> Period:
         self._ticks += ticks
         if self._limit is not None:
             self._limit._elapsed_steps = self._ticks // self.period_ticks - 1  # its step adds one

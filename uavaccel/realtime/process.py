@@ -131,10 +131,7 @@ class _Server:
         if not loop.goes_on:
             self._pacer.anchor(self._arrived_ns, 0)
         if passed is None or not (passed.terminated or passed.truncated):
-            loop.plan(action)
-            if acted := loop.act_ticks(thought):
-                passed = loop.advance(acted, passed)
-        assert passed is not None
+            passed = loop.act(action, loop.act_ticks(thought), passed)
         due_ns = self._pacer.wall_due(passed.ticks)
         late_ns = max(self._clock.now_ns() - due_ns, 0)
         self._clock.sleep_until(due_ns)

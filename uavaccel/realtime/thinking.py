@@ -45,6 +45,17 @@ class _Drawn:
         return sum(round(np.interp(generator.random(), self._quantiles, table)) for table in self._tables_ns)
 
 
+class _Constant:
+    def __init__(self, seconds: float) -> None:
+        self._taken_ns = seconds_to_ns(seconds)
+
+    def observed(self) -> None:
+        pass
+
+    def draw_ns(self, generator: np.random.Generator) -> int:
+        return self._taken_ns
+
+
 class _Lognormal:
     def __init__(self, median_s: float, sigma: float) -> None:
         self._median_s, self._sigma = median_s, sigma
@@ -141,7 +152,7 @@ def thinking_time(latency_s: object) -> ThinkingTime:
     if isinstance(latency_s, bool):
         raise UserError(f"latency_s: {_MEANT}, not {latency_s}")
     if isinstance(latency_s, int | float):
-        return samples([_checked(float(latency_s))])
+        return _Constant(_checked(float(latency_s)))
     if latency_s == MEASURED:
         return Measured()
     if isinstance(latency_s, str | Path):

@@ -76,9 +76,11 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._loop = None
         if self._drone is None:
             self._loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
+            self._tick_s = self._loop.plant.tick_ns / NS_PER_S
         self.action_space = options.action_space(env.action_space)
         self._extras = Extras(env.observation_space, self.action_space, observe_age, observe_actions)
         self.observation_space = self._extras.space
+        self._adds = observe_age or observe_actions > 0
         self._generator = np.random.default_rng()
         self._wall_ns = self._ticks = 0
 
@@ -99,28 +101,30 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Think, then act: rewards are those of both."""
-        thinking_ns = self.thinking.draw_ns(self._generator)
-        if self._loop is None:
+        thinking_ns, loop = self.thinking.draw_ns(self._generator), self._loop
+        if loop is None:
             return self._command(action, thinking_ns)
-        loop, passed = self._loop, None
-        thought = loop.ticks_within(thinking_ns)
-        if thought:
-            passed = loop.advance(thought)
-        if passed is None or not (passed.terminated or passed.truncated):
-            loop.plan(action)
-            self._extras.note(action)
-            if acted := loop.act_ticks(thought):
-                passed = loop.advance(acted, passed)
-        assert passed is not None
-        self._ticks += passed.ticks
-        tick_s, info = loop.plant.tick_ns / NS_PER_S, dict(passed.info)
-        age_s = min(thought, passed.ticks) * tick_s
-        self._wall_ns += loop.wall_ns(passed.ticks) + (0 if loop.goes_on else thinking_ns)
+        undelayed = thinking_ns == 0 or not loop.goes_on
+        if undelayed and loop.acts_singly:  # as most steps are, at the least cost
+            thought, ticks = 0, loop.plant.period_ticks
+            observation, reward, terminated, truncated, info = loop.step(action)
+        else:
+            thought, before = loop.ticks_within(thinking_ns), None
+            if thought:
+                before = loop.advance(thought)
+            if before is None or not (before.terminated or before.truncated):
+                before = loop.act(action, loop.act_ticks(thought), before)
+            observation, reward, terminated, truncated, info, ticks = before
+        self._ticks += ticks
+        self._wall_ns += loop.wall_ns(ticks) if loop.goes_on else loop.wall_ns(ticks) + thinking_ns
+        age_s = min(thought, ticks) * self._tick_s if thought else 0.0
         info["thinking_s"], info["meanwhile_s"] = thinking_ns / NS_PER_S, age_s
-        info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * tick_s
-        observation = self._extras.added(passed.observation, age_s)
+        info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * self._tick_s
+        if self._adds:
+            self._extras.note(action)
+            observation = self._extras.added(observation, age_s)
         self.thinking.observed()
-        return observation, passed.reward, passed.terminated, passed.truncated, info
+        return observation, float(reward), terminated, truncated, info
 
     def _command(self, action: Any, thinking_ns: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """A drone's: its own clocks say what it flies meanwhile."""
