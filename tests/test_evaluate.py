@@ -26,8 +26,8 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.agents import OffsetAgent, make_agent
-from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes
+from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.suites.evaluation.film import film_lane

@@ -19,7 +19,7 @@ from uavaccel.envs.task import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import make_policy
-from uavaccel.rl.onnx_file import Flown, example, reduced, write_onnx
+from uavaccel.rl.onnx_file import OnnxPolicy, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy
 from uavaccel.suites.tables import row_table, sample_tables, write_tables
 from uavaccel.vision.observation import dvs_observation
@@ -93,7 +93,7 @@ def test_the_whole_network_acts_as_the_policy(algorithm: str, task: dict[str, An
         inputs[0] = th.round(inputs[0] / 64 - 2)
         seen[:, : planes[0].shape[1]] = reduced(inputs[0], "dvs").numpy()
     with th.inference_mode():
-        _, action = Flown(trained).eval()(*inputs)
+        _, action = OnnxPolicy(trained).eval()(*inputs)
     assert action.tolist() == trained.act(seen).tolist()
     if importlib.util.find_spec("onnxscript") and importlib.util.find_spec("onnxruntime"):
         _runs_alike(trained, inputs, action, tmp_path / "policy.onnx")

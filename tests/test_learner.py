@@ -21,8 +21,8 @@ from uavaccel.config import validate
 from uavaccel.rl import device_network, double_dqn
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
+from uavaccel.rl.config import DqnOptions
 from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
 from uavaccel.rl.replay import Batch

@@ -16,7 +16,7 @@ from uavaccel.cli.run import RunRequest, configure
 from uavaccel.cli.starter import SCHEMA, init, schema_text
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
-from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.config import DqnOptions
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.yaml_io import load_yaml
 

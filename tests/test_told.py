@@ -17,7 +17,7 @@ from uavaccel.envs.told import ContextPlanes
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
 from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.mirror import turned_actions
+from uavaccel.rl.network import turned_actions
 from uavaccel.rl.replay import Batch
 
 KNOWS = ("last_action", "frame_age")

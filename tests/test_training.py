@@ -25,8 +25,8 @@ from uavaccel.rl.agents import make_agent
 from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import Lanes, make_lanes
+from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game

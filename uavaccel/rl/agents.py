@@ -1,4 +1,4 @@
-"""Who flies an evaluation: a trained policy, or a baseline that sees nothing."""
+"""Agents that fly an evaluation: a trained policy, or a baseline without pictures."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ REACHED_M = 0.3  # from its offset a drone that flies along it turns back
 
 
 class Agent(Protocol):
-    """Chooses an action from an observation and the info that came with it."""
+    """Chooses an action for an observation and the info that came with it."""
 
     def act(self, observation: Frame, info: Info) -> int: ...
 
 
 class PolicyAgent:
-    """The greedy action of a trained policy."""
+    """Takes the greedy action of a trained policy."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -45,16 +45,13 @@ class PolicyAgent:
 
 
 class OffsetAgent:
-    """Flies to a lateral offset in front of the first row, then straight on; it sees its own position alone."""
+    """Flies to a lateral offset ahead of the first row, then straight on; it uses only its own position."""
 
     def __init__(self, offset_m: float, task: LaneTask) -> None:
         headings = np.array(task.headings_deg)
         self._offset_m = offset_m
-        self._ahead, self._west, self._east = (
-            int(np.argmin(abs(headings))),
-            int(headings.argmin()),
-            int(headings.argmax()),
-        )
+        self._ahead = int(np.argmin(abs(headings)))
+        self._west, self._east = int(headings.argmin()), int(headings.argmax())
 
     def act(self, observation: Frame, info: Info) -> int:
         error_m = self._offset_m - info["position_m"][1]
@@ -64,20 +61,14 @@ class OffsetAgent:
 
 
 SENSES = (
-    "observation",
-    "history",
-    "knows",
-    "blank_images",
-    "dvs_preset",
-    "dvs_seed",
-    *OF_SENSOR,
-    "dvs_rate_hz",
+    *("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"),
+    *(*OF_SENSOR, "dvs_rate_hz"),
 )
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
 def trained_keys(name: str) -> dict[str, object]:
-    """Keys of the task that the agent was trained with; a baseline needs no pictures. Raises UserError."""
+    """Return the task's keys that the agent was trained with; a baseline needs no pictures. Raises UserError."""
     if is_baseline(name):
         return {"observation": "state", "history": 1}
     trained = read_manifest(policy_folder(name))[1].task.model_dump(mode="json")
@@ -85,25 +76,23 @@ def trained_keys(name: str) -> dict[str, object]:
 
 
 def is_baseline(name: str) -> bool:
-    """Whether the agent is one that was never trained."""
+    """Whether the agent is a baseline, which was never trained."""
     return name == STRAIGHT or name.startswith(OFFSET)
 
 
 def make_agent(name: str, task: LaneTask) -> Agent:
-    """The agent `straight`, `offset:METRES`, `default`, or a folder's policy.
+    """Make the agent `straight`, `offset:METRES`, `default`, or the policy in a folder.
 
-    Raises UserError if there is none, or its network cannot take what the task lets it see and do.
+    Raises UserError if there is none, or if its network does not fit the task's observations and actions.
     """
     check_agent(name, task)
-    return (
-        OffsetAgent(_offset_m(name), task)
-        if is_baseline(name)
-        else PolicyAgent(load_policy(policy_folder(name)))
-    )
+    if is_baseline(name):
+        return OffsetAgent(_offset_m(name), task)
+    return PolicyAgent(load_policy(policy_folder(name)))
 
 
 def check_agent(name: str, task: LaneTask) -> None:
-    """Raises UserError as `make_agent`, but for weights that are no tensors of that network: they are not read."""
+    """Raise UserError as `make_agent` does, except for what only reading the weights would show."""
     if is_baseline(name):
         _offset_m(name)
     else:
@@ -111,7 +100,7 @@ def check_agent(name: str, task: LaneTask) -> None:
 
 
 def _offset_m(name: str) -> float:
-    """Metres east of the middle along which a baseline flies. Raises UserError."""
+    """Return the metres east of the centre line at which a baseline flies. Raises UserError."""
     if name == STRAIGHT:
         return 0.0
     try:
@@ -142,16 +131,16 @@ def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:
 
 
 def policy_sha256(name: str) -> str | None:
-    """Hash of the file of weights that the agent flies with; None for a baseline."""
+    """SHA-256 of the agent's file of weights; None for a baseline."""
     if is_baseline(name):
         return None
     return hashlib.sha256((policy_folder(name) / WEIGHTS).read_bytes()).hexdigest()
 
 
 def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
-    """What a training begins with: the weights of `start_from`, or random ones.
+    """Make the policy that a training starts with: the weights of `start_from`, or random ones.
 
-    Raises UserError if that is no policy, or its network is another one than the configuration's.
+    Raises UserError if `start_from` is no policy, or if its network differs from the configuration's.
     """
     from uavaccel.rl.algorithms import make_policy
 
@@ -170,5 +159,5 @@ def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
 
 
 def policy_folder(name: str) -> Path:
-    """The folder of a policy: of the one that ships for "default", else the name is a path."""
+    """Return the folder of a policy: the one that ships for "default"; any other name is a path."""
     return asset("policies/default") if name == DEFAULT else Path(name)

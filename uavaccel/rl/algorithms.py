@@ -1,4 +1,4 @@
-"""Learners by name: Double DQN of this project's own, and stable-baselines3's algorithms as baselines."""
+"""Networks and policies by algorithm: this project's own Double DQN, and stable-baselines3's as baselines."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
-from uavaccel.rl.checks import ALGORITHMS, OWN
-from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.mirror import rated_both_ways
-from uavaccel.rl.network import LaneFeatures
+from uavaccel.rl.config import ALGORITHMS, OWN, LearnerConfig
+from uavaccel.rl.network import LaneFeatures, rated_both_ways
 
 
 def baseline_class(name: str) -> type[BaseAlgorithm]:
-    """A class of stable-baselines3. Raises UserError if there is none for discrete actions."""
+    """Return the class of a stable-baselines3 algorithm. Raises UserError unless it takes discrete actions."""
     found = getattr(stable_baselines3, name.upper(), None)
     if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
         raise UserError(f"algorithm = {name!r} is unknown; there are {ALGORITHMS}")
@@ -36,12 +34,12 @@ def baseline_class(name: str) -> type[BaseAlgorithm]:
 
 
 def policy_name(config: LearnerConfig) -> str:
-    """Which of stable-baselines3's policies sees the observations."""
+    """Return the name of the stable-baselines3 policy that fits the observations."""
     return "MlpPolicy" if config.task.observation == "state" else "CnnPolicy"
 
 
 def policy_keywords(config: LearnerConfig) -> dict[str, object]:
-    """Network layout."""
+    """Return the keywords that make stable-baselines3's policy the configured network."""
     keywords: dict[str, object] = {"net_arch": list(config.hidden)}
     if config.task.observation != "state":
         keywords |= {
@@ -57,9 +55,9 @@ def policy_keywords(config: LearnerConfig) -> dict[str, object]:
 
 
 class Adam(th.optim.Adam):
-    """PyTorch's, without the wrappers that load its compiler at their first call: 1.4 s, for what nothing here uses.
+    """PyTorch's Adam without the wrappers that load its compiler at their first call, which takes 1.4 s.
 
-    They keep what they wrap out of a compiled graph, and leave it as `__wrapped__`.
+    They only keep a method out of compiled graphs, which are not used here, and leave it as `__wrapped__`.
     """
 
     add_param_group = unwrap(th.optim.Optimizer.add_param_group)
@@ -70,13 +68,13 @@ class Adam(th.optim.Adam):
 
 
 class NoOptimizer:
-    """Of a policy that only flies: PyTorch's own load its compiler, which takes longer than all else of a start."""
+    """Stands for the optimizer of a policy that only flies: PyTorch's load its compiler, most of the start-up time."""
 
     def __init__(self, parameters: Iterable[th.nn.Parameter], **_: object) -> None: ...
 
 
 def make_policy(config: LearnerConfig, learning_rate: Schedule, learns: bool = True) -> BasePolicy:
-    """The untrained policy: networks, and the optimizer of those that learn."""
+    """Make an untrained policy: the networks and, if it `learns`, their optimizer."""
     found = stable_baselines3.DQN if config.algorithm == OWN else baseline_class(config.algorithm)
     make: Callable[..., BasePolicy] = found.policy_aliases[policy_name(config)]
     space, actions = config.task.observation_space(), config.task.action_space()
@@ -85,18 +83,16 @@ def make_policy(config: LearnerConfig, learning_rate: Schedule, learns: bool = T
 
 
 def greedy(policy: BasePolicy, observations: Frame, turned: Sequence[int] | None = None) -> NDArray[np.int64]:
-    """The best actions (n,) for observations (n, ...); with the actions' mirror images `turned`, rated both ways."""
+    """Return the greedy actions (n,) for observations (n, ...); `turned` averages with the mirror's values."""
     if not isinstance(policy, DQNPolicy):
         return np.asarray(policy.predict(observations, deterministic=True)[0])
-    with (
-        th.inference_mode()
-    ):  # as `predict`, without its checks and switches, which take longer than the network
+    with th.inference_mode():  # `predict` without its checks, which take longer than the network
         ratings = action_values(policy, th.from_numpy(observations).to(policy.device), turned)
         return np.asarray(ratings.argmax(dim=1).cpu())
 
 
 def action_values(policy: DQNPolicy, seen: th.Tensor, turned: Sequence[int] | None) -> th.Tensor:
-    """DQN's ratings (n, actions) of what is seen, or the mean of both ways."""
+    """Return DQN's action values (n, actions), averaged with those of the mirror image if `turned` is given."""
     if turned is None:
         ratings: th.Tensor = policy.q_net(seen)
         return ratings
@@ -106,7 +102,7 @@ def action_values(policy: DQNPolicy, seen: th.Tensor, turned: Sequence[int] | No
 def action_ratings(
     policy: BasePolicy, observations: Frame, turned: Sequence[int] | None = None
 ) -> tuple[str, NDArray[np.float64]]:
-    """How a policy rates its actions (n, actions), and what the numbers are: DQN's values, others' probabilities."""
+    """Return what the numbers are, and (n, actions) of them: DQN's action values or other policies' probabilities."""
     seen = th.from_numpy(observations).to(policy.device)
     with th.inference_mode():
         if isinstance(policy, DQNPolicy):

@@ -1,4 +1,4 @@
-"""stable-baselines3's algorithms as learners: their schedules on games, their rollouts one by one."""
+"""stable-baselines3's algorithms as learners: one rollout at a time, schedules by games instead of steps."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "t
 
 
 class Baseline:
-    """An algorithm of stable-baselines3 over lanes; `algorithm` is its own object."""
+    """A stable-baselines3 algorithm that learns from lanes; `algorithm` is the library's own object."""
 
     def __init__(self, config: LearnerConfig, lanes: Lanes) -> None:
         self.config, self.lanes = config, lanes
@@ -58,19 +58,19 @@ class Baseline:
 
     @property
     def exploration_rate(self) -> float | None:
-        """Share of random actions; None where the algorithm explores otherwise."""
+        """Share of random actions; None for an algorithm that explores differently."""
         return getattr(self.algorithm, "exploration_rate", None)
 
     @property
     def at_rest(self) -> bool:
-        """Between two rollouts, always."""
+        """See `Learner`: between two rollouts a checkpoint can always be taken."""
         return True
 
     def begin(self) -> None:
-        """Its algorithm begins them itself."""
+        """See `Learner`: here the algorithm resets the lanes itself."""
 
     def advance(self) -> list[Game]:
-        """One rollout, and what is learned after it."""
+        """Collect one rollout and learn from it."""
         self._callback.finished = []
         self.algorithm.learn(1, self._callback, log_interval=1 << 30, reset_num_timesteps=not self._begun)
         self._begun = True
@@ -78,6 +78,7 @@ class Baseline:
         return self._callback.finished
 
     def _make(self, base: type[BaseAlgorithm]) -> BaseAlgorithm:
+        """Make the algorithm. Raises UserError for options that it rejects."""
         config, keywords = self.config, dict(self.config.options)
         scheduled: Any = type(
             f"{base.__name__}ByGames", (_ByGames, base), {"remaining": staticmethod(self._remaining)}
@@ -117,7 +118,7 @@ class Baseline:
     # --- going on after a stop --------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Networks, optimizer, buffer, counters and generators."""
+        """Return networks, optimizer, buffer, counters and generators."""
         model = self.algorithm
         tensors = {
             "policy": model.policy.state_dict(),
@@ -130,7 +131,7 @@ class Baseline:
         return LearnerState(tensors, self._buffer_state(), counters)
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """Take what `get_state` gave, and what the lanes show."""
+        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
         model: Any = self.algorithm
         model.policy.load_state_dict(state.tensors["policy"])
         model.policy.optimizer.load_state_dict(state.tensors["optimizer"])
@@ -162,7 +163,7 @@ class Baseline:
 
 
 class _ByGames:
-    """Mixed into an algorithm: its schedules follow the share of games flown, not of time steps."""
+    """Mixin that lets an algorithm's schedules follow the share of games flown instead of time steps."""
 
     remaining: Callable[[], float]
 
@@ -171,7 +172,7 @@ class _ByGames:
 
 
 class _Games(BaseCallback):
-    """Gathers the games that end in a rollout; stops it after the last one."""
+    """Collects the games that end during a rollout, and stops it after the last one of the training."""
 
     def __init__(self, learner: Baseline) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
-"""Checkpoints from which a training goes on to the weights that it would have had.
+"""Checkpoints from which a resumed training reaches the same weights as one that was never interrupted.
 
-The learner, every generator, and the games under way, as tensors, arrays and JSON: reading one runs no code. A
-checkpoint counts once its last file is there.
+The learner, all random generators and the running games are stored as tensors, arrays and JSON, so that reading a
+checkpoint runs no code. A checkpoint is valid once its last file, state.json, exists.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ from uavaccel.sim.saved import State, prefixed, without_prefix
 
 _COMPLETE = "state.json"
 DAMAGE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError)
-"""What reading a damaged file of tensors or arrays raises."""
+"""Exceptions that reading a damaged file of tensors or arrays raises."""
 
 
 def save_checkpoint(folder: Path, learner: Learner) -> None:
-    """Write the learner's state and that of its games; older checkpoints in `folder` go."""
+    """Save the states of the learner and of its games; older checkpoints in `folder` are removed."""
     checkpoint = folder / f"{learner.games:07d}"
     shutil.rmtree(checkpoint, ignore_errors=True)
     checkpoint.mkdir(parents=True)
     state = learner.get_state()
     path = checkpoint / "learner.pt"
     with naming(path), path.open("wb") as file:  # to a name torch would write with errors of its own
-        th.save({**state.tensors, "cuda": _cuda_states()}, file)
+        cuda_states = th.cuda.get_rng_state_all() if th.cuda.is_available() else []
+        th.save({**state.tensors, "cuda": cuda_states}, file)
     with naming(checkpoint), (checkpoint / "buffer.npz").open("wb") as file:
         np.savez(file, **state.arrays)  # type: ignore[arg-type]
     _save_games(checkpoint / "games.npz", learner.lanes)
@@ -56,7 +57,7 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
 
 
 def find_checkpoint(folder: Path) -> Path | None:
-    """The newest whole checkpoint below `folder`."""
+    """Return the newest complete checkpoint in `folder`; None without one."""
     whole = _whole(folder)
     return whole[-1] if whole else None
 
@@ -66,7 +67,7 @@ def _whole(folder: Path) -> list[Path]:
 
 
 def games_of(checkpoint: Path) -> int:
-    """How many games were over when it was taken."""
+    """Return how many games had been completed when the checkpoint was taken. Raises UserError if it is damaged."""
     try:
         return int(_plain(checkpoint)["games"])
     except (KeyError, TypeError, ValueError) as error:
@@ -74,18 +75,12 @@ def games_of(checkpoint: Path) -> int:
 
 
 def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
-    """Put learner, games and every generator back. Raises UserError where it is damaged, or of other lanes."""
+    """Restore learner, games and all generators. Raises UserError if it is damaged or has another number of lanes."""
     try:
         _put_back(checkpoint, learner)
     except UserError:
         raise
-    except (
-        *DAMAGE,
-        AttributeError,
-        IndexError,
-        RuntimeError,
-        TypeError,
-    ) as error:  # whatever its contents bring about
+    except (*DAMAGE, AttributeError, IndexError, RuntimeError, TypeError) as error:  # from wrong contents
         raise _damaged(checkpoint, error) from error
 
 
@@ -118,17 +113,13 @@ def _damaged(checkpoint: Path, error: Exception) -> UserError:
     )
 
 
-def _cuda_states() -> list[th.Tensor]:
-    return th.cuda.get_rng_state_all() if th.cuda.is_available() else []
-
-
 def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
 
 
 def _save_games(path: Path, lanes: Lanes) -> None:
-    """The games that are under way; the state of lane n under "n."."""
+    """Save the running games, with the keys of lane n prefixed by "n."."""
     games: list[State] = lanes.env_method("get_state")
     with naming(path), path.open("wb") as file:
         np.savez(
@@ -138,7 +129,7 @@ def _save_games(path: Path, lanes: Lanes) -> None:
 
 
 def _load_games(path: Path, lanes: Lanes) -> Frame:
-    """Go on with the games that were under way; what the learner last saw of them, (lanes, ...)."""
+    """Resume the saved games; returns their last observations (lanes, ...)."""
     state = _read_arrays(path)
     count = len({name.partition(".")[0] for name in state})
     if lanes.num_envs != count:

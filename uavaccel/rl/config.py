@@ -1,79 +1,93 @@
-"""Configuration of a learner: the task, the algorithm and how long."""
+"""Configuration of a learner: the task, the algorithm with its options, and the length of the training."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import inspect
+import math
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.task import Count
+from uavaccel.envs.task import Count, Positive
+from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.limits import Cost, Games, Processes, Seed
+from uavaccel.machine import memory_bytes
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+OWN = "double_dqn"
+ALGORITHMS = f"{OWN}, dqn, ppo, a2c"
+RESERVED = (
+    "policy",
+    "env",
+    "policy_kwargs",
+    "seed",
+    "device",
+    "verbose",
+    "tensorboard_log",
+    "_init_setup_model",
+)
+SIZES = ("buffer_size", "batch_size", "n_steps", "n_epochs")
+LARGEST_SIZE = 1_000_000_000
 
 Channels = Annotated[int, Field(ge=1, le=1_024)]
 Width = Annotated[int, Field(ge=1, le=8_192)]
+Size = Annotated[int, Field(ge=1, le=LARGEST_SIZE)]
+Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class LearnerConfig(Config):
-    """What a policy comes from. Network, algorithm and their settings are this project's own choice."""
+    """How a policy is trained. Network, algorithm and their settings are this project's own choice."""
 
     seed: Seed = 0
+    """Seed of the lanes, of exploration and of the initial weights."""
     games: Games = 5000
+    """Games of the training."""
     simulator: Simulator = "mujoco"
-    """mujoco, the exact one, or kernels: lanes over arrays, in threads or, with device cuda, on the GPU."""
+    """mujoco, the exact simulator, or kernels: lanes over arrays, in threads or, with device cuda, on the GPU."""
     environments: Processes = 1
-    """Lanes flown side by side, of mujoco each in a process of its own; 1 with wall, where neighbours would disturb."""
+    """Lanes flown in parallel, with mujoco each in its own process; must be 1 with timing wall."""
     turns: Processes = 1
-    """Groups of the lanes that take turns, of double_dqn: while one decides and is learned from, the others fly."""
+    """Groups into which double_dqn divides the lanes: while it acts for and learns from one, the others fly."""
     task: LaneTask = LaneTask()
+    """The task that is learned."""
 
-    algorithm: str = "double_dqn"
-    """double_dqn, or the name of a class of stable-baselines3: dqn, ppo, a2c."""
+    algorithm: str = OWN
+    """double_dqn, or an algorithm of stable-baselines3: dqn, ppo, a2c."""
     options: dict[str, Plain] = Field(default_factory=dict)
-    """Keywords of that class, over its defaults and, for double_dqn, over those of rl/algorithms.py."""
-    final_learning_rate_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02
-    """What is left of the learning rate at the last game; it falls linearly over the games, to settle the policy."""
+    """Hyperparameters that differ from the algorithm's defaults: the keys of DqnOptions for double_dqn, the keyword
+    arguments of the class for an algorithm of stable-baselines3."""
+    final_learning_rate_share: Ratio = 0.02
+    """Learning rate at the last game, as a share of the initial one; it falls linearly over the games."""
     commands_per_gradient_step: Count = 4
-    """Of algorithms with a replay buffer."""
+    """Commands flown per gradient step, for algorithms with a replay buffer."""
     mirror: bool = True
-    """Whether double_dqn learns half of each batch as seen in a mirror: the lane is symmetric on average."""
+    """Whether double_dqn mirrors half of each batch left to right: on average the lane is symmetric."""
     mirrored_decisions: bool = False
-    """Whether double_dqn's policy, once learned, decides by the mean of its ratings of what it sees and of the mirror
-    image; without it, by the first."""
+    """Whether the trained double_dqn policy averages its action values over the observation and its mirror image;
+    otherwise it uses those of the observation alone."""
     start_from: str | None = None
-    """A policy whose weights double_dqn begins with: its folder, or default for the one that ships; None: random."""
+    """Policy whose weights double_dqn starts from: its folder, or default for the one that ships; None: random."""
     channels: Annotated[tuple[Channels, ...], Field(min_length=1, max_length=4)] = (16, 32)
+    """Channels of each convolutional layer."""
     hidden: Annotated[tuple[Width, ...], Field(max_length=8)] = (256,)
+    """Units of each fully connected hidden layer."""
 
     device: Annotated[str, Field(pattern=r"^(cpu|mps|cuda(:[0-9]+)?)$")] = "cpu"
+    """PyTorch device on which the learner runs: cpu, mps, cuda or cuda:N."""
     torch_threads: Processes = 1
-    """Threads of torch on the CPU; equal weights need an equal number."""
+    """CPU threads of PyTorch; equal weights need an equal number."""
     checkpoint_games: Count = 250
+    """Games between two checkpoints."""
     inference_s: Cost = 0.0005
-    """What a decision costs the simulated wall clock of `virtual`."""
+    """Seconds that one decision takes on the simulated wall clock of timing virtual."""
     learning_s: Cost = 0.01
-    """What a gradient step costs the simulated wall clock of `virtual`."""
-
-    @model_validator(mode="after")
-    def _timing_allows(self) -> LearnerConfig:
-        if self.task.timing == "wall" and self.environments > 1:
-            raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
-        return self
-
-    @model_validator(mode="after")
-    def _kernels_can_fly(self) -> LearnerConfig:
-        if self.simulator == "kernels":
-            check_flyable(self.task, self.environments, self.device)
-            if self.on_device and (self.algorithm != "double_dqn" or self.task.observation == "state"):
-                raise ValueError("simulator kernels with device cuda needs algorithm double_dqn and pictures")
-            if self.on_device and self.turns > 1:
-                raise ValueError(
-                    "turns must be 1 with simulator kernels and device cuda: all lanes fly at once"
-                )
-        return self
+    """Seconds that one gradient step takes on the simulated wall clock of timing virtual."""
 
     @property
     def on_device(self) -> bool:
@@ -81,24 +95,113 @@ class LearnerConfig(Config):
         return self.simulator == "kernels" and self.device.startswith("cuda")
 
     @model_validator(mode="after")
-    def _turns_have_lanes(self) -> LearnerConfig:
+    def _lanes_fit(self) -> LearnerConfig:
+        if self.task.timing == "wall" and self.environments > 1:
+            raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
+        if self.simulator == "kernels":
+            check_flyable(self.task, self.environments, self.device)
+        if self.on_device and (self.algorithm != OWN or self.task.observation == "state"):
+            raise ValueError("simulator kernels with device cuda needs algorithm double_dqn and pictures")
+        if self.on_device and self.turns > 1:
+            raise ValueError("turns must be 1 with simulator kernels and device cuda: all lanes fly at once")
         if self.turns > self.environments:
             raise ValueError(f"turns must be at most environments: {self.turns} of {self.environments} lanes")
         return self
 
     @model_validator(mode="after")
-    def _can_start_from(self) -> LearnerConfig:
-        if self.start_from is not None and self.algorithm != "double_dqn":
+    def _algorithm_fits(self) -> LearnerConfig:
+        if self.start_from is not None and self.algorithm != OWN:
             raise ValueError(f"start_from needs algorithm double_dqn, not {self.algorithm}")
-        return self
-
-    @model_validator(mode="after")
-    def _mirror_exists(self) -> LearnerConfig:
         headings = self.task.headings_deg
         symmetric = {-heading for heading in headings} == set(headings)
         for key in ("mirror", "mirrored_decisions"):
             if getattr(self, key) and (self.task.observation == "state" or not symmetric):
                 raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
-        if self.mirrored_decisions and self.algorithm != "double_dqn":
+        if self.mirrored_decisions and self.algorithm != OWN:
             raise ValueError(f"mirrored_decisions needs algorithm double_dqn, not {self.algorithm}")
         return self
+
+
+class DqnOptions(Config):
+    """Keys of `options` for `algorithm: double_dqn`, under the names that stable-baselines3 gives them."""
+
+    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 3e-4
+    """Initial learning rate of Adam."""
+    buffer_size: Size = 150_000
+    """Capacity of the replay buffer in commands, of all lanes together."""
+    learning_starts: Annotated[int, Field(ge=0, le=LARGEST_SIZE)] = 2_000
+    """Commands flown before learning begins, with random actions or, with start_from, those of that policy."""
+    batch_size: Size = 32
+    """Transitions per gradient step."""
+    gamma: Ratio = 0.95
+    """Discount factor per command."""
+    n_steps: Size = 3
+    """Commands whose rewards an n-step return adds before it bootstraps."""
+    target_update_interval: Size = 2_000
+    """Commands between two copies of the online network to the target network."""
+    exploration_initial_eps: Ratio = 1.0
+    """Share of random actions at the first game."""
+    exploration_fraction: Ratio = 0.3
+    """Share of the games over which exploration falls."""
+    exploration_final_eps: Ratio = 0.01
+    """Share of random actions from then on."""
+    max_grad_norm: Positive = 10.0
+    """Norm to which gradients are clipped."""
+
+    @model_validator(mode="after")
+    def _batches_come_from_the_buffer(self) -> DqnOptions:
+        if self.batch_size > self.buffer_size:
+            raise ValueError(
+                f"batch_size must be at most buffer_size: {self.batch_size} of {self.buffer_size} commands"
+            )
+        return self
+
+    @classmethod
+    def of(cls, config: LearnerConfig) -> DqnOptions:
+        """The options of a configuration. Raises UserError for an unknown key or a value out of range."""
+        return validate(cls, config.options, f"options of {config.algorithm}")
+
+    def exploration_rate(self, remaining: float) -> float:
+        """Share of random actions while `remaining`, a share of the games from 1 to 0, is still to be flown."""
+        done = 1.0 - remaining
+        if done > self.exploration_fraction:
+            return self.exploration_final_eps
+        fall = self.exploration_final_eps - self.exploration_initial_eps
+        return self.exploration_initial_eps + done * fall / self.exploration_fraction
+
+
+def check_algorithm(config: LearnerConfig) -> None:
+    """Check algorithm and options without making a learner, as a dry run does.
+
+    Raises UserError for an unknown algorithm, one for continuous actions, an unknown option, and a replay buffer that
+    does not fit into this machine's memory.
+    """
+    if config.algorithm == OWN:
+        stored = DqnOptions.of(config).buffer_size
+    else:
+        from uavaccel.rl.algorithms import baseline_class  # loads PyTorch
+
+        stored = _check_keywords(config, baseline_class(config.algorithm))
+    space, memory = config.task.observation_space(), memory_bytes()
+    needed = stored * math.prod(space.shape) * space.dtype.itemsize
+    if memory is not None and needed > memory and config.device == "cpu":
+        raise UserError(
+            f"options of {config.algorithm}: {'buffer_size' if 'n_steps' not in config.options else 'n_steps'}: "
+            f"{stored} observations take {needed / 1e9:.3g} GB; this machine has {memory / 1e9:.3g} GB"
+        )
+
+
+def _check_keywords(config: LearnerConfig, algorithm: type[BaseAlgorithm]) -> int:
+    """Return how many observations a baseline stores. Raises UserError for an option that it does not have."""
+    known = inspect.signature(algorithm).parameters
+    for name, value in config.options.items():
+        if name not in known or name in RESERVED:
+            there = ", ".join(each for each in known if each not in RESERVED)
+            raise UserError(f"options of {config.algorithm}: unknown key {name!r}; known: {there}")
+        if name in SIZES and not (type(value) is int and 1 <= value <= LARGEST_SIZE):
+            raise UserError(
+                f"options of {config.algorithm}: {name} = {value!r}: must be a whole number, 1 to {LARGEST_SIZE}"
+            )
+    size = "buffer_size" if "buffer_size" in known else "n_steps"
+    held = int(config.options.get(size, known[size].default))
+    return held if size == "buffer_size" else held * config.environments

@@ -26,12 +26,11 @@ from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
 from uavaccel.kernels.cuda import Recorded, SideStream
 from uavaccel.rl.agents import first_policy
-from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.config import DqnOptions, LearnerConfig
 from uavaccel.rl.device_network import rate
 from uavaccel.rl.device_replay import Cutter, DeviceReplay, Windows
-from uavaccel.rl.dqn_options import DqnOptions
 from uavaccel.rl.learner import Game, LearnerState, falling, learning_rhythm
-from uavaccel.rl.mirror import turned_actions
+from uavaccel.rl.network import turned_actions
 from uavaccel.units import NS_PER_S
 
 CHUNK = 8  # rounds between two looks of the host

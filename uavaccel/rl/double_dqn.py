@@ -1,9 +1,9 @@
-"""Double DQN (van Hasselt et al., AAAI 2016) over lanes flown side by side: a training's loop, on one page.
+"""Double DQN (van Hasselt et al., AAAI 2016) on lanes flown in parallel: the training loop.
 
-collect    an action for each lane, greedy or at random; the lanes fly on their own, in groups that take turns,
-learn      and meanwhile batches are drawn and the online network steps towards the target network's rating;
-store      what the lanes gave back goes into the replay buffer;
-schedule   exploration and learning rate fall with the games done, the target network follows now and then.
+collect    choose an action for each lane, greedy or random, and let the lanes fly, in groups that take turns;
+learn      meanwhile sample batches and take gradient steps towards the target network's values;
+store      add the transitions to the replay buffer;
+schedule   lower exploration and learning rate with the games done, update the target network periodically.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from uavaccel.envs.values import Frame, Info
 from uavaccel.files import Plain
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import greedy
-from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.config import DqnOptions, LearnerConfig
 from uavaccel.rl.graph import GraphedStep
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import (
@@ -42,15 +41,14 @@ from uavaccel.rl.learner import (
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.mirror import turned_actions
-from uavaccel.rl.network import ratings
+from uavaccel.rl.network import ratings, turned_actions
 from uavaccel.rl.replay import Batch, ReplayBuffer, Row
 
 COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
 
 
 class DoubleDQN:
-    """The learner. `policy` holds `q_net` (online), `q_net_target` and the optimizer."""
+    """The learner; `policy` holds `q_net` (online), `q_net_target` and the optimizer."""
 
     def __init__(self, config: LearnerConfig, lanes: Lanes) -> None:
         self.config, self.lanes, self.options = config, lanes, DqnOptions.of(config)
@@ -72,7 +70,7 @@ class DoubleDQN:
         self.observations: Frame | None = None
         self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(lanes.num_envs), config.turns)
         self.holding = False
-        self._next = 0  # group to take off
+        self._next = 0  # group whose command starts next
         self._flying: deque[int] = deque()
         self._actions = np.zeros(lanes.num_envs, np.int64)
         self._charges = [0] * config.turns  # gradient steps that each group has yet to pay for
@@ -92,27 +90,27 @@ class DoubleDQN:
             self._row = Row.like(self.observations)
 
     def advance(self) -> list[Game]:
-        """A group of lanes takes off, learning goes on, and once all are in the air the first one lands.
+        """Start a command in the next group, learn, and once all groups fly, wait for the first.
 
-        Gives the games that ended with it. While it is `holding`, the first group waits until all are down.
+        Returns the games that ended with its commands. While `holding`, no new round of the groups begins.
         """
         self.begin()
         assert self.observations is not None
         waits = self.holding and self._next == 0 and self._flying
         if not waits:
-            self._take_off(self._next, self.observations)
-        self._learn_beside_the_flight()
-        all_in_the_air = len(self._flying) == len(self.groups)
-        return self._land(self._flying.popleft()) if all_in_the_air or waits else []
+            self._start_command(self._next, self.observations)
+        self._learn_meanwhile()
+        all_fly = len(self._flying) == len(self.groups)
+        return self._finish_command(self._flying.popleft()) if all_fly or waits else []
 
     @property
     def at_rest(self) -> bool:
-        """Whether a checkpoint can be taken: between two learnings, none half done, and every lane down."""
+        """Whether a checkpoint can be taken: no gradient step is pending and no lane flies."""
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
     # --- collect ----------------------------------------------------------------------------------
 
-    def _take_off(self, group: int, observations: Frame) -> None:
+    def _start_command(self, group: int, observations: Frame) -> None:
         lanes = self.groups[group]
         charge_learning(self.lanes, self.config, self._charges[group], lanes)
         self._charges[group] = 0
@@ -121,7 +119,7 @@ class DoubleDQN:
         self._flying.append(group)
         self._next = (group + 1) % len(self.groups)
 
-    def _land(self, group: int) -> list[Game]:
+    def _finish_command(self, group: int) -> list[Game]:
         lanes = self.groups[group]
         after, rewards, dones, infos = self.lanes.step_wait(*self._in_part(lanes))
         seen = np.asarray(after)
@@ -135,20 +133,20 @@ class DoubleDQN:
         return games
 
     def _in_part(self, lanes: NDArray[np.int64]) -> tuple[list[int], ...]:
-        """What to add to a call that is for some lanes; nothing for all of them, which any VecEnv understands."""
+        """Extra arguments of a call that addresses some lanes; none for all, which any VecEnv understands."""
         return () if len(self.groups) == 1 else (lanes.tolist(),)
 
     def _act(self, observations: Frame) -> NDArray[np.int64]:
         with self.stopwatch.phase("inference"):
-            unknowing = self.config.start_from is None and self.commands < self.options.learning_starts
-            if unknowing or self.random.rand() < self.exploration_rate:
+            untrained = self.config.start_from is None and self.commands < self.options.learning_starts
+            if untrained or self.random.rand() < self.exploration_rate:
                 return np.array([self.lanes.action_space.sample() for _ in observations])
             return greedy(self.policy, observations)
 
     # --- learn ------------------------------------------------------------------------------------
 
-    def _learn_beside_the_flight(self) -> None:
-        """An equal part of what is owed, so that all is done before the next is."""
+    def _learn_meanwhile(self) -> None:
+        """Take an equal part of the pending gradient steps, so that they are done before the next ones are due."""
         if self.owed and not self._parts:
             self._flights_left = self._rhythm[0] * len(self.groups)
             self._parts.extend(self._parts_of(self.owed, self._flights_left))
@@ -162,13 +160,13 @@ class DoubleDQN:
             self.owed = 0
 
     def _parts_of(self, steps: int, flights: int) -> list[Callable[[], None]]:
-        """Gradient steps in parts of about equal length; on a GPU, where they are short, many to a part."""
+        """Divide gradient steps into parts of about equal duration; on a GPU, where they are short, many to a part."""
         if self.device.type != "cuda":
-            return [self._draw, self._step] * steps
+            return [self._prepare_batch, self._step] * steps
         shares = np.diff(np.linspace(0, steps, flights + 1).round().astype(int))
         return [partial(self._steps_at_once, int(share)) for share in shares]
 
-    def _draw(self) -> None:
+    def _prepare_batch(self) -> None:
         self._batch = self._half_mirrored(self._sample())
         self._targets = self.targets(self._batch)
 
@@ -179,12 +177,12 @@ class DoubleDQN:
         self.updates += 1
 
     def _steps_at_once(self, steps: int) -> None:
-        """Batches drawn together, and a launch of the recorded step for each: the GPU is never waited for."""
+        """Sample all batches at once and launch the recorded step for each, without waiting for the GPU."""
         if not steps:
             return
         size = self.options.batch_size
-        together = self._sample(steps)
-        batches = [Batch(*(each[at : at + size] for each in together)) for at in range(0, steps * size, size)]
+        samples = self._sample(steps)
+        batches = [Batch(*(each[at : at + size] for each in samples)) for at in range(0, steps * size, size)]
         if self._graph is None:
             for group in self.policy.optimizer.param_groups:
                 group["lr"] = th.tensor(self.rate, device=self.device)
@@ -205,7 +203,7 @@ class DoubleDQN:
         return self.buffer.sample(count, options.n_steps, options.gamma, self.random)
 
     def _descend(self, batch: Batch, targets: th.Tensor) -> None:
-        """One step of the online network towards the targets, by Huber's loss."""
+        """Take one gradient step of the online network on the Huber loss to the targets."""
         chosen = self.policy.q_net(batch.observations).gather(1, batch.actions)
         loss = functional.smooth_l1_loss(chosen, targets)
         self.policy.optimizer.zero_grad()
@@ -215,13 +213,13 @@ class DoubleDQN:
 
     @th.no_grad()
     def targets(self, batch: Batch) -> th.Tensor:
-        """Rewards (n, 1) plus the discounted rating of what the online network would do next."""
+        """Return rewards plus the discounted target value of the online network's next greedy action (n, 1)."""
         both = ratings((self.policy.q_net, self.policy.q_net_target), batch.next_observations)
         rating = both[1].gather(1, both[0].argmax(dim=1, keepdim=True))
         return batch.rewards + (1 - batch.dones) * batch.discounts * rating
 
     def _half_mirrored(self, batch: Batch) -> Batch:
-        """Half of the batch turned left to right: the lane is symmetric on average."""
+        """Mirror half of the batch left to right: on average the lane is symmetric."""
         if self.mirror is None:
             return batch
         half = len(batch.actions) // 2
@@ -242,7 +240,7 @@ class DoubleDQN:
         dones: NDArray[np.bool_],
         infos: list[Info],
     ) -> None:
-        """What a group saw, did and brought back, until the last one has landed."""
+        """Keep a group's transitions until those of all groups go into the replay buffer."""
         assert self.observations is not None
         row = self._row
         row.observations[lanes], row.actions[lanes] = self.observations[lanes], self._actions[lanes]
@@ -268,7 +266,7 @@ class DoubleDQN:
     # --- going on after a stop ----------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Network, optimizer, buffer, counters and generators."""
+        """Return networks, optimizer, replay buffer, counters and generators."""
         tensors = {
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
@@ -279,7 +277,7 @@ class DoubleDQN:
         return LearnerState(tensors, self.buffer.get_state(), counters)
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """Take what `get_state` gave, and what the lanes show."""
+        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
         self.policy.load_state_dict(state.tensors["policy"])
         self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
         th.set_rng_state(state.tensors["torch"].cpu())

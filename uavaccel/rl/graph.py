@@ -1,4 +1,4 @@
-"""A learner's step as a CUDA graph: recorded once, then launched as one, without Python between its kernels."""
+"""A gradient step as a CUDA graph, recorded once and then launched without Python between its kernels."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ WARM_UPS = 3  # before recording, as PyTorch asks for
 
 
 class GraphedStep:
-    """`step(batch)`, recorded on the first batch: later ones must have its shapes.
+    """`step(batch)` recorded with a first batch, whose shapes later batches must have.
 
-    Networks and optimizer are what they were before the warm-up; the optimizer has to be `capturable`, its learning
-    rate a tensor.
+    Recording leaves networks and optimizer unchanged. The optimizer has to be `capturable`, its learning rate a tensor.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class GraphedStep:
 
 
 def _put_back(optimizer: th.optim.Optimizer, moments: dict[int, dict[str, th.Tensor]]) -> None:
-    """The optimizer's moments in place, where the graph has their addresses; zeros where there were none."""
+    """Restore the optimizer's moments in place, since the graph has their addresses; new ones become zero."""
     parameters = [each for group in optimizer.param_groups for each in group["params"]]
     for number, parameter in enumerate(parameters):
         for name, value in optimizer.state[parameter].items():

@@ -1,4 +1,4 @@
-"""Lanes for a learner: flown as a batch, while it learns; in `wall` one lane in this process."""
+"""The vectorised environments that a learner flies: a batch or, in timing `wall`, one lane in this process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class BatchVecEnv(VecEnv):
-    """A batch with autoreset SAME_STEP as stable-baselines3's algorithms take it."""
+    """Adapts a batch with autoreset SAME_STEP to stable-baselines3's VecEnv; methods may address some lanes only."""
 
     def __init__(self, batch: EnvironmentBatch | KernelBatch) -> None:
         self.batch = batch
@@ -37,11 +37,11 @@ class BatchVecEnv(VecEnv):
         return self.batch.observations()
 
     def step_async(self, actions: np.ndarray, lanes: Sequence[int] | None = None) -> None:
-        """A command each for some lanes (all)."""
+        """Start one command in each of `lanes`, by default in all."""
         self.batch.step_async(actions, lanes)
 
     def step_wait(self, lanes: Sequence[int] | None = None) -> VecEnvStepReturn:
-        """What those lanes bring back."""
+        """Wait for the commands that `step_async` started in the same lanes."""
         observations, rewards, terminated, truncated, infos = self.batch.step_wait(lanes)
         cut_off = (truncated & ~terminated).tolist()
         flown = range(self.num_envs) if lanes is None else lanes
@@ -57,7 +57,7 @@ class BatchVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Answer]:
         if not isinstance(self.batch, EnvironmentBatch) or attr_name == "render_mode":
-            # What is asked for first: lanes that are still starting need not answer before a learner is made.
+            # A learner asks for it when it is made; lanes that are still starting need not answer.
             return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
         return self.env_method(attr_name, indices=indices)
 
@@ -88,14 +88,14 @@ class BatchVecEnv(VecEnv):
         return self.env_method("render")
 
 
-Lanes = VecEnv  # what a learner flies: step_async, step_wait, env_method
-AnyLanes: TypeAlias = Any  # those, or the lanes of a GPU, on which the learner is too
+Lanes = VecEnv
+AnyLanes: TypeAlias = Any  # Lanes, or CudaLanes
 
 
 def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", device: str = "cpu") -> AnyLanes:
-    """The environments of a training, whose infos have host times; on a GPU, where the learner is too.
+    """Make the environments of a training, whose infos include host times.
 
-    In `wall` the one lane is flown in this process, so that nothing learns beside it and disturbs its clock.
+    In timing `wall` the one lane is flown in this process, so that nothing learns meanwhile and disturbs its clock.
     """
     keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     if task.timing == "wall":
@@ -112,5 +112,5 @@ def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", devi
 
 
 def seed_lanes(lanes: AnyLanes, seed: int) -> None:
-    """Seeds far apart for environments of different trainings, which count up by one from the first."""
+    """Seed the lanes; a hash keeps the consecutive seeds of different trainings apart."""
     lanes.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)

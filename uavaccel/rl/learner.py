@@ -1,4 +1,4 @@
-"""What every learner is to a training, and what they share: finished games, modelled time, schedules, saved states."""
+"""The interface of learners, and what they share: finished games, charged time, schedules and saved states."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from stable_baselines3.common.policies import BasePolicy
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.values import Frame, Info
 from uavaccel.files import Plain
-from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.config import OWN, LearnerConfig
 from uavaccel.rl.lanes import AnyLanes, Lanes
 
 
 @dataclass(frozen=True)
 class Game:
-    """A finished game: its number, in which lane of those flown side by side, the last info, the sum of rewards."""
+    """A finished game: its number, the lane that flew it, its last info, and its return, the sum of its rewards."""
 
     number: int
     lane: int
@@ -31,7 +31,7 @@ class Game:
 
 @dataclass(frozen=True)
 class LearnerState:
-    """All that a learner knows: state dicts of tensors, arrays, and plain values for JSON."""
+    """A learner's saved state: state dicts of tensors, arrays, and plain values for JSON."""
 
     tensors: dict[str, Any]
     arrays: dict[str, NDArray[np.generic]]
@@ -39,28 +39,28 @@ class LearnerState:
 
 
 class Learner(Protocol):
-    """Flies lanes and learns from them."""
+    """Flies lanes and learns from the games."""
 
     config: LearnerConfig
     games: int
     returns: list[float]
     stopwatch: Stopwatch
     holding: bool
-    """Whether it is to come to rest soon, for a checkpoint."""
+    """Set while a checkpoint is due: the learner then finishes what is in flight, until it is `at_rest`."""
 
     @property
     def lanes(self) -> AnyLanes:
-        """What it flies."""
+        """The environments."""
         ...
 
     @property
     def policy(self) -> BasePolicy:
-        """Networks and optimizer."""
+        """The policy, with networks and optimizer."""
         ...
 
     @property
     def exploration_rate(self) -> float | None:
-        """Share of random actions; None where it explores otherwise."""
+        """Share of random actions; None if it explores differently."""
         ...
 
     @property
@@ -69,11 +69,11 @@ class Learner(Protocol):
         ...
 
     def begin(self) -> None:
-        """Begin the first games, unless games are under way: part of the start-up, which no pace counts."""
+        """Start the first games unless games are running; this counts as start-up, not as training time."""
         ...
 
     def advance(self) -> list[Game]:
-        """Fly on, learn on; the games that ended meanwhile."""
+        """Fly and learn a little further; returns the games that ended meanwhile."""
         ...
 
     def get_state(self) -> LearnerState: ...
@@ -88,7 +88,10 @@ def finished_games(
     infos: Sequence[Info],
     lanes: Sequence[int] | None = None,
 ) -> list[Game]:
-    """Count the rewards of a step of some lanes (all); the games that ended with it, up to as many as are wanted."""
+    """Add a step's rewards to the returns of `lanes`, by default all; returns the games that ended with it.
+
+    Games beyond the configured number are not counted.
+    """
     games: list[Game] = []
     flown = range(learner.lanes.num_envs) if lanes is None else lanes
     for lane, reward, done, info in zip(flown, rewards, dones, infos, strict=True):
@@ -101,18 +104,18 @@ def finished_games(
 
 
 def learning_rhythm(commands_per_gradient_step: int, lanes: int) -> tuple[int, int]:
-    """Steps of all lanes between two learnings, and gradient steps of each: the exact ratio."""
+    """Return every how many steps of all lanes to learn, and the gradient steps to take then: the exact ratio."""
     divisor = math.gcd(commands_per_gradient_step, lanes)
     return commands_per_gradient_step // divisor, lanes // divisor
 
 
 def falling(start: float, final_share: float, remaining: float) -> float:
-    """Linearly from `start` to its `final_share` as `remaining` goes from 1 to 0."""
+    """Fall linearly from `start` to `final_share` of it as `remaining` goes from 1 to 0."""
     return start * (final_share + (1.0 - final_share) * remaining)
 
 
 def charge_inference(lanes: Lanes, config: LearnerConfig, which: Iterable[int] | None = None) -> None:
-    """In `virtual` each lane pays for its decision; `which` of them, all by default."""
+    """In timing `virtual`, charge each of `which` lanes, by default all, for its decision."""
     if config.task.timing == "virtual":
         lanes.env_method("charge", config.inference_s, "inference", indices=which)
 
@@ -120,18 +123,33 @@ def charge_inference(lanes: Lanes, config: LearnerConfig, which: Iterable[int] |
 def charge_learning(
     lanes: Lanes, config: LearnerConfig, gradient_steps: int, which: Iterable[int] | None = None
 ) -> None:
-    """In `virtual` each lane pays for the gradient steps that its own commands bring about."""
+    """In timing `virtual`, charge each of `which` lanes, by default all, for its share of the gradient steps."""
     if config.task.timing == "virtual" and gradient_steps:
         share_s = gradient_steps / lanes.num_envs * config.learning_s
         lanes.env_method("charge", share_s, "learning", indices=which)
 
 
 def plain_generator(random: np.random.RandomState) -> list[Plain]:
-    """A generator's state, for JSON."""
+    """Return a generator's state as plain values for JSON."""
     name, words, *rest = random.get_state(legacy=True)
     return [name, np.asarray(words).tolist(), *rest]
 
 
 def set_generator(random: np.random.RandomState, state: list[Plain]) -> None:
-    """Put a state of `plain_generator` back."""
+    """Restore a state that `plain_generator` returned."""
     random.set_state((state[0], np.array(state[1], np.uint32), *state[2:]))
+
+
+def make_learner(config: LearnerConfig, lanes: AnyLanes) -> Learner:
+    """Make the untrained learner that a configuration asks for. Raises UserError for options that it rejects."""
+    if config.on_device:
+        from uavaccel.rl.device_dqn import DeviceDQN  # needs numba-cuda and a GPU
+
+        return DeviceDQN(config, lanes)
+    if config.algorithm == OWN:
+        from uavaccel.rl.double_dqn import DoubleDQN
+
+        return DoubleDQN(config, lanes)
+    from uavaccel.rl.baseline import Baseline
+
+    return Baseline(config, lanes)

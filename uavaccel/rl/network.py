@@ -1,8 +1,8 @@
-"""The policy network's eyes: small enough for a CPU, for frames of 36 x 64."""
+"""The policy network: a feature extractor for frames of 36 x 64, small enough for a CPU, and mirrored inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -18,9 +18,9 @@ HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
 
 
 class LaneFeatures(BaseFeaturesExtractor):
-    """Convolutions over event images, as many as `channels`: 8 x 8 of stride 4, then 3 x 3 of stride 2.
+    """A stack of convolutions, one for each of `channels`: 8 x 8 with stride 4, then 3 x 3 with stride 2.
 
-    Grey levels are read as distances from "no events", faint ones spread out: d / (24 + |d|).
+    The input d / (24 + |d|) is the distance d of a grey level from "no events", with faint events amplified.
     """
 
     def __init__(self, observation_space: spaces.Box, channels: Sequence[int]) -> None:
@@ -34,21 +34,37 @@ class LaneFeatures(BaseFeaturesExtractor):
         self.layers = nn.Sequential(*layers, nn.Flatten())
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255; they are overwritten."""
+        """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255, which are overwritten."""
         features: th.Tensor = self.layers(contrast(observations))
         return features
 
 
 def contrast(levels: th.Tensor) -> th.Tensor:
-    """Distances of float grey levels from "no events", -1 to 1, faint ones spread out; in place."""
+    """Turn float grey levels, in place, into the network's input of -1 to 1, 0 for "no events"."""
     distance = levels.sub_(NEUTRAL_LEVEL)
     return distance.div_(distance.abs().add_(HALF_CONTRAST))
 
 
 def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Tensor]:
-    """Ratings (n, actions) by networks of one layout; what all of them read grey levels as is worked out once."""
+    """Action values (n, actions) from each of several networks of one layout, which share their input."""
     if not isinstance(networks[0].features_extractor, LaneFeatures):
         return [network(observations) for network in networks]
     seen = contrast(observations.float())
     readers: list[Any] = [network.features_extractor for network in networks]
     return [network.q_net(reader.layers(seen)) for network, reader in zip(networks, readers, strict=True)]
+
+
+def turned_actions(headings_deg: Sequence[float]) -> list[int]:
+    """The mirror image of each action: the index of the opposite heading."""
+    headings = list(headings_deg)
+    return [headings.index(-heading) for heading in headings]
+
+
+def rated_both_ways(
+    rate: Callable[[th.Tensor], th.Tensor], seen: th.Tensor, turned: Sequence[int]
+) -> th.Tensor:
+    """Action values (n, actions), averaged over observations (n, ..., columns) and their mirror images."""
+    both = rate(th.cat([seen, seen.flip(-1)]))
+    count = seen.shape[0]  # not len(): the exporter to ONNX would take it for fixed
+    straight, mirrored = both[:count], both[count:]
+    return (straight + mirrored[:, list(turned)]) / 2

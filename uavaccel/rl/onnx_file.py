@@ -1,6 +1,6 @@
-"""A policy as an ONNX file with its pre-processing in it: what flies a drone needs neither torch nor this package.
+"""Export of a policy, with its preprocessing, as an ONNX file that runs without torch and without this package.
 
-Written by torch's exporter, which needs the package `onnxscript` (`pip install uavaccel[onnx]`).
+PyTorch's exporter needs the package `onnxscript` (`pip install uavaccel[onnx]`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ INPUTS = {
 }
 
 
-class Flown(nn.Module):
-    """From the sensor's pictures, whole, to a rating for each action and the best one's number."""
+class OnnxPolicy(nn.Module):
+    """Maps full-size sensor pictures to action values and the greedy action."""
 
     def __init__(self, policy: Policy) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class Flown(nn.Module):
         self.observation = policy.config.task.observation
 
     def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
-        """Ratings (n, actions) and actions (n,) for pictures, and the planes of `knows` if it has any."""
+        """Return ratings (n, actions) and actions (n,) for pictures `seen` and context planes `told`, if it has any."""
         levels = reduced(seen, self.observation)
         ratings = self._rate(levels if told is None else th.cat([levels, told], dim=1))
         return ratings, ratings.argmax(dim=1)
@@ -60,7 +60,7 @@ class Flown(nn.Module):
 
 
 def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
-    """Pictures (n, planes, 144, 256) as grey levels (n, planes, 36, 64), as uavaccel.envs.sensors makes them."""
+    """Reduce pictures (n, planes, 144, 256) to grey levels (n, planes, 36, 64), as uavaccel.envs.sensors does."""
     if observation == "state":
         return seen
     if observation == "dvs":
@@ -71,7 +71,7 @@ def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
 
 
 def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
-    """Write it; what the file says about itself, which is in its metadata too. Raises UserError without onnxscript."""
+    """Write the file; returns its metadata. Raises UserError without onnxscript."""
     if importlib.util.find_spec("onnxscript") is None:
         raise UserError(MISSING)
     inputs = example(policy)
@@ -80,7 +80,7 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of torch's exporter about itself
         program: Any = th.onnx.export(
-            Flown(policy).eval(),
+            OnnxPolicy(policy).eval(),
             inputs,
             input_names=names,
             output_names=["ratings", "action"],
@@ -96,7 +96,7 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
 
 
 def example(policy: Policy) -> tuple[th.Tensor, ...]:
-    """Inputs (2, ...) of the file's shapes."""
+    """Make example inputs, a batch of 2, from which the exporter takes the shapes."""
     task = policy.config.task
     shape = policy.network.observation_space.shape or ()
     if task.observation == "state":
@@ -108,18 +108,10 @@ def example(policy: Policy) -> tuple[th.Tensor, ...]:
 
 
 def described(policy: Policy) -> dict[str, str]:
-    """What one who flies it must know, as the file's metadata has it: texts, JSON where they are numbers."""
+    """Return the file's metadata, what a user of the file needs to know: text, or JSON for numbers."""
     task = policy.config.task
-    keys = (
-        "headings_deg",
-        "speed_m_s",
-        "altitude_m",
-        "t_move_s",
-        "t_sample_s",
-        "command",
-        "dvs_preset",
-        "knows",
-    )
+    flight = ("headings_deg", "speed_m_s", "altitude_m", "t_move_s", "t_sample_s")
+    keys = (*flight, "command", "dvs_preset", "knows")
     about = {key: json.dumps(task.model_dump(mode="json")[key]) for key in keys}
     return {
         "seen": INPUTS[task.observation],

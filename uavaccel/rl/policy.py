@@ -1,4 +1,4 @@
-"""A trained policy: a file of weights, and a manifest that says how to see and act. Reading one runs no code."""
+"""Files of a trained policy: its weights, and a manifest that describes how to use them. Reading runs no code."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ from uavaccel.envs.task import Task
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, file_sha256, parse_json, replacing, to_json
-from uavaccel.rl.checks import OWN
-from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.config import OWN, LearnerConfig
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
     import torch as th
     from stable_baselines3.common.policies import BasePolicy
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
-_TARGET = "q_net_target."  # a copy for learning alone
+_TARGET = "q_net_target."  # the target network, which only learning needs
 PREPROCESSING = (
     "a frame every T_sample of a command, rendered at 256 x 144, gray (BT.601), counted by the DVS model, ON - OFF "
     "summed over 4 x 4 pixels, plus 128, clipped to 0..255: uint8 (frames, 36, 64), oldest first"
@@ -35,34 +34,34 @@ PREPROCESSING = (
 
 @dataclass(frozen=True)
 class Policy:
-    """Greedy actions from observations, and the configuration that it was trained with."""
+    """A trained network, the configuration of its training, and its manifest."""
 
     network: BasePolicy
     config: LearnerConfig
     manifest: Mapping[str, Plain]
 
     def act(self, observations: Frame) -> NDArray[np.int64]:
-        """Actions (n,) for observations (n, ...)."""
+        """Return the greedy actions (n,) for observations (n, ...)."""
         from uavaccel.rl.algorithms import greedy
 
         return greedy(self.network, observations, self.turned)
 
     def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
-        """What its ratings are, and those of all actions (n, actions) for observations (n, ...)."""
+        """Return the kind of its ratings, and the ratings (n, actions) for observations (n, ...)."""
         from uavaccel.rl.algorithms import action_ratings
 
         return action_ratings(self.network, observations, self.turned)
 
     @property
     def turned(self) -> list[int] | None:
-        """Each action's mirror image, of a policy that decides by the mean of both ways."""
-        from uavaccel.rl.mirror import turned_actions
+        """Each action's mirror image, for a policy with `mirrored_decisions`; else None."""
+        from uavaccel.rl.network import turned_actions
 
         return turned_actions(self.config.task.headings_deg) if self.config.mirrored_decisions else None
 
 
 def weights_sha256(policy: BasePolicy) -> str:
-    """Hash of the names, shapes and bytes of all that was learned."""
+    """SHA-256 of the names, shapes and bytes of all weights."""
     digest = hashlib.sha256()
     for name, tensor in sorted(policy.state_dict().items()):
         digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
@@ -73,7 +72,7 @@ def weights_sha256(policy: BasePolicy) -> str:
 def export_policy(
     folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]
 ) -> None:
-    """Write `policy.pt`, a state dict, and `policy.json`, with `trained` about the training."""
+    """Write `policy.pt`, a state dict, and `policy.json`, in which `trained` describes the training."""
     import torch as th
 
     weights = {
@@ -97,7 +96,7 @@ def export_policy(
 
 
 def trained_with(folder: Path) -> Mapping[str, Plain]:
-    """What its manifest says about a policy's training; nothing where there is no policy."""
+    """Return what the manifest in a folder says about the training; empty if there is no policy."""
     try:
         trained: Mapping[str, Plain] = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -106,7 +105,7 @@ def trained_with(folder: Path) -> Mapping[str, Plain]:
 
 
 def load_policy(path: Path) -> Policy:
-    """The policy in a run directory or any folder with its two files; not to be changed, it is read once.
+    """Load the policy in a run directory, or in any folder with its two files. The result is cached: do not modify it.
 
     Raises UserError if there is none, if it is damaged, or if its weights are not those that its manifest describes.
     """
@@ -114,7 +113,7 @@ def load_policy(path: Path) -> Policy:
 
 
 def _stamp(file: Path) -> tuple[int, int] | None:
-    """What changes with a file; None where there is none."""
+    """Modification time and size of a file, by which the caches notice a change; None if there is no file."""
     try:
         found = file.stat()
     except OSError:
@@ -145,9 +144,9 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
 
 
 def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
-    """The manifest of the policy in a folder, and the configuration that it was trained with.
+    """Read the manifest of the policy in a folder; returns it and the configuration of the training.
 
-    Raises UserError if there is none, or its file of weights is not the one that it describes.
+    Raises UserError if there is none, or if the file of weights has another hash than the manifest says.
     """
     return _read_manifest(path, _stamp(path / MANIFEST), _stamp(path / WEIGHTS))
 
@@ -181,7 +180,7 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
 
 
 def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
-    """The tensors in a file. Raises UserError if it holds anything else."""
+    """Read the tensors in a file. Raises UserError if it holds anything else, or numbers that are not finite."""
     import torch as th
 
     try:
@@ -203,10 +202,6 @@ def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
     return weights
 
 
-def _is_weight(item: tuple[object, object]) -> bool:
-    return isinstance(item[0], str) and isinstance(item[1], th.Tensor)
-
-
 def observed_frames(task: Task) -> int:
-    """Frames in one observation."""
+    """Number of frames in one observation."""
     return task.frames_per_command * task.history

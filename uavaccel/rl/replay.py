@@ -1,4 +1,4 @@
-"""What was flown, to learn from: transitions on the learner's device, drawn as n-step returns."""
+"""The replay buffer: transitions on the learner's device, sampled with n-step returns."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.values import Frame
 
+ON_DEVICE = ("observations", "next_observations")
+IN_MEMORY = ("actions", "rewards", "dones", "truncated")
+
 
 class Batch(NamedTuple):
-    """Transitions (n, ...): s_t, a_t, the discounted rewards of up to n steps, and what followed them."""
+    """Sampled transitions (n, ...): s_t, a_t, the discounted sum of up to n_steps rewards, and the state after them."""
 
     observations: th.Tensor
     actions: th.Tensor  # (n, 1) int64
     next_observations: th.Tensor
-    dones: th.Tensor  # (n, 1): the game was over, not cut short
+    dones: th.Tensor  # (n, 1): the game was terminated, not truncated
     rewards: th.Tensor  # (n, 1)
-    discounts: th.Tensor  # (n, 1): of the rating of what followed
+    discounts: th.Tensor  # (n, 1): of the value that is bootstrapped
 
 
 class Row(NamedTuple):
-    """One command of every lane, as the replay buffer takes it; filled group by group."""
+    """One command of every lane, in the form of `ReplayBuffer.add`; filled group by group."""
 
     observations: Frame
     actions: NDArray[np.int64]
@@ -34,20 +37,15 @@ class Row(NamedTuple):
 
     @classmethod
     def like(cls, observations: Frame) -> Row:
-        """An empty one for observations (lanes, ...)."""
+        """Make an uninitialised row for observations (lanes, ...)."""
         lanes = len(observations)
-        return cls(
-            np.empty_like(observations),
-            np.empty(lanes, np.int64),
-            np.empty(lanes),
-            np.empty_like(observations),
-            np.empty(lanes, np.bool_),
-            np.empty(lanes, np.bool_),
-        )
+        ends = np.empty((2, lanes), np.bool_)
+        before, after = np.empty_like(observations), np.empty_like(observations)
+        return cls(before, np.empty(lanes, np.int64), np.empty(lanes), after, *ends)
 
 
 class ReplayBuffer:
-    """A ring of `capacity` transitions of `lanes` lanes; observations lie on `device`, the rest in main memory."""
+    """A ring of `capacity` transitions of `lanes` lanes; observations are on `device`, the rest in main memory."""
 
     def __init__(
         self,
@@ -79,7 +77,7 @@ class ReplayBuffer:
         dones: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
     ) -> None:
-        """One command of every lane; the oldest row goes when the ring is full. `dones` includes `truncated`."""
+        """Append one command of every lane, over the oldest if the ring is full. `dones` includes `truncated`."""
         row = self.place
         self.observations[row].copy_(th.from_numpy(np.ascontiguousarray(observations)))
         self.next_observations[row].copy_(th.from_numpy(np.ascontiguousarray(next_observations)))
@@ -89,7 +87,7 @@ class ReplayBuffer:
         self.full = self.full or self.place == 0
 
     def sample(self, count: int, n_steps: int, gamma: float, random: np.random.RandomState) -> Batch:
-        """`count` transitions with their returns over `n_steps`, or fewer where the game ends or the ring does."""
+        """Sample `count` transitions; returns are over `n_steps`, or fewer at the end of a game or of the ring."""
         rows = random.randint(0, len(self), size=count)
         lanes = random.randint(0, self.lanes, size=count)
         steps = np.arange(n_steps)
@@ -120,25 +118,21 @@ class ReplayBuffer:
         )
 
     def _sent(self, *values: NDArray[np.generic]) -> th.Tensor:
-        """Arrays (n,) of one type on the device, in one go: a transfer waits for all that the GPU has to do."""
+        """Transfer arrays (n,) of one type to the device together: each transfer waits for all work of the GPU."""
         return th.from_numpy(np.stack(values)).to(self.device)
 
     def get_state(self) -> dict[str, NDArray[np.generic]]:
-        """All of it, as arrays."""
+        """Return its contents as arrays."""
         filled = len(self)
-        arrays: dict[str, NDArray[np.generic]] = {
-            name: getattr(self, name)[:filled].cpu().numpy() for name in ("observations", "next_observations")
-        }
-        arrays |= {
-            name: getattr(self, name)[:filled] for name in ("actions", "rewards", "dones", "truncated")
-        }
+        arrays = {name: getattr(self, name)[:filled].cpu().numpy() for name in ON_DEVICE}
+        arrays |= {name: getattr(self, name)[:filled] for name in IN_MEMORY}
         return arrays | {"place": np.array([self.place, self.full])}
 
     def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
-        """Take what `get_state` gave."""
+        """Restore what `get_state` returned."""
         self.place, self.full = int(state["place"][0]), bool(state["place"][1])
         filled = len(self)
-        for name in ("observations", "next_observations"):
+        for name in ON_DEVICE:
             getattr(self, name)[:filled].copy_(th.from_numpy(state[name]))
-        for name in ("actions", "rewards", "dones", "truncated"):
+        for name in IN_MEMORY:
             getattr(self, name)[:filled] = state[name]

@@ -8,8 +8,7 @@ import numpy as np
 
 from uavaccel.envs.simulators import EXACT
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.rl.checks import OWN
-from uavaccel.rl.dqn_options import DqnOptions
+from uavaccel.rl.config import OWN, DqnOptions
 from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.rl.cases import (
     EVALUATION_SEED,

@@ -15,8 +15,8 @@ import torch as th
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
-from uavaccel.rl.factory import make_learner
 from uavaccel.rl.lanes import make_lanes, seed_lanes
+from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.config import TrainConfig

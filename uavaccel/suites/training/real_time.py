@@ -12,7 +12,7 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.files import to_json
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import baseline_class
-from uavaccel.rl.checks import OWN
+from uavaccel.rl.config import OWN
 from uavaccel.suites.report import Row, Values
 from uavaccel.suites.training.config import TrainConfig
 

@@ -11,7 +11,7 @@ from uavaccel.envs.simulators import KERNELS
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
-from uavaccel.rl.checks import check_algorithm
+from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Report, Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s, kernels_s
