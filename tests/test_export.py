@@ -14,7 +14,7 @@ import torch as th
 from tests.learning import tiny_config
 from uavaccel.cli.export import export
 from uavaccel.config import Config
-from uavaccel.envs.sensors import ColourCamera, DepthCamera
+from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
 from uavaccel.envs.task import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
@@ -49,11 +49,13 @@ def test_depth_and_colour_are_reduced_as_the_environment_reduces_them() -> None:
     random = np.random.default_rng(0)
     depth = random.uniform(0, 80, (144, 256)).astype(np.float32)
     seen = reduced(th.from_numpy(depth)[None, None], "depth")[0].numpy()
-    assert abs(seen - DepthCamera().frame(AT_REST, depth, {})).max() <= 1  # where rounding falls either way
+    assert (
+        abs(seen - DepthCamera(blank_frame("depth")).frame(AT_REST, depth, {})).max() <= 1
+    )  # where rounding falls either way
     colour = random.integers(0, 256, (144, 256, 3), dtype=np.uint8)
     planes = th.from_numpy(colour.astype(np.float32)).permute(2, 0, 1)[None]
     np.testing.assert_array_equal(
-        reduced(planes, "colour")[0].numpy(), ColourCamera().frame(AT_REST, colour, {})
+        reduced(planes, "colour")[0].numpy(), ColourCamera(blank_frame("colour")).frame(AT_REST, colour, {})
     )
 
 

@@ -86,7 +86,7 @@ def test_light_and_thresholds_are_those_of_the_game() -> None:
         randomise={"light": [0.3, 0.3], "dvs_threshold_ratio": [2, 2], "row_spacing_m": [12, 12]}
     )
     _, info = environment.reset(seed=0)
-    task = environment.flown
+    task = environment.episode_task
     assert draw_layout(info["lane"], task.difficulty).light == 0.3
     assert draw_layout(info["lane"], task.difficulty).x_m[2] == 22.0
     assert task.dvs_parameters.positive_threshold == 0.4
@@ -135,18 +135,20 @@ def test_ranges_widen_with_the_games_from_the_usual_to_the_whole(games: int, ove
     widened = ranges.widened(games, usual).given()
     assert widened["wind_m_s"] == pytest.approx((0.0, 6.0 * share))
     assert widened["light"] == pytest.approx((0.7 - 0.6 * share, 1.0))
-    drawn = ranges.widened(games, usual).draw(np.random.default_rng(seed))
+    drawn = ranges.widened(games, usual).sample(np.random.default_rng(seed))
     assert 0.0 <= drawn["wind_m_s"] <= 6.0 * share + 1e-12
 
 
 def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
     ranges = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.3)
     random = np.random.default_rng(0)
-    drawn = [ranges.draw(random) for _ in range(1000)]
+    drawn = [ranges.sample(random) for _ in range(1000)]
     for name in ("wind_m_s", "light"):
         assert sum(name in each for each in drawn) == pytest.approx(300, abs=45)  # three standard deviations
     environment = lane(randomise={"wind_m_s": [3, 6], "light": [0.1, 0.2], "share": 0.5})
-    games = [(environment.reset(seed=seed)[1].get("conditions", {}), environment.flown) for seed in range(8)]
+    games = [
+        (environment.reset(seed=seed)[1].get("conditions", {}), environment.episode_task) for seed in range(8)
+    ]
     assert {len(conditions) for conditions, _ in games} == {0, 1, 2}
     for conditions, task in games:
         assert task.difficulty.wind_m_s == conditions.get("wind_m_s", 0.0)
@@ -158,13 +160,13 @@ def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
 def test_a_condition_may_have_a_share_of_its_own() -> None:
     ranges = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.1, shares={"wind_m_s": 0.6})
     random = np.random.default_rng(0)
-    drawn = [ranges.draw(random) for _ in range(1000)]
+    drawn = [ranges.sample(random) for _ in range(1000)]
     for name, share in (("wind_m_s", 0.6), ("light", 0.1)):
         three_deviations = 3 * (1000 * share * (1 - share)) ** 0.5
         assert sum(name in each for each in drawn) == pytest.approx(1000 * share, abs=three_deviations)
     always = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5), share=0.5, shares={"wind_m_s": 1, "light": 1})
     usual = Ranges(wind_m_s=(3.0, 6.0), light=(0.1, 0.5))
-    same = [each.draw(np.random.default_rng(7)) for each in (always, usual)]
+    same = [each.sample(np.random.default_rng(7)) for each in (always, usual)]
     assert same[0] == same[1]
 
 

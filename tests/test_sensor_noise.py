@@ -149,8 +149,8 @@ def test_noise_is_drawn_for_each_game_and_seen() -> None:
         _, info = environment.reset(seed=0)
         drawn, seen = info["conditions"], environment.step(2)[0]
         assert set(drawn) == set(ranges)
-        assert environment.flown.dvs_parameters.hot_share == drawn["dvs_hot_pixels"]
-        assert environment.flown.dvs_parameters.shot_noise_rate_hz == drawn["dvs_shot_noise_hz"]
+        assert environment.episode_task.dvs_parameters.hot_share == drawn["dvs_hot_pixels"]
+        assert environment.episode_task.dvs_parameters.shot_noise_rate_hz == drawn["dvs_shot_noise_hz"]
         lane = json.loads(json.dumps(info["lane"]))
     with closing(ObstacleLane(**drawn)) as environment:
         environment.reset(seed=0, options={"lane": lane})

@@ -120,11 +120,11 @@ def test_hover_is_won_when_held_long_enough_and_lost_by_touching_something() -> 
 
 def test_waypoints_fill_the_cube_around_the_start() -> None:
     task, random = HoverTask(reach_m=2.0, altitude_m=7.0), np.random.default_rng(0)
-    drawn = np.array([task.draw(random, {})["waypoint_m"] for _ in range(500)]) - (0.0, 0.0, -7.0)
+    drawn = np.array([task.sample(random, {})["waypoint_m"] for _ in range(500)]) - (0.0, 0.0, -7.0)
     assert (abs(drawn) <= 2.0).all()
     assert (drawn.min(axis=0) < -1.9).all()
     assert (drawn.max(axis=0) > 1.9).all()
-    assert task.draw(random, {"waypoint_m": (1, 2, -3)}) == {"waypoint_m": [1.0, 2.0, -3.0], "held_s": 0.0}
+    assert task.sample(random, {"waypoint_m": (1, 2, -3)}) == {"waypoint_m": [1.0, 2.0, -3.0], "held_s": 0.0}
 
 
 def test_hover_sees_the_way_to_the_waypoint() -> None:
@@ -206,7 +206,7 @@ def test_the_next_two_gates_are_seen_and_their_posts_stand_beside_them() -> None
 
 def test_gates_are_drawn_within_the_spread_at_the_height_of_the_start() -> None:
     task = GatesTask(gates=20, spacing_m=5.0, spread_m=1.5, altitude_m=3.0)
-    gates = np.array(task.draw(np.random.default_rng(0), {})["gates_m"])
+    gates = np.array(task.sample(np.random.default_rng(0), {})["gates_m"])
     np.testing.assert_array_equal(gates[:, 0], 5.0 * np.arange(1, 21))
     assert (gates[:, 2] == -3.0).all()
     assert abs(gates[:, 1]).max() <= 1.5
@@ -289,7 +289,7 @@ class Shown(Task):
     t_sample_s: float = 0.1
     won_at: int = 1000
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+    def sample(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
         return {"mark": options.get("mark", int(random.integers(1000))), "last": 0}
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.learning import tiny_config
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.told import ContextPlanes
+from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
 from uavaccel.rl.double_dqn import DoubleDQN
@@ -26,8 +26,8 @@ MS = 1_000_000
 
 def action_plane(headings: list[float], action: int) -> np.ndarray:
     told = ContextPlanes(["last_action"], headings, 1)
-    told.flown(action, [0], 0, 0)
-    return told.seen()[0]
+    told.update(action, [0], 0, 0)
+    return told.observe()[0]
 
 
 @given(st.lists(st.integers(1, 180), min_size=0, max_size=12, unique=True), st.booleans(), st.randoms())
@@ -61,9 +61,9 @@ def test_a_learner_mirrors_the_plane_with_the_action() -> None:
 
 def test_ages_are_bands_a_level_for_20_ms() -> None:
     told = ContextPlanes(["frame_age"], [0.0], 3)
-    assert (told.seen() == 128).all()
-    told.flown(0, [100 * MS, 500 * MS], 1, 3000 * MS)
-    bands = told.seen()[0].reshape(3, 12, 64)
+    assert (told.observe() == 128).all()
+    told.update(0, [100 * MS, 500 * MS], 1, 3000 * MS)
+    bands = told.observe()[0].reshape(3, 12, 64)
     # 2.9 s is more than a byte holds; 2.5 s; the missing frame is of now.
     assert [np.unique(band).tolist() for band in bands] == [[255], [128 + 125], [128]]
 

@@ -1,7 +1,7 @@
-"""Many environments of one task side by side in the exact simulator: processes, and one renderer.
+"""Vectorised environments of one task in the exact simulator, in several processes.
 
-Each flies as it would alone, to the last bit: the same commands, transport, physics and sensors. Where OpenGL has a GPU
-one process draws for all of them, since contexts only take turns on it; in software each process draws for itself.
+Each environment flies as it would alone, to the last bit. If OpenGL has a GPU, one process renders for all of them,
+since contexts only take turns on it; with a software renderer each process renders for itself.
 """
 
 from __future__ import annotations
@@ -15,9 +15,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
-from uavaccel.envs.batch_memory import Observations
 from uavaccel.envs.checks import make_task, seeds_of
-from uavaccel.envs.environment_processes import BatchError, BatchOptions, EnvironmentProcesses
+from uavaccel.envs.environment_processes import (
+    BatchError,
+    BatchOptions,
+    EnvironmentProcesses,
+    SharedObservations,
+)
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Actions, Answer, Batch, Frame, Info, Steps
@@ -33,11 +37,11 @@ MOST_TILES = 64
 
 
 class EnvironmentBatch(Batch):
-    """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
+    """`num_envs` environments of the class `environment`, a FlightEnv, with that class's keywords.
 
-    They fly in `processes` processes (two a core, at most) and draw with a `renderer` that is "shared", or
-    each process its "own"; "auto" shares one where there is a GPU. Up to `tiles` pictures are drawn at once. Raises
-    UserError for keywords that do not fit, UserError or BatchError for what went wrong in an environment.
+    They fly in `processes` processes, by default at most two per core. The `renderer` is "shared", or each process has
+    its "own"; "auto" shares one if there is a GPU. Up to `tiles` pictures are rendered at once. Raises UserError for
+    keywords that do not fit; methods raise UserError or BatchError for errors in an environment.
     """
 
     def __init__(
@@ -60,14 +64,14 @@ class EnvironmentBatch(Batch):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         one = task.observation_space().low
-        self._observations = Observations.made(num_envs, one.shape, one.dtype.str)
+        self._observations = SharedObservations(num_envs, one.shape, one.dtype.str)
         self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options: BatchOptions = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
             "memory": self._observations.descriptor,
-            "observations": self._observations.size,
+            "observations": self._observations.form,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
         self._slots = EnvironmentProcesses(options, num_envs, self.processes, self.service)
@@ -79,32 +83,32 @@ class EnvironmentBatch(Batch):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
     ) -> tuple[Frame, Info]:
-        """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
+        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
         infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
     def step(
         self, actions: Actions
     ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """One command each."""
+        """Fly one command in every environment."""
         self.step_async(actions)
         observations, rewards, terminated, truncated, infos = self.step_wait()
         return observations, rewards, terminated, truncated, self._merged(infos)
 
     def render(self) -> tuple[Answer, ...] | None:
-        """What each front camera sees."""
+        """Return each front camera's picture; None without a render mode."""
         return self.call("render") if self.render_mode is not None else None
 
     def call(self, name: str, *arguments: object) -> tuple[Answer, ...]:
-        """A method of every environment with the same arguments, or the values of an attribute."""
+        """Call a method of every environment with the same arguments, or return the values of an attribute."""
         return tuple(self.call_each(name, [arguments] * self.num_envs))
 
     def get_attr(self, name: str) -> tuple[Answer, ...]:
-        """The values of an attribute."""
+        """Return the values of an attribute."""
         return self.call(name)
 
     def set_attr(self, name: str, values: object) -> None:
-        """Give an attribute one value, or as a list, one for each environment."""
+        """Set an attribute to one value or, from a list, to one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
         for slot, value in enumerate(each):
             self.set_each(name, value, [slot])
@@ -122,20 +126,21 @@ class EnvironmentBatch(Batch):
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the processes in which the environments fly."""
+        """Ids of the processes in which the environments fly."""
         return self._slots.process_ids
 
     # --- learners ---------------------------------------------------------------------------------
 
     def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
-        """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
+        """Start one command in each of `slots`, by default all, and return while they fly."""
         for slot, action in zip(self._all(slots), iterate(self.action_space, actions), strict=False):
             self._slots.ask(slot, "step", action)
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
-        """Observations, rewards, ends, truncations and infos of the environments that `step_async` sent off.
+        """Wait for what `step_async` started in the same `slots`.
 
-        With autoreset SAME_STEP the info of a game's end is in `final_info` and its observation in `final_obs`.
+        Returns observations, rewards, terminations, truncations and infos. With autoreset SAME_STEP the last info of a
+        finished game is in `final_info` and its last observation in `final_obs`.
         """
         which = list(self._all(slots))
         rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
@@ -148,37 +153,37 @@ class EnvironmentBatch(Batch):
     def reset_each(
         self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
     ) -> list[Info]:
-        """A new game everywhere, each with its own seed and options; the infos."""
+        """Begin a game in every environment with its own seed and options; returns the infos."""
         return self._slots.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
     ) -> list[Answer]:
-        """A method of some environments (all), each with its own arguments: `charge`, `get_state`, `set_state`."""
+        """Call a method of `slots`, by default all, each with its own arguments; returns the results."""
         return self._slots.ask_all("call", [(name, *each) for each in arguments], self._all(slots))
 
     def call_async(self, slot: int, name: str, *arguments: object) -> None:
-        """Have one environment begin a method, and come back at once: `call_wait` has the result."""
+        """Start a method of one environment and return at once; `call_wait` returns the result."""
         self._slots.ask(slot, "call", name, *arguments)
 
     def call_wait(self) -> tuple[int, Answer]:
-        """The first environment that is done of those that `call_async` sent off, and its result."""
+        """Wait for any environment that `call_async` started; returns its slot and the result."""
         slot = self._slots.first_answered()
         return slot, self._slots.answer(slot)
 
     def set_each(self, name: str, value: object, slots: Sequence[int] | None = None) -> None:
-        """Give an attribute of some environments (all) a value."""
+        """Set an attribute of `slots`, by default all, to a value."""
         self._slots.ask_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
 
     def observations(self) -> Frame:
-        """The present observation of every environment."""
+        """Return the present observations of all environments."""
         return self._observations.present.copy()
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
 
     def _merged(self, infos: Sequence[Info]) -> Info:
-        """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
+        """Merge infos in the form of Gymnasium's vector environments: an array per key, and one mask per key."""
         merged: Info = {}
         for slot, info in enumerate(infos):
             merged = self._add_info(merged, info, slot)
@@ -200,19 +205,19 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
 def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderService | None:
     known = known_renderer()
     if renderer == "own" or (renderer == "auto" and known is not None and known.software):
-        return None  # no process need be started to say so
+        return None  # known without starting a process
     if task.sensor().picture is None:
         return None
     service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:
-        drawn_by = service.ready()
+        rendered_by = service.ready()
     except RendererGoneError as error:
         service.close()
         raise BatchError(str(error)) from None
     except BaseException:
         service.close()
         raise
-    if renderer == "auto" and drawn_by.software:
+    if renderer == "auto" and rendered_by.software:
         service.close()
         return None
     return service

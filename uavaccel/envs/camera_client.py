@@ -1,6 +1,6 @@
-"""A client whose samples are images: gathered, checked by the guard, and turned into DVS events while the clock stands.
+"""Clients whose samples include pictures, which the guard checks while the simulation is paused.
 
-This is the paper's mission computer (sections II-A, III-B and III-C1): state of the UAV "in a broad sense".
+This is the paper's mission computer (sections II-A, III-B and III-C1), for which an image is part of the UAV's state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from uavaccel.wire.transport import Call
 
 
 class Sample(NamedTuple):
-    """One gathered sample: the state, the picture of that moment, and how often it was asked for again."""
+    """A gathered sample: the state, its picture, and how often the picture was requested again."""
 
     state: Kinematics
     image: NDArray[np.uint8]
@@ -28,10 +28,10 @@ class Sample(NamedTuple):
 
 
 class GuardedClient:
-    """A client around `client` that takes pictures of `kind` through the guard; a subclass says what a sample is.
+    """Wraps `client` to take pictures of `kind` through the guard; a subclass defines what a sample is.
 
-    `perturbation` spoils a share of the pictures on their way, `exposure` changes their brightness; both are off by
-    default.
+    `perturbation` corrupts a share of the received pictures, `exposure` changes their brightness; by default both
+    are off.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class GuardedClient:
         self._received = 0
 
     def take(self, state: Kinematics) -> Sample:
-        """The picture of this moment, as a `Sample`. The simulation has to stand still."""
+        """Take a picture of the present state; the simulation has to be paused."""
         self._ran_ns = round(state.time_ns / self.clock_speed)
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
@@ -65,7 +65,7 @@ class GuardedClient:
             return image
         return perturb_share(image, self._perturbation, self._received)[0]
 
-    # --- the client's own -------------------------------------------------------------------------
+    # --- the wrapped client -------------------------------------------------------------------------
 
     @property
     def clock_speed(self) -> float:
@@ -94,7 +94,7 @@ class GuardedClient:
 
 
 class CameraClient(GuardedClient):
-    """A `MissionClient` whose samples are states and pictures."""
+    """A `MissionClient` whose samples are states with pictures."""
 
     def gather(self, state: Kinematics) -> Sample:
         return self.take(state)

@@ -1,4 +1,4 @@
-"""What callers of an environment hand in: keywords of its task, and actions."""
+"""Checks of what callers of an environment pass: keywords of its task, actions, reset options and seeds."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from uavaccel.envs.values import Action
 from uavaccel.errors import UserError
 
 TaskT = TypeVar("TaskT", bound=Task)
-ROUNDING = 1e-6  # by which an action may leave its bounds
+ROUNDING = 1e-6  # by which an action may exceed its bounds
 
 
 class UnexpectedKeyword(UserError, TypeError):
-    """A keyword that the task does not have: Gymnasium's callers expect Python's own kind of error."""
+    """An unknown keyword; it is also a TypeError, which Gymnasium's callers expect."""
 
 
 def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) -> TaskT:
-    """A task of these keys. Raises UserError, which begins with `name`, for what does not fit."""
+    """Make a task of these keys. Raises UserError, beginning with `name`, for keys or values that do not fit."""
     try:
         return validate(task_class, keys, name)
     except UserError as error:
@@ -33,7 +33,7 @@ def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) ->
 
 
 def within(space: spaces.Space[Action], action: Action) -> Action:
-    """The action as the space has it. Raises UserError for one that is not in it."""
+    """Return the action in the space's type, clipped to its bounds. Raises UserError if it is not in the space."""
     if isinstance(space, spaces.Box):
         given = np.asarray(action)
         if given.shape == space.shape and np.issubdtype(given.dtype, np.number):
@@ -46,7 +46,7 @@ def within(space: spaces.Space[Action], action: Action) -> Action:
 
 
 def known_options(options: Mapping[str, object], known: Sequence[str]) -> Mapping[str, object]:
-    """The options of a reset, if the task knows them all. Raises UserError."""
+    """Return the options of a reset. Raises UserError for one that is not among the `known`."""
     unknown = [str(key) for key in options if key not in known]
     if unknown:
         raise UserError(f"reset: unknown option {unknown[0]!r}; known: {', '.join(known) or 'none'}")
@@ -54,7 +54,7 @@ def known_options(options: Mapping[str, object], known: Sequence[str]) -> Mappin
 
 
 def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each environment, counted up from one, or as they are."""
+    """Return a seed for each environment: counted up from one seed, or the given ones."""
     if seed is None:
         return [None] * count
     if isinstance(seed, (int, np.integer)):

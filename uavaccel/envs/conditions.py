@@ -1,6 +1,6 @@
-"""Domain randomisation: conditions of a game drawn at reset, each uniformly from a range (Tobin et al., IROS 2017).
+"""Domain randomisation: conditions sampled uniformly at each reset (Tobin et al., IROS 2017).
 
-The ranges may widen with the games flown, a curriculum from the task as it is configured to the whole ranges.
+The ranges may widen with the games flown: a curriculum from the configured task to the full ranges.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Range = Annotated[tuple[float, float], AfterValidator(_rising)]
 
 
 class Condition(NamedTuple):
-    """What a lane is flown under: its short name in a sweep, its key in the task, and its unit."""
+    """A condition of the flights: its short name in a sweep, its key in the task, and its unit."""
 
     short: str
     key: str
@@ -33,10 +33,10 @@ class Condition(NamedTuple):
 
 
 class Ranges(Config):
-    """Ranges [least, most] of what is drawn for each game; what has none stays as the task has it.
+    """Ranges [least, most] of the conditions that are sampled for each game; others stay as in the task.
 
-    Names and units are those of the task's keys, of its difficulty and of its latency model. The fields are the table
-    of conditions: a sweep, a robustness map and the documentation take names, keys and units from here.
+    Names and units are those of the keys of the task, of its difficulty and of its latency model. Sweeps, robustness
+    maps and the documentation take names, keys and units of all conditions from these fields.
     """
 
     wind_m_s: Annotated[Range | None, Condition("wind", "difficulty.wind_m_s", "m/s")] = None
@@ -59,13 +59,13 @@ class Ranges(Config):
     dvs_hot_pixels: Annotated[Range | None, Condition("hot_pixels", "dvs_hot_pixels", "of all")] = None
     image_noise: Annotated[Range | None, Condition("image_noise", "image_noise", "of 255")] = None
     latency_scale: Annotated[Range | None, Condition("latency", "latency.scale", "× the model's")] = None
-    """Of timing virtual alone."""
+    """Only for timing virtual."""
     share: Share = 1.0
-    """Probability of each condition to be drawn for a game; else it stays as the task has it."""
+    """Probability, 0 to 1, with which each condition is sampled in a game; otherwise it stays as in the task."""
     shares: dict[str, Share] = Field(default_factory=dict)
-    """The same of single conditions, where it is not `share`: {wind_m_s: 0.6}."""
+    """Probabilities of single conditions where they differ from `share`, as {wind_m_s: 0.6}."""
     widen_over_games: Annotated[int, Field(ge=0)] = 0
-    """Games of each environment, in the training split, over which the ranges widen to the whole; 0: whole at once."""
+    """Training games of each environment over which the ranges widen to their full width; 0: full from the start."""
 
     @model_validator(mode="after")
     def _shares_have_ranges(self) -> Self:
@@ -84,20 +84,20 @@ class Ranges(Config):
         return self
 
     @property
-    def all_drawn(self) -> bool:
-        """Whether each game has all of the conditions."""
+    def all_sampled(self) -> bool:
+        """Whether every condition with a range is sampled in every game."""
         return all(self._share_of(name) == 1.0 for name in self.given())
 
     def _share_of(self, name: str) -> float:
         return self.shares.get(name, self.share)
 
     def given(self) -> dict[str, tuple[float, float]]:
-        """The ranges that there are, in the order in which they are drawn."""
-        ranges = {name: getattr(self, name) for name in DRAWN}
+        """Return the configured ranges, in the order of sampling."""
+        ranges = {name: getattr(self, name) for name in SAMPLED}
         return {name: ends for name, ends in ranges.items() if ends is not None}
 
     def widened(self, games: int, usual: Mapping[str, tuple[float, float]]) -> Self:
-        """The ranges after so many games, on the way from the `usual` ones."""
+        """Return the ranges after that many games, on the way from `usual`, the task's own."""
         share = min(games / self.widen_over_games, 1.0) if self.widen_over_games else 1.0
         if share == 1.0:
             return self
@@ -107,40 +107,40 @@ class Ranges(Config):
         }
         return self.model_copy(update=between)
 
-    def draw(self, random: np.random.Generator) -> dict[str, float]:
-        """A number from each range, or from a share of them."""
-        drawn = {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
-        if self.all_drawn:
-            return drawn
-        return {name: value for name, value in drawn.items() if random.random() < self._share_of(name)}
+    def sample(self, random: np.random.Generator) -> dict[str, float]:
+        """Sample each condition with its probability, uniformly from its range."""
+        sampled = {name: float(random.uniform(*ends)) for name, ends in self.given().items()}
+        if self.all_sampled:
+            return sampled
+        return {name: value for name, value in sampled.items() if random.random() < self._share_of(name)}
 
 
-DRAWN = {
+SAMPLED = {
     name: each
     for name, field in Ranges.model_fields.items()
     for each in field.metadata
     if isinstance(each, Condition)
 }
-"""The conditions that can be drawn, by their field of `Ranges`."""
-NOT_DRAWN = (
+"""Conditions that can be sampled, by their field of `Ranges`."""
+NOT_SAMPLED = (
     Condition("scenery", "difficulty.scenery"),
     Condition("sensor", "dvs_preset"),
     Condition("clock", "clock_speed", "x"),
     Condition("command", "command"),
     Condition("profile", "profile"),
 )
-CONDITIONS = {each.short: each for each in (*DRAWN.values(), *NOT_DRAWN)}
-"""All conditions by their short name."""
-OF_DIFFICULTY = tuple(name for name, each in DRAWN.items() if each.key == f"difficulty.{name}")
-OF_TASK = tuple(name for name, each in DRAWN.items() if each.key == name)
+CONDITIONS = {each.short: each for each in (*SAMPLED.values(), *NOT_SAMPLED)}
+"""All conditions by their short names."""
+OF_DIFFICULTY = tuple(name for name, each in SAMPLED.items() if each.key == f"difficulty.{name}")
+OF_TASK = tuple(name for name, each in SAMPLED.items() if each.key == name)
 OF_SENSOR = tuple(name for name in OF_TASK if name not in ("speed_m_s", "altitude_m"))
 LATENCY = "latency_scale"
 
 
 def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> list[dict[str, float]]:
-    """All least, all most, and the most with the weakest motors: where one of all that is drawn cannot be flown.
+    """Return the extreme conditions to check: all least, all most, and all most with the least thrust.
 
-    With `alone`, for conditions that are drawn without the others, each of their ends too.
+    With `alone`, also each end of each range by itself, for conditions that are not always sampled together.
     """
     least, most = ({name: ends[end] for name, ends in ranges.items()} for end in (0, 1))
     weakest = {name: value for name, value in least.items() if name == "thrust_ratio"}
@@ -149,7 +149,7 @@ def corners(ranges: Mapping[str, tuple[float, float]], alone: bool = False) -> l
 
 
 def keys_of(conditions: Mapping[str, float]) -> dict[str, Any]:
-    """The conditions as a task's keys: those of its difficulty and its latency one level down."""
+    """Return conditions as keys of a task: those of its difficulty and its latency are nested."""
     difficulty: dict[str, Any] = {name: conditions[name] for name in OF_DIFFICULTY if name in conditions}
     if "light" in difficulty:
         difficulty["light"] = (difficulty["light"], difficulty["light"])

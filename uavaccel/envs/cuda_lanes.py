@@ -12,17 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 
+from uavaccel.envs.context_planes import age_levels
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_courses import copied, put, taken, tensors
 from uavaccel.envs.cuda_games import GamesAhead
 from uavaccel.envs.cuda_view import LaneView
 from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
-from uavaccel.envs.judged import judge
-from uavaccel.envs.kernel_games import one_course
+from uavaccel.envs.kernel_games import one_course, step_result
 from uavaccel.envs.kernel_plan import slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
-from uavaccel.envs.told import age_levels
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import COLUMNS, DVS, STATE
@@ -117,7 +116,7 @@ class CudaLanes:
         frames = len(self.slices) * task.history
         self._taken_ns = th.zeros((count, frames), dtype=th.int64, device=device)
         self._wall_ns, self._present_ns = (th.zeros(count, dtype=th.int64, device=device) for _ in range(2))
-        told = task.told()
+        told = task.context_planes()
         self._shown = None if told is None else th.tensor(told.actions_shown(), device=device)
         self._rows_frames = None if told is None else th.tensor(told.rows_frames(), device=device)
 
@@ -295,7 +294,7 @@ class CudaLanes:
         self._place.copy_(th.where(touched, contact.T, self._flight[:, 1:4].T))
         now = Moments(None, list(self._place), touched, self.commands, copied(self._course))
         th.set_default_dtype(th.float64)  # of a number times a flag
-        judged = judge(self.task, before, now)
+        judged = step_result(self.task, before, now)
         th.set_default_dtype(th.float32)
         self.rewards.copy_(th.where(going, judged.reward, 0.0))
         self.success.copy_(judged.success & going)

@@ -1,8 +1,8 @@
-"""The process in which some environments of a batch fly, each in a thread: while one waits, another flies.
+"""A process in which some environments of a batch fly, each in a thread, so that one flies while another waits.
 
     python -m uavaccel.envs.environment_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
 
-Started by uavaccel.envs.batch; ends with the last of its connections to it, however that came about.
+Started by uavaccel.envs.environment_processes; it ends when its last connection to it is closed.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ import cv2
 import mujoco
 from gymnasium.vector import AutoresetMode
 
-from uavaccel.envs.batch_memory import Observations
-from uavaccel.envs.environment_processes import Place, ProcessOptions
+from uavaccel.envs.environment_processes import ProcessOptions, SharedObservations, SlotOptions
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
@@ -35,7 +34,7 @@ NICENESS = 5  # the renderer and the learner, for whom all environments wait, go
 
 
 class Slot:
-    """One environment of a batch: what is asked for over its connection is a method of this."""
+    """One environment of a batch; requests over its connection name a method of this class."""
 
     def __init__(
         self, environment: FlightEnv[Any], seen: Frame, last: Frame, autoreset: AutoresetMode
@@ -45,13 +44,13 @@ class Slot:
         self._over = False
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
-        """The info of a new game, whose observation is in the shared memory."""
+        """Begin a game and return its info; the observation goes into shared memory."""
         self._seen[:], info = self._environment.reset(seed=seed, options=options)
         self._over = False
         return info
 
     def step(self, action: Action) -> tuple[float, bool, bool, Info, Info | None]:
-        """Reward, end, truncation and info of a command; beside a new game's info, that of the one that is over."""
+        """Fly a command; returns reward, termination, truncation, info and, if it was reset, the last game's info."""
         if self._over and self._autoreset == AutoresetMode.NEXT_STEP:
             return 0.0, False, False, self.reset(None, None), None
         observation, reward, terminated, truncated, info = self._environment.step(action)
@@ -64,10 +63,10 @@ class Slot:
         return reward, terminated, truncated, info, last
 
     def call(self, name: str, *arguments: object) -> object:
-        """A method of the environment, or the value of an attribute."""
+        """Call a method of the environment, or return the value of an attribute."""
         attribute = getattr(self._environment, name)
         result = attribute(*arguments) if callable(attribute) else attribute
-        if name == "set_state":  # its result is the game's last observation
+        if name == "set_state":  # which returns the game's last observation
             self._seen[:], self._over = result, False
         return result
 
@@ -78,11 +77,14 @@ class Slot:
         self._environment.close()
 
 
-def fly(options: ProcessOptions, place: Place) -> None:
-    """One slot, until its connection ends. Errors are answers too: (False, kind, text)."""
+def fly(options: ProcessOptions, place: SlotOptions) -> None:
+    """Serve one slot until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
-    seen, last = Observations.opened(options["memory"], options["observations"]).of(place["slot"])
+    shared, number = (
+        SharedObservations(descriptor=options["memory"], **options["observations"]),
+        place["slot"],
+    )
     connection = Connection(place["connection"])
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
@@ -92,7 +94,8 @@ def fly(options: ProcessOptions, place: Place) -> None:
             try:
                 if slot is None:
                     environment = getattr(importlib.import_module(module), name)(**options["keys"])
-                    slot = Slot(environment, seen, last, AutoresetMode(options["autoreset"]))
+                    autoreset = AutoresetMode(options["autoreset"])
+                    slot = Slot(environment, shared.present[number], shared.last[number], autoreset)
                 connection.send((True, getattr(slot, method)(*arguments)))
             except (UserError, AttributeError) as error:
                 connection.send((False, type(error).__name__, str(error)))

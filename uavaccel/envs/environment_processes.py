@@ -1,8 +1,9 @@
-"""The processes of a batch, as the one that started them sees them: questions to environments, and their answers."""
+"""The parent's side of a batch: it starts the processes of the environments, sends requests and takes answers."""
 
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import select
 import socket
@@ -12,25 +13,51 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from typing import TypedDict
 
+import numpy as np
+
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.batch_memory import Size
-from uavaccel.envs.values import Answer
+from uavaccel.envs.values import Answer, Frame
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
+from uavaccel.sim.rendering.slots import anonymous_memory
 from uavaccel.standstill import FIRST_LOOKS, LOOK_S, LOOKS, Standstill, is_stopped
 from uavaccel.units import NS_PER_S
 
 
 def _poll_of(connection: Connection) -> select.poll:
-    """Whether its answer is there, at less cost than the connection itself would say."""
+    """Make a poll for incoming data, which is cheaper than Connection.poll."""
     poll = select.poll()
     poll.register(connection.fileno(), select.POLLIN)
     return poll
 
 
-class Place(TypedDict):
-    """One environment's: its slot, its end of a connection, and, where one is shared, its place at the renderer."""
+class ObservationForm(TypedDict):
+    """Number of environments, and shape and type of an observation."""
+
+    slots: int
+    shape: tuple[int, ...]
+    dtype: str
+
+
+class SharedObservations:
+    """Observations of all environments in memory that the processes share: (slots, *shape) each.
+
+    `present` are the current ones; `last` are the final ones of games that an autoreset has replaced. `descriptor` is
+    the memory's file descriptor; without one new memory is made.
+    """
+
+    def __init__(self, slots: int, shape: Sequence[int], dtype: str, descriptor: int | None = None) -> None:
+        self.form: ObservationForm = {"slots": slots, "shape": tuple(shape), "dtype": dtype}
+        size = 2 * slots * int(np.prod(shape)) * np.dtype(dtype).itemsize
+        self.descriptor = anonymous_memory(size) if descriptor is None else descriptor
+        both = np.frombuffer(mmap.mmap(self.descriptor, size), dtype).reshape(2, slots, *shape)
+        self.present: Frame = both[0]
+        self.last: Frame = both[1]
+
+
+class SlotOptions(TypedDict):
+    """Options of one environment: its slot, its end of a connection, and RemoteCamera's keywords or None."""
 
     slot: int
     connection: int
@@ -38,21 +65,21 @@ class Place(TypedDict):
 
 
 class BatchOptions(TypedDict):
-    """What the processes of a batch are told."""
+    """Options of all processes of a batch."""
 
     environment: str
-    """Its module and class."""
+    """Module and class, as "module:class"."""
     keys: dict[str, object]
     memory: int
-    """Of the observations, as a file descriptor."""
-    observations: Size
+    """File descriptor of the SharedObservations."""
+    observations: ObservationForm
     autoreset: str
 
 
 class ProcessOptions(BatchOptions):
-    """What one of them is told."""
+    """Options of one process."""
 
-    slots: list[Place]
+    slots: list[SlotOptions]
     parent: int
 
 
@@ -61,7 +88,7 @@ class BatchError(RuntimeError):
 
 
 class EnvironmentProcesses:
-    """`slots` environments over `processes` processes; `options` are environment_process's, but for slots."""
+    """`slots` environments distributed over `processes` processes; raises BatchError if one ends or hangs."""
 
     def __init__(
         self, options: BatchOptions, slots: int, processes: int, service: RenderService | None
@@ -88,7 +115,7 @@ class EnvironmentProcesses:
 
     def _start(self, options: BatchOptions, flown: dict[int, int]) -> subprocess.Popen[bytes]:
         service, inherited = self._service, {options["memory"], *flown.values()}
-        places: list[Place] = []
+        places: list[SlotOptions] = []
         for slot, connection in flown.items():
             renderer = None
             if service is not None:
@@ -96,16 +123,16 @@ class EnvironmentProcesses:
                 inherited |= set(descriptors.values())
                 renderer = {"number": slot, "count": service.cameras, **descriptors}
             places.append({"slot": slot, "connection": connection, "renderer": renderer})
-        told: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
+        all_options: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
         return subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.envs.environment_process", json.dumps(told)],
+            [sys.executable, "-m", "uavaccel.envs.environment_process", json.dumps(all_options)],
             pass_fds=sorted(inherited),
             env={"LP_NUM_THREADS": "0", **os.environ},  # in software, each draws on its own core
             start_new_session=True,  # Ctrl-C is for the process that flies the batch
         )
 
     def ask(self, slot: int, method: str, *arguments: object) -> None:
-        """Send a question; its `answer` has to be taken before the next."""
+        """Send a request; its `answer` has to be taken before the next one."""
         if not self._connections:
             raise self._ended(slot)
         if self._asked[slot]:
@@ -119,7 +146,7 @@ class EnvironmentProcesses:
         self._asked[slot] = True
 
     def answer(self, slot: int) -> Answer:
-        """The answer to the last question. Raises UserError or BatchError where there is none."""
+        """Wait for the answer to the last request. Raises UserError or BatchError for an error there."""
         try:
             while self._connections and not self._polls[slot].poll(LOOK_S * 1e3):
                 self._look()
@@ -134,18 +161,18 @@ class EnvironmentProcesses:
         raise self._error(slot, *answer[1:])
 
     def first_answered(self) -> int:
-        """A slot whose answer to a question is there; waits for one. Raises BatchError where none was asked."""
+        """Wait for the first slot that answers, and return it. Raises BatchError if none was asked."""
         asked = {self._connections[slot]: slot for slot, waiting in enumerate(self._asked) if waiting}
         if not asked:
             raise BatchError("no environment was asked for anything")
         while not (answered := wait(list(asked), LOOK_S)):
             self._look()
         if self._clock.now_ns() - self._looked_ns > LOOK_S * NS_PER_S:
-            self._look()  # others answer, and one might never be missed
+            self._look()  # while others answer, one that hangs might go unnoticed
         return asked[answered[0]]  # type: ignore[index]
 
     def _look(self) -> None:
-        """See after those whose answers are overdue. Raises BatchError for those that stand still, which it ends."""
+        """Check processes whose answers are due. Kills those that hang, and raises BatchError."""
         self._looked_ns = self._clock.now_ns()
         waiting = {self._process_of[slot] for slot, asked in enumerate(self._asked) if asked}
         pids = {self._processes[number].pid: number for number in waiting}
@@ -168,13 +195,13 @@ class EnvironmentProcesses:
     def ask_all(
         self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]
     ) -> list[Answer]:
-        """A question to each of some slots, all asked before the first answer is taken."""
+        """Send a request to each of `slots` before the first answer is taken; returns the answers."""
         for slot, each in zip(slots, arguments, strict=True):
             self.ask(slot, method, *each)
         return self.answers(slots)
 
     def answers(self, slots: Sequence[int]) -> list[Answer]:
-        """The answers of some slots. Raises the first error, after all have been taken."""
+        """Return the answers of `slots`. Raises the first error, after all have been taken."""
         answers, errors = [], []
         for slot in slots:
             try:
@@ -205,11 +232,11 @@ class EnvironmentProcesses:
         return [process.pid for process in self._processes]
 
     def close(self) -> None:
-        """End the processes; what they still fly is given up."""
+        """End the processes, and abandon what they still fly."""
         for connection in self._connections:
             connection.close()
         self._connections = []
-        if any(self._asked):  # a question may be a whole game, and nobody waits for its answer any more
+        if any(self._asked):  # a request may be a whole game, and nobody waits for its answer any more
             for process in self._processes:
                 process.terminate()
         stop(*self._processes)

@@ -1,4 +1,4 @@
-"""The mission computer of an environment: its samples are state, picture and whether something has been hit."""
+"""The client of an environment: its samples are state, picture and collision."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 
 class FlightSample(NamedTuple):
-    """One gathered sample; `collision` as Client.collision has it."""
+    """A gathered sample; `collision` is that of Client.collision."""
 
     state: Kinematics
     image: AnyImage
@@ -30,9 +30,9 @@ class FlightSample(NamedTuple):
 
 
 class FlightClient(GuardedClient):
-    """Gathers flight samples, with noisy pictures of `kind` unless it is None; tells the stopwatches when it renders.
+    """Gathers flight samples, with pictures of `kind` unless that is None; `stopwatches` measure the rendering.
 
-    The guard sees pictures as they were drawn.
+    Noise is added after the guard, which sees pictures as they were rendered.
     """
 
     def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
@@ -55,10 +55,10 @@ class FlightClient(GuardedClient):
             stopwatch.switch(phase)
 
     def get_state(self) -> State:
-        """What the guard remembers, for np.savez."""
+        """Return the guard's state, for np.savez."""
         state = self._guard_state._asdict()
         return {name: value for name, value in state.items() if value is not None}
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         self._guard_state = GuardState(**from_arrays(state))

@@ -1,4 +1,4 @@
-"""The environment of every task: one step is one synchronous command, seen through the task's sensor."""
+"""The Gymnasium environment of every task: one step flies one synchronous command, observed by the task's sensor."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from uavaccel.sim.camera import gl
 from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
 from uavaccel.units import NS_PER_S
 
-if TYPE_CHECKING:  # tasks are made where nothing is flown
+if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.flight_client import FlightClient, FlightSample
     from uavaccel.envs.observer import Observer
     from uavaccel.wire.client import Client
     from uavaccel.wire.session import Session
 
-CONDITIONS: Final = "conditions"  # of a game, where they were drawn: in its course
+CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
 
 
 class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
-    """An environment made of a task, whose keys are the keywords of `gymnasium.make`. A subclass says which task.
+    """An environment of a task, whose keys are the keywords of `gymnasium.make`; a subclass names the task.
 
-    `reset` takes `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (what it
-    touched, or None), `commands`, `wall_s`, seconds of the game's own wall clock, `phase_s`, those by phase, and what
-    the task adds. Raises UserError for keywords that do not fit.
+    `reset` takes the `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (the
+    object that was hit, or None), `commands`, `wall_s` (seconds on the game's own wall clock), `phase_s` (the same by phase),
+    and the task's own items. Raises UserError for keywords that do not fit.
     """
 
     metadata: Info = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
@@ -50,14 +50,14 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         from uavaccel.vision.image_noise import ImageNoise
 
         self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
-        self.flown: TaskT = self.task
+        self.episode_task: TaskT = self.task
         """The task under the running game's conditions."""
         self._games = 0
         self.render_mode = render_mode
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
         self.sensor = self.task.sensor()
-        self._told = self.task.told()
+        self._context = self.task.context_planes()
         self._command = COMMANDS[self.task.command]
         self._frames: deque[Frame] = deque(maxlen=self.task.frames_per_command * self.task.history)
         self._session: Session | None = None
@@ -71,46 +71,41 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, object] | None = None
     ) -> tuple[Frame, Info]:
-        """A settled hover at the start; all frames of the first observation are of it, or blank.
+        """Begin a game in a settled hover; all frames of the first observation show the start, or are blank.
 
         Raises UserError for options that the task does not know.
         """
         super().reset(seed=seed)
-        course = self.task.draw(self.np_random, known_options(options or {}, self.task.reset_options))
+        course = self.task.sample(self.np_random, known_options(options or {}, self.task.reset_options))
         latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
         self._games = self._games + 1 if seed is None else 1
-        conditions = self.task.draw_conditions(self.np_random, self._games - 1)
+        conditions = self.task.sample_conditions(self.np_random, self._games - 1)
         self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Frame, float, bool, bool, Info]:
-        """Fly one command. Raises UserError before the first `reset`, and for an action that is not in the space."""
+        """Fly one command. Raises UserError before the first `reset`, and for an action outside the space."""
         if self._client is None:
             raise UserError("reset the environment before its first step")
         action, before = within(self.action_space, action), self._now
         self._switch("simulation")
-        flown = self._fly(self._client, action)
+        now = self._fly(self._client, action)
         self._switch(None)
-        self._now = flown._replace(course=self.task.advance(before, flown))
+        self._now = now._replace(course=self.task.advance(before, now))
         success = self.task.success(self._now)
         terminated = success or self.task.failure(self._now)
         truncated = not terminated and self._now.commands >= self.task.max_commands
-        return (
-            self._observation(),
-            self.task.reward(before, self._now),
-            terminated,
-            truncated,
-            self._info() | (self._host_disturbances() if terminated or truncated else {}),
-        )
+        info = self._info() | (self._host_disturbances() if terminated or truncated else {})
+        return self._observation(), self.task.reward(before, self._now), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """What the front camera sees: (144, 256, 3) uint8."""
+        """Return the front camera's picture (144, 256, 3) uint8; None without a render mode."""
         if self._client is None or self.render_mode is None:
             return None
         return self._client.client.image("colour")
 
     def take_events(self) -> NDArray[np.float32]:
-        """Events (n, 4) of the running game since this was last called: rows (t in s, x, y, p = 1 or -1).
+        """Return the running game's events (n, 4) since the last call: rows (t in s, x, y, p = 1 or -1).
 
         Raises UserError unless the task has `list_events`.
         """
@@ -119,7 +114,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         return self.sensor.counter.take_events()
 
     def add_observer(self, observer: Observer) -> None:
-        """Let it look on from the next game on."""
+        """Register an observer, which is called from the next game on."""
         self._observers.append(observer)
 
     def close(self) -> None:
@@ -130,46 +125,46 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     # --- time, and going on after a stop ----------------------------------------------------------
 
     def charge(self, duration_s: float, phase: str = "inference") -> None:
-        """Work of the agent's since the last command: in `virtual` ADSC flies on meanwhile. Nothing elsewhere."""
+        """Charge the agent's work since the last command to the wall clock of `virtual`; no effect in other timings."""
         if self.task.timing != "virtual" or self._client is None:
             return
         self._client.client.transport.clock.charge(round(duration_s * NS_PER_S))
         self._stopwatches[0].add(phase, duration_s)
 
     def get_state(self) -> State:
-        """The running game, all of it, for np.savez: another environment of this task goes on to the same bytes.
+        """Return the running game's state, between two steps, for np.savez.
 
-        Between two steps. In `wall`, where a game cannot stand still, it is what the next one is drawn from.
+        Another environment of this task continues from it to the same bytes. In `wall`, where a game cannot be
+        suspended, it is only the generator from which the next game is sampled.
         """
         state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
-        if self.flown is not self.task:
+        if self.episode_task is not self.task:
             state["games"] = self._games
         session = (
             self._session.get_state() if self._session is not None and self._client is not None else None
         )
-        if session is None:
+        if session is None or self._client is None:
             return state
         game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
         state["game"] = json.dumps(game)
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
-        if self.flown.image_noise:
+        if self.episode_task.image_noise:
             state |= prefixed("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
-        if self._told is not None:
-            state |= prefixed("told", self._told.get_state())
+        if self._context is not None:
+            state |= prefixed("told", self._context.get_state())
         state |= prefixed("session", session) | prefixed("sensor", self.sensor.get_state())
-        assert self._client is not None
         return state | prefixed("guard", self._client.get_state())
 
     def set_state(self, state: SavedState) -> Frame:
-        """Go on with what `get_state` gave, or begin a game where there was none; the last observation."""
+        """Continue from what `get_state` returned, or begin a game if none was running; returns the observation."""
         self.np_random.bit_generator.state = json.loads(str(state["generator"]))
         self._games = int(state.get("games", 0))
         if "game" not in state:
             return self.reset()[0]
         session, game = self._opened(), json.loads(str(state["game"]))
-        self._take_on(game["course"])
-        self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
+        self._apply_conditions(game["course"])
+        client = self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
         numbers: list[Number] = [
@@ -177,32 +172,31 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         ]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
         self.sensor.set_state(without_prefix("sensor", state))
-        if self._told is not None:
-            self._told.set_state(without_prefix("told", state))
-        assert self._client is not None
-        self._client.set_state(without_prefix("guard", state))
-        self._make_noise(int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
+        if self._context is not None:
+            self._context.set_state(without_prefix("told", state))
+        client.set_state(without_prefix("guard", state))
+        self._seed_noise(client, int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
         self._frames.extend(state["frames"])
         return self._observation()
 
-    # --- inside -----------------------------------------------------------------------------------
+    # --- a game -----------------------------------------------------------------------------------
 
-    def _take_on(self, course: Course) -> None:
-        """Fly, see and pay for messages as under the conditions of this game."""
-        before, self.flown = self.flown, self.task.under(course.get(CONDITIONS, {}))
-        if self.flown.dvs_parameters != before.dvs_parameters:
-            self.sensor = self.flown.sensor()
-        if self.flown.latency.scale != before.latency.scale and self._session is not None:
-            self._session.set_latency(self.flown.latency)
+    def _apply_conditions(self, course: Course) -> None:
+        """Let task, sensor and latency model follow the conditions of this game."""
+        before, task = self.episode_task, self.task.with_conditions(course.get(CONDITIONS, {}))
+        self.episode_task = task
+        if task.dvs_parameters != before.dvs_parameters:
+            self.sensor = task.sensor()
+        if task.latency.scale != before.latency.scale and self._session is not None:
+            self._session.set_latency(task.latency)
 
-    def _make_noise(self, seed: int, start_ns: int) -> None:
-        """Of this game's pictures and events."""
+    def _seed_noise(self, client: FlightClient, seed: int, start_ns: int) -> None:
+        """Seed the noise of this game's pictures and events."""
         from uavaccel.vision.image_noise import ImageNoise
 
-        assert self._client is not None
-        self._noise = self._client.noise = ImageNoise(self.flown.image_noise, seed, start_ns)
+        self._noise = client.noise = ImageNoise(self.episode_task.image_noise, seed, start_ns)
         if isinstance(self.sensor, EventCamera):
-            self.sensor.noise_seed = self.flown.events_seed(seed)
+            self.sensor.noise_seed = self.episode_task.events_seed(seed)
 
     def _opened(self) -> Session:
         from uavaccel.wire.session import open_session
@@ -217,7 +211,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         return self._session
 
     def _look(self, time_ns: int) -> None:
-        """What the event camera sees between two samples: it is on board, so no message and no wall time are due."""
+        """Let the event camera see a frame between two samples; it is on board, so nothing is charged."""
         assert isinstance(self.sensor, EventCamera)
         assert self._session is not None
         with ExitStack() as phases:
@@ -225,8 +219,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
                 phases.enter_context(stopwatch.aside("image_processing"))
             self.sensor.counter.look(self._noise.add(self._session.picture(), time_ns), time_ns)
 
-    def _connect(self, client: Client, start_ns: int) -> None:
-        """Fly with this client a game that began at `start_ns` of its wall clock."""
+    def _connect(self, client: Client, start_ns: int) -> FlightClient:
+        """Wrap the client of a game that began at `start_ns` of its wall clock."""
         from uavaccel.envs.flight_client import FlightClient
 
         self._start_ns = start_ns
@@ -234,34 +228,35 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         if self.task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
         self._client = FlightClient(client, self.sensor.picture, self._stopwatches)
+        return self._client
 
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
         from uavaccel.envs.observer import Game
         from uavaccel.vision.image_noise import noise_seed
 
         session = self._opened()
-        self._take_on(course)
-        task, start_z_m = self.flown, -self.flown.altitude_m
-        client = session.start_game(task.clock_speed, latencies, lane=task.layout(course), height_m=start_z_m)
-        self._connect(client, client.now_ns())
-        assert self._client is not None
-        self._make_noise(noise_seed(latencies), (start := self._client.kinematics()).time_ns)
-        first: FlightSample = self._client.gather(start)
+        self._apply_conditions(course)
+        task = self.episode_task
+        lane, height_m = task.layout(course), -task.altitude_m
+        started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
+        client = self._connect(started, started.now_ns())
+        self._seed_noise(client, noise_seed(latencies), (start := client.kinematics()).time_ns)
+        first = client.gather(start)
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)
         frame = self.sensor.reset(first.state, first.image, course)
         seen = frame if task.sees_start and not task.blank_images else self.sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
-        if self._told is not None:
-            self._told.start(first.state.time_ns)
-        self._command.begin(self._client)
+        if self._context is not None:
+            self._context.start(first.state.time_ns)
+        self._command.begin(client)
         game = Game(task, session, self._noise, first.state)
         for observer in self._observers:
             observer.game_begun(game)
 
     def _fly(self, client: FlightClient, action: Action) -> Moment:
-        """One command; it stops at the first sample after a collision, and the frames still missing are blank."""
-        task, now = self.flown, self._now
+        """Fly one command; after a collision it stops at the next sample, and the remaining frames are blank."""
+        task, now = self.episode_task, self._now
         goal, missing = task.goal(action), task.frames_per_command
         taken_ns, gathered_ns = [], 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
@@ -277,10 +272,10 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             taken_ns.append(sample.state.time_ns)
             missing -= 1
         self._frames.extend([self.sensor.blank] * missing)
-        if self._told is not None:
+        if self._context is not None:
             since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock stands
             present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
-            self._told.flown(action, taken_ns, missing, present_ns)
+            self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
 
     def _see(self, sample: FlightSample) -> Frame:
@@ -298,8 +293,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             stopwatch.switch(phase)
 
     def _observation(self) -> Frame:
-        told = () if self._told is None else (self._told.seen(),)
-        return np.concatenate([*self._frames, *told])
+        context = () if self._context is None else (self._context.observe(),)
+        return np.concatenate([*self._frames, *context])
 
     def _info(self) -> Info:
         now = self._now
@@ -317,7 +312,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         return info
 
     def _host_disturbances(self) -> Info:
-        """Of a game that is over in `wall`: wall time lost, and for which the server stalled; else nothing."""
+        """Return the seconds of wall time that a finished game in `wall` lost, and for which its server stalled."""
         if self.task.timing != "wall" or self._client is None:
             return {}
         client = self._client.client

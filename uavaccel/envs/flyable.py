@@ -1,4 +1,4 @@
-"""What lanes over arrays fly of a task, on the CPU and on a GPU, and what only the exact simulator does."""
+"""Which tasks the kernels can fly, on the CPU and on a GPU, and how they fly them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 
-MOST_DIGITS = 1_000_000  # of a clock's speed as a fraction: its products have to fit 64 bits for hours
+MOST_DIGITS = (
+    1_000_000  # largest numerator or denominator of a ClockSpeed: for hours products must fit 64 bits
+)
 
 KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
 
 Simulator = Literal["mujoco", "kernels"]
-"""Who flies: MuJoCo and OpenGL, exact, or lanes over arrays."""
+"""The exact simulator, with MuJoCo and OpenGL, or lanes over arrays."""
 Device = Literal["cpu", "cuda"]
-"""Where."""
+"""Where lanes over arrays are flown."""
 CPU, CUDA = get_args(Device)
 
 
 def check_flyable(task: Task, lanes: int, device: str) -> None:
-    """Raise UserError, one line, for what only the exact simulator flies, or on "cuda" only the CPU."""
+    """Raise UserError for a task that only the exact simulator flies, or on "cuda" only the CPU."""
     if lanes < 1:
         raise UserError(f"num_envs = {lanes}: must be at least 1")
     if why := _why_not(task) or _why_no_clock(task):
@@ -34,12 +36,12 @@ def check_flyable(task: Task, lanes: int, device: str) -> None:
 
 
 def kind_of(task: Task) -> int:
-    """What lanes observe: STATE, DVS, COLOUR or DEPTH."""
+    """Return what lanes observe: STATE, DVS, COLOUR or DEPTH."""
     return STATE if task.blank_images else KINDS[task.observation]
 
 
 def passes_together(task: Task) -> bool:
-    """Whether the same ticks pass in all lanes, whatever messages cost."""
+    """Return whether all lanes advance by the same ticks, since messages take no time."""
     return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
 
 
@@ -59,7 +61,6 @@ def _why_not(task: Task) -> str:
 
 
 def _why_not_on_gpu(task: Task) -> str:
-    """Lanes pass a command's samples together there."""
     if passes_together(task):
         return ""
     if task.dvs_ticks:
@@ -77,15 +78,15 @@ def _why_no_clock(task: Task) -> str:
 
 
 def latency_of(task: Task) -> LatencyConfig:
-    """What messages and ticks cost: nothing in lockstep."""
+    """Return the latency model of the task; zero in lockstep."""
     return task.latency if task.timing == "virtual" else ZERO_LATENCY
 
 
 def profile_of(task: Task) -> Profile:
-    """How the task's simulation steps."""
+    """Return the profile of the task's simulation."""
     return latency_of(task).platform.profile(task.profile, task.clock_speed)
 
 
 def speed_of(task: Task) -> Fraction:
-    """Simulated seconds per wall second."""
+    """Return the simulated seconds per wall second that are reached."""
     return latency_of(task).platform.executor().speed(exact(task.clock_speed), profile_of(task).tick_ns)

@@ -17,20 +17,26 @@ POST_M = 0.2  # half the side of a post
 
 
 class GatesTask(Task):
-    """Observations "state": the ways to the next two gates, attitude, velocity and body rate (16,); m, m/s, rad/s."""
+    """Observations "state": vectors to the next two gates, attitude, velocity and body rate (16,); m, m/s, rad/s."""
 
     scene: ClassVar[str] = "lane"
     reset_options: ClassVar[tuple[str, ...]] = ("gates_m",)
     speed_m_s: Positive = 3.0
+    """Speed of a command at full deflection, m/s."""
     altitude_m: Positive = 2.0
+    """Height of the start and of the gates' centres, metres."""
     gates: Count = 5
+    """Number of gates."""
     spacing_m: Positive = 6.0
+    """Metres between two gates."""
     spread_m: NotNegative = 2.0
-    """Gates are drawn so far east or west of the middle, at most."""
+    """Largest distance of a gate east or west of the centre line, metres."""
     half_width_m: Positive = 1.0
+    """Half the width of a gate, metres."""
     half_height_m: Positive = 1.0
+    """Half the height of a gate, metres."""
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
+    def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         north = self.spacing_m * np.arange(1, self.gates + 1)
         east = random.uniform(-self.spread_m, self.spread_m, self.gates)
         drawn = np.stack([north, east, np.full(self.gates, -self.altitude_m)], axis=1)
@@ -42,7 +48,7 @@ class GatesTask(Task):
         return {"obstacles": [{"x_m": x, "y_m": y, "half_side_m": POST_M} for x, y in places]}
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """The ways to the next two gates, the last one's twice, and the state but for its place."""
+        """List the vectors to the next two gates, at the end twice to the last, and the state without its position."""
         gates, passed = course["gates_m"], course["passed"]
         coming = [*_gate(gates, passed), *_gate(gates, passed + 1)]
         ways_m = [there - here for there, here in zip(coming, (*state.position_m,) * 2, strict=True)]
@@ -67,7 +73,7 @@ class GatesTask(Task):
         return {**now.course, "passed": passed, "missed": missed}
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
-        """A point for each metre nearer to the gate that was next, five for each passed; five less for a failure."""
+        """Return 1 per metre nearer to the next gate, plus 5 per gate passed and minus 5 for failure."""
         passed = before.course["passed"]
         gate_m = _gate(before.course["gates_m"], passed)
         nearer_m = distance(gate_m, before.position_m) - distance(gate_m, now.position_m)
@@ -81,13 +87,13 @@ class GatesTask(Task):
 
 
 def _gate(gates: Sequence[Sequence[Number]], number: Number) -> list[Number]:
-    """Where the gate of that number is, beyond the last one the last: a choice by arithmetic, game by game."""
+    """Return the position of gate `number`, or of the last one beyond it; arithmetic, so that it works on arrays."""
     last = len(gates) - 1
     chosen = [number == each for each in range(last)] + [number >= last]
     return [sum(is_it * gate[axis] for is_it, gate in zip(chosen, gates, strict=True)) for axis in range(3)]
 
 
 class Gates(FlightEnv[GatesTask]):
-    """`reset` draws gates, or takes `options={"gates_m": [[north, east, down], ...]}`."""
+    """Flies through gates; `reset` samples them, or takes `options={"gates_m": [[north, east, down], ...]}`."""
 
     task_class = GatesTask

@@ -18,14 +18,21 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.checks import make_task, seeds_of, within
+from uavaccel.envs.context_planes import NO_ACTION, age_levels
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.flyable import CPU, check_flyable, kind_of
-from uavaccel.envs.judged import Judged, judge
-from uavaccel.envs.kernel_games import Drawn, GameMaker, one_course, put_course, stacked
+from uavaccel.envs.kernel_games import (
+    Drawn,
+    GameMaker,
+    StepResult,
+    one_course,
+    put_course,
+    stacked,
+    step_result,
+)
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
-from uavaccel.envs.told import NO_ACTION, age_levels
 from uavaccel.envs.values import Action, Actions, Answer, Batch, Frame, Info, Number, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
@@ -105,7 +112,7 @@ class KernelBatch(Batch):
         self._clocks = timeline.clocks(count, samples)
         self._host_s = np.zeros(count)
         self._over = np.zeros(count, bool)
-        self._told = task.told()
+        self._told = task.context_planes()
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
@@ -327,7 +334,7 @@ class KernelBatch(Batch):
             self._samples,
         )
 
-    def _land(self, lanes: NDArray[np.int64]) -> Judged:
+    def _land(self, lanes: NDArray[np.int64]) -> StepResult:
         """What became of a command, and what is seen of it."""
         before = Moments(
             None, [axis[lanes].copy() for axis in self._place], None, None, self._course_of(lanes)
@@ -335,7 +342,7 @@ class KernelBatch(Batch):
         self._commands[lanes] += 1
         self._find(lanes)
         flown = self._moments(lanes)
-        judged = judge(self.task, before, flown)
+        judged = step_result(self.task, before, flown)
         if self.task.observation == "state" and not self.task.blank_images:
             self._put_features(lanes)
         for name, value in judged.course.items():
@@ -348,7 +355,7 @@ class KernelBatch(Batch):
         return judged
 
     def _note_times(self, lanes: NDArray[np.int64]) -> None:
-        """What time it is after a command, and of which time its frames are (envs/told)."""
+        """What time it is after a command, and of which time its frames are (envs/context_planes)."""
         tick_ns, clocks = self._plan.tick_ns, self._clocks
         seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
         now_ns = self._now.state["tick"][lanes] * tick_ns

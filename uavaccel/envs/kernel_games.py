@@ -1,4 +1,4 @@
-"""Games for lanes over arrays: what a task draws, in the order in which `FlightEnv` draws it, as rows of numbers."""
+"""Games of lanes over arrays: sampled in the order in which `FlightEnv` samples, written as rows, and judged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import profile_of
-from uavaccel.envs.task import Task
+from uavaccel.envs.task import Moments, Task
 from uavaccel.envs.values import Course, Number
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row
@@ -25,7 +25,7 @@ from uavaccel.vision.image_noise import noise_seed
 
 
 class Drawn(NamedTuple):
-    """A game before it begins."""
+    """A sampled game before it begins."""
 
     course: Course
     task: Task
@@ -35,7 +35,7 @@ class Drawn(NamedTuple):
 
 
 class GameMaker:
-    """Draws a task's games and writes them into rows of `Games`."""
+    """Samples a task's games and writes them into rows of `Games`."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
@@ -48,16 +48,16 @@ class GameMaker:
     def draw(
         self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None
     ) -> Drawn:
-        """The game after so many of an environment whose generator this is. Raises UserError for wrong options."""
-        course = self.task.draw(random, known_options(options or {}, self.task.reset_options))
+        """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
+        course = self.task.sample(random, known_options(options or {}, self.task.reset_options))
         latencies = np.random.SeedSequence(int(random.integers(2**63)))
-        conditions = self.task.draw_conditions(random, games)
-        task = self.task.under(conditions)
-        told = {**course, CONDITIONS: conditions} if conditions else course
-        return Drawn(told, task, task.drawn(course), latencies)
+        conditions = self.task.sample_conditions(random, games)
+        task = self.task.with_conditions(conditions)
+        layout = task.lane_layout(course)
+        return Drawn({**course, CONDITIONS: conditions} if conditions else course, task, layout, latencies)
 
     def write(self, drawn: Drawn, games: Games, row: int) -> None:
-        """Fill a game's row, but for the accelerations of its start (kernels/lanes.look)."""
+        """Fill a game's row, except for the accelerations at its start (kernels/lanes.look)."""
         task, layout = drawn.task, drawn.layout
         ratios = (1.0, 1.0) if layout is None else (layout.mass_ratio, layout.thrust_ratio)
         parameters, start, body = self._start(task.altitude_m, *ratios)
@@ -74,7 +74,7 @@ class GameMaker:
     def _settled(
         self, altitude_m: float, mass_ratio: float, thrust_ratio: float
     ) -> tuple[np.void, np.void, NDArray[np.float64]]:
-        """Parameters, record and body (BODY_FIELDS,) of a settled hover. Raises UserError where nothing can hover."""
+        """Return parameters, state and body (BODY_FIELDS,) of a settled hover. Raises UserError if none is possible."""
         world = self._world
         world.lead.set_airframe(mass_ratio, thrust_ratio)
         world.reset((0.0, 0.0, -altitude_m))
@@ -83,37 +83,56 @@ class GameMaker:
         return world.lead.parameters.copy(), world.lead.state.copy(), body
 
     def name_of(self, solid: int, layout: LaneLayout | None) -> str:
-        """What a game's solid is called."""
+        """Return the name of one of a game's solids."""
         return self.surroundings.name_of(solid, 0 if layout is None else len(layout))
 
 
+class StepResult(NamedTuple):
+    """How a command ended for n games: arrays (n,)."""
+
+    course: Course
+    reward: Number
+    success: Number
+    terminated: Number
+    truncated: Number
+
+
+def step_result(task: Task, before: Moments, flown: Moments) -> StepResult:
+    """Judge a command from `before` to `flown` for many games at once, as `FlightEnv.step` judges one."""
+    now = flown._replace(course=task.advance(before, flown))
+    success = task.success(now)
+    terminated = success | task.failure(now)
+    truncated = ~terminated & (now.commands >= task.max_commands)
+    return StepResult(now.course, task.reward(before, now), success, terminated, truncated)
+
+
 def stacked(courses: Sequence[Course]) -> dict[str, Number]:
-    """Courses of many games as one of arrays: a list of numbers becomes a list of arrays (n,), and so on."""
+    """Stack the courses of n games: each number becomes an array (n,), each list of numbers a list of arrays."""
     names = [name for name in courses[0] if name != CONDITIONS]
     return {name: _components(np.array([course[name] for course in courses])) for name in names}
 
 
 def _components(values: NDArray[np.generic]) -> Number:
-    """(n, a, b) as a list of a lists of b arrays (n,)."""
+    """Turn an array (n, a, b) into a list of a lists of b arrays (n,)."""
     if values.ndim == 1:
         return values
     return [_components(values[:, each]) for each in range(values.shape[1])]
 
 
 def put_course(course: Number, lane: int, value: Number) -> None:
-    """Let a lane's part of a course of arrays be that of a game of its own."""
+    """Write a game's course into a lane's place of a stacked course."""
     if isinstance(course, Mapping):
         for name in course:
-            put_course(course[name], lane, value[name]) if isinstance(course[name], list) else course[
-                name
-            ].__setitem__(lane, value[name])
-    else:
+            put_course(course[name], lane, value[name])
+    elif isinstance(course, list):
         for part, each in zip(course, value, strict=True):
-            put_course(part, lane, each) if isinstance(part, list) else part.__setitem__(lane, each)
+            put_course(part, lane, each)
+    else:
+        course[lane] = value
 
 
 def one_course(course: Number, lane: int) -> Number:
-    """A lane's part of a course of arrays, as plain numbers."""
+    """Return a lane's part of a stacked course, as plain numbers."""
     if isinstance(course, Mapping):
         return {name: one_course(each, lane) for name, each in course.items()}
     if isinstance(course, list):

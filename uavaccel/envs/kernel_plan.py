@@ -1,4 +1,4 @@
-"""How lanes over arrays fly a task's commands."""
+"""A task's commands and latencies, as the arrays that kernels take."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
 
 
 def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Ticks of a command's samples (S,), and nanoseconds of the simulated wall clock that each takes in lockstep."""
+    """Return ticks (S,) of a command's slices, and the simulated wall ns (S,) that each takes in lockstep."""
     profile = PROFILES[task.profile]
     due_ns = [0, *samples_due(task.t_move_s, task.t_sample_s)]
     ticks = [(later - earlier) // profile.tick_ns for earlier, later in pairwise(due_ns)]
@@ -31,7 +31,7 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def plan_of(task: Task, hull: NDArray[np.float64], pictures: bool) -> Command:
-    """A command of the task's, for vehicles with this hull; `pictures`: whether the lanes draw any."""
+    """Describe a task's command for vehicles with this hull; `pictures`: whether the lanes render any."""
     profile = profile_of(task)
     hold = profile.command_ticks(task.t_move_s) + profile.hover_after_ticks
     timing = timing_of(task, pictures)
@@ -39,7 +39,7 @@ def plan_of(task: Task, hull: NDArray[np.float64], pictures: bool) -> Command:
 
 
 def timing_of(task: Task, pictures: bool) -> Timing:
-    """How a command of the task's passes on a lane's clock."""
+    """Describe how a task's command passes on a lane's clock."""
     due_ns = samples_due(task.t_move_s, task.t_sample_s)
     slices_ns = [later - earlier for earlier, later in pairwise([0, *due_ns])]
     offsets_ns = [round(each / float(task.clock_speed)) for each in due_ns]
@@ -64,14 +64,14 @@ def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
     rules[timeline.IMAGES] = task.sensor().picture is not None
     rules[timeline.GUARDED] = pictures and virtual
     rules[timeline.PROCESSING_NS] = round(task.image_processing_s * NS_PER_S) if virtual else 0
-    rules[timeline.LAYS_OUT] = task.layout(task.draw(np.random.default_rng(0), {})) is not None
+    rules[timeline.LAYS_OUT] = task.layout(task.sample(np.random.default_rng(0), {})) is not None
     rules[timeline.LATENCY] = virtual
     rules[timeline.FAULTS] = platform.faults != FaultConfig()
     return rules
 
 
 def _tables(latency: LatencyConfig) -> Latencies:
-    """The tables that a call's latencies are drawn from, by channel and wait (wire/latency.Latency)."""
+    """Tabulate the quantiles of latencies by channel and wait (wire/latency.Latency)."""
     tables = np.zeros((wire.TABLES, len(latency.quantiles)))
     for first, of in ((wire.REQUEST, latency.request_us), (wire.REPLY, latency.reply_us)):
         for place, channel in enumerate(wire.CHANNELS):

@@ -1,7 +1,7 @@
-"""Those who look on while an environment flies: films, event cameras beside the agent's own, counters.
+"""Observers of an environment's flights: films, further event cameras, counters.
 
-`FlightEnv.add_observer` registers one. It sees each game's beginning and its samples, and through the game's session
-whatever ticks it likes (`Session.watch`); none of that is a message, takes wall time or changes a flight.
+`FlightEnv.add_observer` registers one. It sees each game's beginning and samples and, through the game's session, any
+ticks that it asks for (`Session.watch`); none of that is a message, takes wall time or changes a flight.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from uavaccel.wire.session import Session
 
 
 class Game(NamedTuple):
-    """A game that is flown."""
+    """A running game."""
 
     task: Task
-    """Under the game's conditions."""
+    """The task under the game's conditions."""
     session: Session
     noise: ImageNoise
     start: Kinematics
 
     def picture(self, time_ns: int) -> NDArray[np.uint8]:
-        """The front camera's gray picture of this tick, which is at that simulated time, with the game's noise."""
+        """Return the front camera's gray picture of the present tick, at simulated `time_ns`, with the game's noise."""
         return self.noise.add(self.session.picture(), time_ns)
 
 
 class Observer:
-    """Looks on; a subclass replaces what it wants to see."""
+    """Base class of observers; a subclass replaces the methods that it needs."""
 
     def game_begun(self, game: Game) -> None:
-        """`reset` has begun a game, and its first command can be flown."""
+        """Called after `reset` has begun a game, before its first command."""
 
     def sample_taken(self, sample: FlightSample, command: int) -> None:
-        """A sample was gathered, during which of the game's commands, from 0; one with a collision is its last."""
+        """Called for each gathered sample, during command number `command`, from 0; with a collision it is the last."""

@@ -16,9 +16,9 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
+from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.task import AnyMoment, Count, Moment, Task
-from uavaccel.envs.told import ContextPlanes, Knowledge
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
@@ -37,50 +37,51 @@ from uavaccel.sim.lane.layout import (
 
 Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
 MOST_HEADINGS = 360
+STANDARD_HEADINGS_DEG = (-60.0, -30.0, 0.0, 30.0, 60.0)
 Heading = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 class LaneTask(Task):
-    """What an `ObstacleLane` environment is made of. T_move, T_sample and speed are the paper's (III-C1)."""
+    """The task of an `ObstacleLane` environment. T_move, T_sample and speed are the paper's (section III-C1)."""
 
     scene: ClassVar[str] = "lane"
     reset_options: ClassVar[tuple[str, ...]] = ("lane",)
     sees_start: ClassVar[bool] = False
 
     split: Split = "training"
-    """Which lanes are drawn; no lane is both a training and an evaluation lane."""
+    """Set from which lanes are sampled; training and evaluation share no lane."""
     difficulty: Difficulty = Difficulty()
+    """Distribution of the sampled lanes."""
     lane: LaneFile | None = None
-    """One lane for all games, instead of drawn ones: written out, or the name of its YAML file."""
+    """One lane for all games instead of sampled ones: a mapping, or the name of its YAML file."""
     observation: Literal["dvs", "state", "colour", "depth"] = "dvs"
-
-    knows: tuple[Knowledge, ...] = ()
-    """What the agent is told beside its pictures: last_action, frame_age."""
-
+    """What the agent observes: event images, the state as numbers, colour pictures or depth pictures."""
+    knows: tuple[ContextKind, ...] = ()
+    """Extra observations, as planes beside the pictures: last_action, frame_age."""
     randomise: Ranges | None = None
-    """What is drawn anew for each game, wherever the task is flown; None: nothing."""
+    """Ranges of the conditions that are sampled for each game; None: nothing is randomised."""
 
     t_move_s: Seconds = 1.0
+    """T_move, the simulated seconds of a command."""
     t_sample_s: Seconds = 0.33
-    headings_deg: Annotated[tuple[Heading, ...], Field(max_length=MOST_HEADINGS)] = (
-        -60.0,
-        -30.0,
-        0.0,
-        30.0,
-        60.0,
-    )
-    """The actions: directions of flight, 0 along the lane, positive to the east."""
+    """T_sample, the simulated seconds between two samples of a command."""
+    headings_deg: Annotated[tuple[Heading, ...], Field(max_length=MOST_HEADINGS)] = STANDARD_HEADINGS_DEG
+    """The actions, as directions of flight in degrees: 0 along the lane, positive to the east."""
     altitude_m: Height = 2.0
-    """Height that every command holds, as AirSim's moveByVelocityZ; SimpleFlight answers slower the higher it is."""
+    """Height in metres that every command holds, as AirSim's moveByVelocityZ; SimpleFlight responds more slowly the
+    higher it is."""
     max_commands: Count = 300
+    """Commands after which a game is truncated."""
 
     progress_reward: Reward = 0.1
-    """A metre northwards."""
+    """Reward per metre northwards."""
     collision_reward: Reward = -1.0
+    """Reward of a collision, which ends the game."""
     goal_reward: Reward = 0.0
+    """Reward for reaching the lane's end."""
     wall_reward: Reward = 0.0
-    """Of a command that ends at one of the walls; elsewhere less, with the square of the distance from the middle. The
-    walls are plain, and an event camera hardly sees them."""
+    """Reward of a command that ends at a wall, falling with the square of the distance from the centre line to 0 there:
+    the walls are plain, and an event camera hardly sees them."""
 
     @field_validator("lane", mode="before", json_schema_input_type=LaneFile | str | None)
     @classmethod
@@ -117,32 +118,35 @@ class LaneTask(Task):
             )
         if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
             raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
-        for ends in corners(ranges, alone=not self.randomise.all_drawn):
+        for ends in corners(ranges, alone=not self.randomise.all_sampled):
             keys = self.model_dump(mode="json", exclude={"randomise", "lane"})
-            drawn = keys_of(ends)
+            extreme = keys_of(ends)
             for part in ("difficulty", "latency"):
-                drawn[part] = keys[part] | drawn[part]
-            validate(LaneTask, keys | drawn, "randomise")
+                extreme[part] = keys[part] | extreme[part]
+            validate(LaneTask, keys | extreme, "randomise")
         return self
 
-    def told(self) -> ContextPlanes | None:
-        """Its last action and the age of its frames, where `knows` says so."""
+    def context_planes(self) -> ContextPlanes | None:
+        """Make the planes that `knows` names; None without any."""
         if not self.knows:
             return None
         return ContextPlanes(self.knows, self.headings_deg, self.frames_per_command * self.history)
 
     @property
     def scenery(self) -> str:
-        """That of the lane, drawn or one's own."""
+        """Scenery of the lane."""
         return (self.lane or self.difficulty).scenery
 
     @property
     def typical_s(self) -> float:
-        """Simulated seconds of a game that gets far, for estimates."""
+        """Simulated seconds of a game that gets far, for estimates of the duration."""
         return min(self.max_commands * self.t_move_s, 1.3 * LENGTH_M / self.speed_m_s)
 
     def wire_lane(self, index: int) -> dict[str, object]:
-        """Lane `index` of the split, or the own one, as Client.set_lane takes it. Raises UserError past a million."""
+        """Return lane `index` of the split, or the user's lane, in the form of Client.set_lane.
+
+        Raises UserError for an index of a million or more.
+        """
         if self.lane is not None:
             return self.lane.model_dump(mode="json")
         return {"seed": self._seed_of(index), "difficulty": self.difficulty.model_dump(mode="json")}
@@ -153,12 +157,12 @@ class LaneTask(Task):
         return lane_seed(self.split, index)
 
     def action_space(self) -> spaces.Discrete:
-        """The headings."""
+        """Return the space of actions, one for each heading."""
         return spaces.Discrete(len(self.headings_deg))
 
     @property
     def directions(self) -> Sequence[Vector]:
-        """Of the headings."""
+        """Unit vectors of the headings, NED."""
         headings = [math.radians(heading) for heading in self.headings_deg]
         return [(math.cos(heading), math.sin(heading), 0.0) for heading in headings]
 
@@ -166,27 +170,27 @@ class LaneTask(Task):
     def held_z_m(self) -> float:
         return -self.altitude_m
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
-        """A lane of the split, or the one that the options name."""
-        drawn = int(random.integers(EVALUATION_SEEDS))
+    def sample(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
+        """Sample a lane of the split, or take the one that the options name."""
+        sampled = int(random.integers(EVALUATION_SEEDS))
         try:
-            return {"lane": operator.index(options.get("lane", drawn))}
+            return {"lane": operator.index(options.get("lane", sampled))}
         except TypeError:
             raise UserError(f"reset: option lane = {options['lane']!r} must be a whole number") from None
 
-    def draw_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+    def sample_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
         if self.randomise is None:
             return {}
         flown = games if self.split == "training" else self.randomise.widen_over_games
-        return self.randomise.widened(flown, self._usual()).draw(random)
+        return self.randomise.widened(flown, self._usual()).sample(random)
 
     def _usual(self) -> dict[str, tuple[float, float]]:
-        """What games are flown under where nothing is randomised."""
+        """Return the task's own conditions, as ranges."""
         keys = {**self.difficulty.model_dump(), **self.model_dump(include=set(OF_TASK))}
         keys[LATENCY] = self.latency.scale
         return {name: each if isinstance(each, tuple) else (each, each) for name, each in keys.items()}
 
-    def under(self, conditions: Mapping[str, float]) -> Self:
+    def with_conditions(self, conditions: Mapping[str, float]) -> Self:
         if not conditions:
             return self
         keys = keys_of(conditions)
@@ -197,10 +201,10 @@ class LaneTask(Task):
     def layout(self, course: Course) -> object:
         return self.wire_lane(course["lane"])
 
-    def drawn(self, course: Course) -> LaneLayout | None:
+    def lane_layout(self, course: Course) -> LaneLayout | None:
         own = type(self).layout, type(self).wire_lane
         if self.lane is not None or own != (LaneTask.layout, LaneTask.wire_lane):
-            return super().drawn(course)
+            return super().lane_layout(course)
         return draw_layout(self._seed_of(course["lane"]), self.difficulty)
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
@@ -210,16 +214,16 @@ class LaneTask(Task):
         return self.progress_reward * progress_m + self.wall_reward * (from_middle * from_middle) + ends
 
     def success(self, now: AnyMoment) -> Number:
-        """The lane's end without a collision (paper, section III-C3)."""
+        """Return whether it has reached the lane's end without a collision (paper, section III-C3)."""
         return now.free & (now.position_m[0] >= LENGTH_M)
 
     def info(self, now: Moment) -> Info:
-        """How far north it got, the lane's index, and the conditions, where they were drawn."""
+        """Return the distance flown north, the lane's index and, if they were sampled, the conditions."""
         drawn = {name: now.course[name] for name in (CONDITIONS,) if name in now.course}
         return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"], **drawn}
 
 
 class ObstacleLane(FlightEnv[LaneTask]):
-    """The lane; `reset` draws one, or takes `options={"lane": index}` of the task's split."""
+    """Flies lanes; `reset` samples one, or takes `options={"lane": index}` of the task's split."""
 
     task_class = LaneTask

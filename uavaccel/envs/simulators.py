@@ -1,4 +1,4 @@
-"""Who flies a batch: the exact simulator, or the kernels on this machine's cores or on its GPU."""
+"""The choice of a simulator for vectorised environments: the exact one, or kernels on the CPU or a GPU."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def make_batch(
     device: Device = "cpu",
     **keys: Any,
 ) -> Batch:
-    """`num_envs` environments of a kind, flown by `simulator` on `device`, with the keywords that those take.
+    """Make `num_envs` environments of a class, flown by `simulator` on `device`, with their keywords.
 
-    Raises UserError for what there is not, and as the batches themselves.
+    Raises UserError for an unknown or missing simulator or device, and as the batches themselves.
     """
     check_simulator(simulator, device)
     if simulator == EXACT:
@@ -47,7 +47,7 @@ def make_batch(
 
 
 def check_simulator(simulator: str, device: str) -> None:
-    """Raise UserError, one line, for what there is not: a simulator, a device, a GPU, or what drives one."""
+    """Raise UserError for an unknown simulator or device, and if this machine has no GPU or lacks numba-cuda."""
     check_names(simulator, device)
     if device == CPU:
         return
@@ -60,7 +60,7 @@ def check_simulator(simulator: str, device: str) -> None:
 
 
 def check_names(simulator: str, device: str) -> None:
-    """The same, but for what this machine lacks."""
+    """Raise UserError for an unknown simulator or device, whatever this machine has."""
     for name, value, known in (("simulator", simulator, Simulator), ("device", device, Device)):
         if value not in get_args(known):
             raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(get_args(known))}")
@@ -71,7 +71,7 @@ def check_names(simulator: str, device: str) -> None:
 
 
 def flown_by(simulator: str, device: str) -> str:
-    """Which one flew, in words; nothing of the exact simulator, as whose all numbers count that say nothing else."""
+    """Name simulator and device in words; empty for the exact simulator, which is assumed if nothing is said."""
     return "" if simulator == EXACT else f"simulator kernels on {'a GPU' if device == CUDA else 'the CPU'}"
 
 

@@ -1,4 +1,4 @@
-"""Where the time of a training goes: the phases of the paper's Figure 9."""
+"""A stopwatch that attributes time to the phases of a training, as the paper's Figure 9 does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PHASES = ("simulation", "rendering", "image_processing", "inference", "learning"
 
 
 class Stopwatch:
-    """Charges the time of a clock to one phase after another; to none before the first `switch`."""
+    """Attributes the time on a clock to phases, to none before the first `switch`."""
 
     def __init__(self, clock: WallClock) -> None:
         self._clock = clock
@@ -21,7 +21,7 @@ class Stopwatch:
         self._spent_ns = dict.fromkeys(PHASES, 0)
 
     def switch(self, phase: str | None) -> None:
-        """What passes from now on belongs to `phase`, or to nothing."""
+        """Attribute time from now on to `phase`, or to none."""
         now_ns = self._clock.now_ns()
         if self._phase is not None:
             self._spent_ns[self._phase] += now_ns - self._since_ns
@@ -29,7 +29,7 @@ class Stopwatch:
 
     @contextmanager
     def phase(self, phase: str) -> Iterator[None]:
-        """What passes inside belongs to `phase`, and to nothing afterwards."""
+        """Attribute the time inside the block to `phase`, and afterwards to none."""
         self.switch(phase)
         try:
             yield
@@ -38,7 +38,7 @@ class Stopwatch:
 
     @contextmanager
     def aside(self, phase: str) -> Iterator[None]:
-        """What passes inside belongs to `phase`, and afterwards to whatever it was before."""
+        """Attribute the time inside the block to `phase`, and afterwards to the phase before it."""
         before = self._phase
         self.switch(phase)
         try:
@@ -47,16 +47,16 @@ class Stopwatch:
             self.switch(before)
 
     def add(self, phase: str, duration_s: float) -> None:
-        """Time known from elsewhere."""
+        """Add a duration that was not measured here."""
         self._spent_ns[phase] += round(duration_s * NS_PER_S)
 
     def get_state(self) -> dict[str, int]:
-        """Nanoseconds so far, by phase; between two phases."""
+        """Return the nanoseconds by phase, to be called outside any phase."""
         return dict(self._spent_ns)
 
     def set_state(self, state: dict[str, int]) -> None:
         self._spent_ns = dict(state)
 
     def spent_s(self) -> dict[str, float]:
-        """Seconds so far, by phase."""
+        """Return the seconds by phase."""
         return {phase: spent / NS_PER_S for phase, spent in self._spent_ns.items()}

@@ -1,7 +1,7 @@
-"""A learning task: what is drawn at reset, what an action means, what is seen, and reward, success and ends.
+"""A learning task: how a game is sampled, what actions and observations mean, and reward, success and failure.
 
-The cut is that of dm_control: physics, environment and task are three things. A task is a configuration, whose keys are
-the environment's keywords, and a few pure functions of what happened, each of which a subclass may replace.
+As in dm_control, physics, environment and task are separate. A task is a configuration, whose keys are the keywords of
+the environment, and a few pure functions of what happened, each of which a subclass may replace.
 """
 
 from __future__ import annotations
@@ -18,8 +18,16 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
-from uavaccel.envs.sensors import Sensor, blank_frame, make_sensor, state_fields
-from uavaccel.envs.told import ContextPlanes
+from uavaccel.envs.context_planes import ContextPlanes
+from uavaccel.envs.sensors import (
+    ColourCamera,
+    DepthCamera,
+    EventCamera,
+    Sensor,
+    StateSensor,
+    blank_frame,
+    state_fields,
+)
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
@@ -39,22 +47,22 @@ AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 
 
 
 class Moment(NamedTuple):
-    """What is known at a game's start and at the end of each command.
+    """A game's state at its start or at the end of a command.
 
-    A task's functions take one game's, or a `Moments` of many: what they compute is arithmetic on its numbers, the same
-    for one float and for an array of them.
+    The functions of a task take the `Moment` of one game or the `Moments` of many: they compute with plain arithmetic,
+    which is the same for a float and for an array.
     """
 
     state: Kinematics
-    """Of the last sample."""
+    """State of the last sample."""
     position_m: Vector
-    """Where the vehicle is, or where it hit something: NED."""
+    """Position of the vehicle or, after a collision, of its first contact: NED."""
     collision: str | None
-    """What it hit."""
+    """Name of the object it hit; None without a collision."""
     commands: int
-    """Flown so far."""
+    """Commands flown so far."""
     course: Course
-    """The task's own: what it drew, and what became of it. Plain numbers, lists and mappings."""
+    """The task's own variables, sampled at reset and updated by `advance`: plain numbers, lists and mappings."""
 
     @property
     def touched(self) -> bool:
@@ -66,80 +74,89 @@ class Moment(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """The same of many games: where `Moment` has a number, an array (n,) of NumPy or a tensor of PyTorch."""
+    """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""
 
     state: Kinematics | None
-    """Of arrays."""
     position_m: Sequence[Number]
     """Three arrays: north, east, down."""
     touched: Number
     commands: Number
     course: Course
-    """What is a list of numbers in a game's course is a list of arrays."""
+    """A list of numbers in a game's course is a list of arrays here."""
 
     @property
     def free(self) -> Number:
         return ~self.touched
 
 
-AnyMoment: TypeAlias = Any  # a Moment or Moments; a task of one's own may be written for either alone
+AnyMoment: TypeAlias = Any  # a Moment or Moments; a user's task may handle only one of them
 
 
 class Task(Config):
-    """Keys that all tasks share, and the functions that make one; those below `actions` are to be replaced."""
+    """The keys that all tasks share, and the functions that define one; subclasses replace those from `actions` on."""
 
     scene: ClassVar[str] = "blocks"
     reset_options: ClassVar[tuple[str, ...]] = ()
-    """Keys that `reset(options=...)` may have."""
+    """Keys that `reset(options=...)` accepts."""
     sees_start: ClassVar[bool] = True
-    """Whether the first observation is of the start; else its frames are blank."""
+    """Whether the first observation shows the start; otherwise its frames are blank."""
 
     observation: Literal["dvs", "state", "colour", "depth"] = "state"
+    """What the agent observes: event images, the state as numbers, colour pictures or depth pictures."""
     history: Annotated[int, Field(ge=1, le=8)] = 1
-    """Commands whose frames are in one observation, the newest last."""
+    """Number of commands whose frames make one observation, the newest last."""
     blank_images: bool = False
-    """Frames without content, for the baseline that shows what can be learned without seeing."""
+    """Whether all frames are blank: the baseline of what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
+    """v2e's preset of the event camera."""
     dvs_seed: Seed = 0
-    """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
+    """Seed of the pixels' thresholds, which stay the same from game to game."""
     dvs_threshold_ratio: Positive = 1.0
-    """Times the preset's contrast thresholds."""
+    """Factor on the preset's contrast thresholds."""
     dvs_spread_ratio: NotNegative = 1.0
-    """Times their spread from pixel to pixel."""
+    """Factor on the standard deviation of the thresholds from pixel to pixel."""
     dvs_shot_noise_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    """Noise events per second of a black pixel, a quarter of them of a white one, beside the preset's: at most one ON
-    and one OFF per frame that the event camera sees."""
+    """Noise events per second of a black pixel, added to the preset's; a white pixel has a quarter of them. A frame of
+    the event camera holds at most one ON and one OFF noise event of a pixel."""
     dvs_leak_hz: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    """ON events per second of a pixel that sees no change, beside the preset's."""
+    """ON events per second of a pixel that sees no change, added to the preset's."""
     dvs_hot_pixels: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Share of the pixels that make 10 ON events per second, whatever they see; the sensor's, drawn by dvs_seed."""
+    """Share of hot pixels, 0 to 1, which emit 10 ON events per second whatever they see; chosen by dvs_seed."""
     image_noise: Annotated[float, Field(ge=0.0, le=255.0)] = 0.0
-    """Standard deviation of each picture's Gaussian noise, of 255 grey levels, before the event camera sees it."""
+    """Standard deviation, in grey levels of 255, of Gaussian noise on each picture before the event camera sees it."""
 
     dvs_rate_hz: Positive | None = None
-    """Frames per simulated second that the event camera sees, up to every step of the physics; else one per sample."""
+    """Frames per simulated second that the event camera sees, at most one per physics step; None: one per sample."""
     list_events: bool = False
-    """Whether the event camera keeps its events one by one, for `take_events`."""
+    """Whether the event camera keeps individual events for `take_events`."""
 
     command: Literal["adsc", "tcsc"] = "tcsc"
+    """The synchronous command that flies each action."""
     t_move_s: Seconds = 0.2
+    """T_move, the simulated seconds of a command."""
     t_sample_s: Seconds = 0.2
+    """T_sample, the simulated seconds between two samples of a command."""
     speed_m_s: Speed = 1.0
+    """Speed of a command at full deflection, m/s."""
     altitude_m: Height = 10.0
-    """Of the start."""
+    """Height of the start above the ground, metres."""
     max_commands: Count = 100
+    """Commands after which a game is truncated."""
 
     timing: Literal["wall", "virtual", "lockstep"] = "lockstep"
+    """Wall clock of the simulation: measured, modelled with latencies, or modelled without any."""
     clock_speed: ClockSpeed = 1.0
+    """Simulated seconds per wall second."""
     profile: Literal["native", "airsim"] = "native"
+    """How time is handled: exact to the tick, or as AirSim does."""
     t_th_wall_s: Cost = 0.001
-    """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
+    """TCSC's T_th, the client's latency in wall seconds; only for profile airsim, whose continue-for may end early."""
     latency: LatencyModel = Field(default_factory=of_the_profile)
-    """The latency model that `virtual` draws from, or the YAML file of one; the shipped one where none is given."""
+    """Latency model of timing virtual, or the YAML file of one; by default the one that ships for the profile."""
     image_processing_s: Cost = 0.0003
-    """What the DVS of one frame costs the simulated wall clock of `virtual`."""
+    """Seconds that the event camera takes for a frame on the simulated wall clock of timing virtual."""
     report_host_times: bool = False
-    """Whether infos have `host_phase_s`, measured on this machine's clock: never the same twice."""
+    """Whether infos include `host_phase_s`, seconds measured on this machine's clock, which differ from run to run."""
 
     @model_validator(mode="after")
     def _times_fit(self) -> Self:
@@ -170,12 +187,12 @@ class Task(Config):
 
     @property
     def dvs_ticks(self) -> int | None:
-        """Ticks from one of the event camera's frames to the next; None: it sees the samples alone."""
+        """Ticks between two frames of the event camera; None if it sees only the samples."""
         return None if self.dvs_rate_hz is None else rate_ticks(self.dvs_rate_hz, self.profile)
 
     @property
     def scenery(self) -> str:
-        """What its scene looks like."""
+        """The scenery of its scene."""
         return PLAIN
 
     @property
@@ -187,120 +204,119 @@ class Task(Config):
 
     @property
     def frames_per_command(self) -> int:
+        """Number of samples of a command."""
         return len(samples_due(self.t_move_s, self.t_sample_s))
 
     def sensor(self) -> Sensor:
-        """What turns samples into frames."""
-        return make_sensor(
-            self.observation,
-            self.features,
-            self._blank_features(),
-            self.dvs_parameters,
-            self.dvs_seed,
-            self.list_events,
-        )
+        """Make the sensor that turns samples into frames."""
+        if self.observation == "state":
+            return StateSensor(self.features, self._blank_features())
+        if self.observation == "dvs":
+            return EventCamera(self.dvs_parameters, self.dvs_seed, self.list_events)
+        camera = ColourCamera if self.observation == "colour" else DepthCamera
+        return camera(blank_frame(self.observation))
 
     def _blank_features(self) -> NDArray[np.float32]:
-        return np.zeros_like(self.features(AT_REST, self.draw(np.random.default_rng(0), {})))
+        return np.zeros_like(self.features(AT_REST, self.sample(np.random.default_rng(0), {})))
 
     @property
     def dvs_parameters(self) -> DvsParameters:
-        """The event camera's."""
+        """Parameters of the event camera."""
         noise = self.dvs_shot_noise_hz, self.dvs_leak_hz, self.dvs_spread_ratio, self.dvs_hot_pixels
         return _parameters(self.dvs_preset, self.dvs_threshold_ratio, *noise)
 
     def events_seed(self, seed: int) -> int:
-        """Of the event camera's noise in a game of that seed; v2e's presets by themselves have one for all games."""
+        """Return the seed of the event camera's noise in a game with that seed; v2e's presets use 0 for all games."""
         return seed if self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0 else 0
 
     def observation_space(self) -> spaces.Box:
-        """Of the frames of `history` commands, stacked along the first axis, and what else the agent is told."""
+        """Return the space of observations: the frames of `history` commands, then the context planes, on axis 0."""
         blank = self._blank_features() if self.observation == "state" else blank_frame(self.observation)
-        told = self.told()
-        planes = 0 if told is None else told.planes
+        context = self.context_planes()
+        planes = 0 if context is None else context.planes
         shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])
         if blank.dtype == np.uint8:
             return spaces.Box(0, 255, shape, np.uint8)
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
-    def told(self) -> ContextPlanes | None:
-        """What the agent is told beside its frames."""
+    def context_planes(self) -> ContextPlanes | None:
+        """Make the extra observations beside the frames; None without any."""
         return None
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """The numbers of a frame of observation "state", of one state or of a `Kinematics` of arrays."""
+        """List the numbers of a frame of observation "state", for one state or for a `Kinematics` of arrays."""
         return state_fields(state)
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        """A frame of observation "state"."""
+        """Make a frame of observation "state"."""
         return np.array(self.fields(state, course), np.float32)[None]
 
     # --- actions: by default a velocity ---------------------------------------------------------------
 
     def action_space(self) -> spaces.Space[Action]:
-        """North, east and down: shares of `speed_m_s`."""
+        """Return the space of actions: north, east and down as shares of `speed_m_s`, -1 to 1."""
         return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
     @property
     def directions(self) -> Sequence[Vector] | None:
-        """Of discrete actions: north, east and down, shares of `speed_m_s`. None: an action is its own direction."""
+        """North, east and down of each discrete action, as shares of `speed_m_s`; None: the action is a direction."""
         return None
 
     @property
     def held_z_m(self) -> float | None:
-        """The NED height that every command holds; None: commands fly up and down too."""
+        """NED z that every command holds, metres; None: commands also climb and descend."""
         return None
 
     def goal(self, action: Action) -> VelocityGoal:
-        """The velocity that an action of the space asks for."""
+        """Return the velocity that an action of the space asks for."""
         direction = action if self.directions is None else self.directions[int(action)]
         north, east, down = (float(share) * self.speed_m_s for share in direction)
         return VelocityGoal((north, east, down), self.held_z_m)
 
     # --- a game ---------------------------------------------------------------------------------------
 
-    def draw(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
-        """What a game is about. Raises UserError for an option that cannot be."""
+    def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
+        """Sample a game, or take it from the options of `reset`. Raises UserError for a wrong option."""
         return {}
 
-    def draw_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
-        """Under which a game is flown, after so many of its environment; nothing: as the task has them."""
+    def sample_conditions(self, random: np.random.Generator, games: int) -> Mapping[str, float]:
+        """Sample the conditions of a game, after `games` of its environment; empty: as the task has them."""
         return {}
 
-    def under(self, conditions: Mapping[str, float]) -> Self:
-        """The task as it is under conditions of `draw_conditions`."""
+    def with_conditions(self, conditions: Mapping[str, float]) -> Self:
+        """Return the task under the conditions that `sample_conditions` returned."""
         return self
 
     def layout(self, course: Course) -> object:
-        """The scene of a game as Client.set_lane takes it; None: as it is."""
+        """Return a game's scene in the form of Client.set_lane; None: it stays as it is."""
         return None
 
-    def drawn(self, course: Course) -> LaneLayout | None:
-        """The same as obstacles. Raises UserError."""
+    def lane_layout(self, course: Course) -> LaneLayout | None:
+        """Return the same as a layout. Raises UserError for a wrong one."""
         from uavaccel.wire.image_api import lane_layout  # as heavy as the simulation
 
         layout = self.layout(course)
         return None if layout is None else lane_layout(layout)
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
-        """The course after a command."""
+        """Return the course after a command."""
         course: Course = now.course
         return course
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
-        """Of one command."""
+        """Return the reward of one command."""
         return 0.0 * now.commands
 
     def success(self, now: AnyMoment) -> Number:
-        """Whether the game is won; it is over then."""
+        """Return whether the game is won, which ends it."""
         return now.touched & now.free
 
     def failure(self, now: AnyMoment) -> Number:
-        """Whether it is lost."""
+        """Return whether the game is lost, which ends it."""
         return now.touched
 
     def info(self, now: Moment) -> Info:
-        """What infos have beside the keys of `FlightEnv`."""
+        """Return the task's own items of infos, beside those of `FlightEnv`."""
         return dict(now.course)
 
 
@@ -310,7 +326,7 @@ def _parameters(preset: str, threshold_ratio: float, *noise: float) -> DvsParame
 
 
 def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:
-    """Ticks between two frames. Raises ValueError where the rate does not divide that of the physics."""
+    """Return the ticks between two frames. Raises ValueError unless the rate divides that of the physics."""
     physics_hz = NS_PER_S / PROFILES[profile].tick_ns
     ticks = round(physics_hz / rate_hz)
     if not ticks > 0 or abs(ticks * rate_hz / physics_hz - 1) > RATE_ROUNDING:
@@ -322,9 +338,9 @@ def rate_ticks(rate_hz: float, profile: str, key: str = "dvs_rate_hz") -> int:
 
 
 def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.float64]) -> list[Number]:
-    """A reset option of positions (..., 3), NED, in the shape of `drawn`'s; `drawn` where it is not given.
+    """Return a reset option of NED positions (3,) or (n, 3), with as many axes as `drawn`, the default.
 
-    Raises UserError where it is no list of finite numbers of that form.
+    Raises UserError unless it is a list of finite numbers of that form.
     """
     try:
         given = np.array(options.get(name, drawn), float)
@@ -338,6 +354,6 @@ def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.
 
 
 def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
-    """Metres between two places, of one game or of many."""
+    """Return the metres between two positions, of one game or of many."""
     squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
     return math.sqrt(squared) if isinstance(squared, float) else squared**0.5

@@ -1,4 +1,4 @@
-"""What tasks, sensors and environments hand to each other."""
+"""Types of the values that tasks, sensors and environments exchange."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 Number: TypeAlias = Any
-"""A number of one game, or one of each of many games: an array (n,) of NumPy, or a tensor of PyTorch."""
+"""A number of one game, or those of n games: a NumPy array or PyTorch tensor (n,)."""
 
 Course = Mapping[str, Number]
-"""What a task has drawn for a game, and what has become of it: numbers, and lists and mappings of numbers."""
+"""A task's variables of a game: numbers, and lists and mappings of numbers."""
 
 Action: TypeAlias = Any
-"""As the task's action space has it: an int, or an array."""
+"""An element of the action space: an int, or an array."""
 
 Frame = NDArray[np.integer | np.floating]
-"""Of uint8 or float32: what a sensor makes of a sample, and an observation, which is several of them on one axis."""
+"""A frame, which a sensor makes of a sample, or an observation, several frames on axis 0: uint8 or float32."""
 
 Info = dict[str, Any]
-"""Gymnasium's: what an environment says beside an observation."""
+"""The info dictionary of Gymnasium's `reset` and `step`."""
 
 Actions = Sequence[Action] | NDArray[np.generic]
-"""Those of many environments."""
+"""Actions of many environments."""
 
 Outcomes = NDArray[np.float64 | np.bool_]
-"""Rewards or ends of many environments."""
+"""Rewards, terminations or truncations of many environments."""
 
 Batch = VectorEnv[Frame, Actions, Outcomes]
 """Many environments of one task."""
 
 Steps = tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
-"""Observations, rewards, ends, truncations and infos of many environments."""
+"""Observations, rewards, terminations, truncations and infos of many environments."""
 
 Answer: TypeAlias = Any
-"""What a method of an environment returned, or the value of its attribute."""
+"""Result of a method of an environment, or value of its attribute."""

@@ -48,11 +48,11 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     time_s = np.array([sample.time_ns - samples[0].time_ns for sample in samples]) / 1e9
     position_m = np.array([sample.position_m for sample in samples])
     attitude = np.array([sample.orientation_wxyz for sample in samples])
-    on, off = count_events(images, time_s, environment.flown.dvs_parameters, task.dvs_seed)
+    on, off = count_events(images, time_s, environment.episode_task.dvs_parameters, task.dvs_seed)
     end = "reached the end" if info["is_success"] else f"hit {hit}" if hit else "ran out of commands"
     again = "" if config.simulator == EXACT else " in the exact simulator"
     title = f"lane {lane}, {command_name(task.command)} at {clock_label(task.clock_speed)}: {end}{again}"
-    layout = lane_layout(environment.flown.wire_lane(lane))
+    layout = lane_layout(environment.episode_task.wire_lane(lane))
     return Film(
         title,
         time_s,
