@@ -13,7 +13,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.sim.executor import Executor
+from uavaccel.sim.profile import Executor
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.simulation import Simulation

@@ -15,7 +15,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
-from uavaccel.sim.lane.looks import named
+from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World

@@ -7,6 +7,7 @@ SimModeWorldBase.h (3 ms), SimpleFlightApi.hpp (50 Hz commands), Params.hpp (api
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cache, lru_cache
 from math import ceil
 
@@ -123,3 +124,25 @@ def airsim_variant(
         recorder_ticks=_RECORD_NS // tick_ns + 1,
         exact_pauses=exact_pauses,
     )
+
+
+@dataclass(frozen=True)
+class Executor:
+    """What a tick of physics takes of wall time, and whether a ClockSpeed above 1 loses its fraction."""
+
+    tick_cost_ns: int = 0
+    integer_clock_speed: bool = False
+
+    def speed(self, clock_speed: Fraction, tick_ns: int) -> Fraction:
+        """Simulated seconds per wall second while the clock runs; ticks of `tick_ns` of simulated time.
+
+        A tick never takes less than its cost, so that the speed saturates at tick_ns / tick_cost_ns.
+        """
+        if self.integer_clock_speed and clock_speed > 1:
+            clock_speed = Fraction(int(clock_speed))
+        if self.tick_cost_ns:
+            clock_speed = min(clock_speed, Fraction(tick_ns, self.tick_cost_ns))
+        return clock_speed
+
+
+UNBOUND = Executor()

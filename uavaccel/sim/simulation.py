@@ -15,11 +15,10 @@ from fractions import Fraction
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.executor import UNBOUND, Executor
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.poses import LEVEL
-from uavaccel.sim.profile import Profile
+from uavaccel.sim.profile import UNBOUND, Executor, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.saved import SavedState, State, number_or_none, optional, prefixed, without_prefix
 from uavaccel.sim.vehicle.vehicle import AddedVehicle

@@ -14,8 +14,7 @@ import numpy as np
 from uavaccel.kinematics import Vector
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
-from uavaccel.sim.vehicle.goal import Goal, Yaw
-from uavaccel.sim.vehicle.sticks import RATE_MODE, STICKS, VALID, Sticks
+from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
 from uavaccel.wire.arguments import VehicleName, flag, number
 from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.flight_api import Answer, Seconds, fly_for

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys
 
 SCENE = 0
 MOUNTS = {

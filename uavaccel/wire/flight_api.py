@@ -13,11 +13,17 @@ import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.manual import MoveByManual
-from uavaccel.sim.flight.path import FollowPath, check_lookahead
-from uavaccel.sim.flight.path import facing as facing_along
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.flight.task import AT_REST_M_S, Land, RotateToYaw, Task
+from uavaccel.sim.flight.tasks import (
+    AT_REST_M_S,
+    FlightTask,
+    FollowPath,
+    Land,
+    MoveByManual,
+    RotateToYaw,
+    check_lookahead,
+)
+from uavaccel.sim.flight.tasks import facing as facing_along
 from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.goal import Goal, Yaw
@@ -280,7 +286,7 @@ class FlightApi(Calls, title="Flight"):
         pilot.cancel(self.wall_ns)
         return pilot
 
-    def _start(self, pilot: Pilot, task: Task) -> Answer:
+    def _start(self, pilot: Pilot, task: FlightTask) -> Answer:
         return pilot.start(task, self.wall_ns)
 
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:

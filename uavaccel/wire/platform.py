@@ -10,9 +10,8 @@ from pydantic import Field, field_validator
 
 from uavaccel.config import Config
 from uavaccel.limits import LatencyUs
-from uavaccel.sim.executor import Executor
 from uavaccel.sim.frames import Frames
-from uavaccel.sim.profile import AIRSIM, PROFILES, Profile, airsim_variant
+from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Profile, airsim_variant
 from uavaccel.units import seconds_to_ns
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from uavaccel.sim.sensors.base import Truth
 from uavaccel.sim.sensors.field import Barometer, Gps, Magnetometer
 from uavaccel.sim.sensors.inertial import Imu
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
-from uavaccel.sim.sensors.state import Truth
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, TypeVar, Union
 
 from pydantic import Field
 
+from uavaccel.sim.sensors.base import sensors
 from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
 from uavaccel.sim.sensors.inertial import ImuSettings
-from uavaccel.sim.sensors.registry import sensors
 
 SENSORS = sensors()
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import parse_json
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys
 from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly

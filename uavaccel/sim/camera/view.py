@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.looks import BODIES_GROUP, LOOKS_GROUP
+from uavaccel.sim.lane.scene import BODIES_GROUP, LOOKS_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.model import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned

@@ -7,56 +7,41 @@ has no effect (OffboardApi.hpp).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.manual import MoveByManual
-from uavaccel.sim.flight.saved_task import state_of, task_of
-from uavaccel.sim.flight.task import Task
-from uavaccel.sim.profile import Profile
+from uavaccel.sim.flight.tasks import FlightTask, MoveByManual, state_of, task_of
 from uavaccel.sim.recording import CommandLog
 from uavaccel.sim.saved import SavedState, State, number_or_none, optional
-from uavaccel.sim.vehicle.goal import Goal
-from uavaccel.sim.vehicle.sticks import IDLE, STICKS, VALID, Sticks, stick_goal
+from uavaccel.sim.vehicle.goal import IDLE, STICKS, VALID, Goal, Sticks, stick_goal
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from uavaccel.sim.simulation import Simulation
 
 OTHERS_LOG_LENGTH = 64  # nobody asks for it
 LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
 
 
 @dataclass
-class Command:
+class RunningCommand:
     """What runs: up to `end_tick`, or, where it has a task, with the task's next turn at that tick."""
 
     end_tick: int
     reply: DeferredReply
-    task: Task | None = None
+    task: FlightTask | None = None
     begin_tick: int = 0
     goal_tick: int | None = None  # at which the task has last set a goal, if it has
-
-
-class Flight(Protocol):
-    """What a pilot asks of the simulation in which its vehicle flies."""
-
-    profile: Profile
-    time0_ns: int
-    failure: str | None
-
-    def begin_recording(self, pilot: Pilot) -> None:
-        """A pilot has accepted a command."""
-
-    def note(self, event: str, wall_ns: int) -> None:
-        """Add to the trace, if it is switched on."""
 
 
 class Pilot:
     """The commands of one vehicle of a simulation; the one that `leads` keeps all of its log."""
 
-    def __init__(self, simulation: Flight, vehicle: Vehicle, leads: bool) -> None:
+    def __init__(self, simulation: Simulation, vehicle: Vehicle, leads: bool) -> None:
         self._simulation, self.vehicle, self._leads = simulation, vehicle, leads
         self._profile = simulation.profile
         self.api_control = False
@@ -65,7 +50,7 @@ class Pilot:
 
     def start_over(self) -> None:
         """Nothing has been commanded yet."""
-        self.command: Command | None = None
+        self.command: RunningCommand | None = None
         self.log = CommandLog(None if self._leads else OTHERS_LOG_LENGTH)
         self.sticks: Sticks = np.zeros(STICKS)
 
@@ -74,13 +59,13 @@ class Pilot:
         tick = self._accept(ticks, wall_ns)
         if self.api_control:
             self._set(goal)
-        self.command = Command(tick + ticks, DeferredReply())
+        self.command = RunningCommand(tick + ticks, DeferredReply())
         return self.command.reply
 
-    def start(self, task: Task, wall_ns: int) -> DeferredReply:
+    def start(self, task: FlightTask, wall_ns: int) -> DeferredReply:
         """Let a task choose the goals; its first turn is now, and may already be the last."""
         tick = self._accept(LONGEST_TICKS, wall_ns)
-        command = self.command = Command(tick, DeferredReply(), task, tick)
+        command = self.command = RunningCommand(tick, DeferredReply(), task, tick)
         self.turn(wall_ns)
         return command.reply
 
@@ -135,13 +120,13 @@ class Pilot:
         self._simulation.note("end", wall_ns)
         command.reply.resolve(completed, wall_ns)
 
-    def _hold_after(self, command: Command) -> None:
+    def _hold_after(self, command: RunningCommand) -> None:
         """Let position hold set in a goal timeout after the command's last goal; one without any leaves it alone."""
         last = self._last_goal(command)
         if self.api_control and last is not None:
             self.vehicle.hold_from(last + self._profile.hover_after_ticks)
 
-    def _last_goal(self, command: Command) -> int | None:
+    def _last_goal(self, command: RunningCommand) -> int | None:
         if command.task is not None:
             return command.goal_tick
         return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
@@ -185,4 +170,4 @@ class Pilot:
         self.command = None
         if end_tick is not None:
             begin, last = int(state.get("begin_tick", 0)), number_or_none(state.get("goal_tick", ()))
-            self.command = Command(end_tick, DeferredReply(), task_of(state), begin, last)
+            self.command = RunningCommand(end_tick, DeferredReply(), task_of(state), begin, last)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, WALL_TEXTURES, LaneLayout
-from uavaccel.sim.lane.looks import named, put_on_looks
-from uavaccel.sim.scene.bounding_boxes import refit_bounding_boxes
+from uavaccel.sim.scene.model import refit_bounding_boxes
 from uavaccel.units import ned_to_mujoco
 
 OBSTACLE_HALF_HEIGHT_M = 10.0
@@ -22,6 +21,8 @@ PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
 SUN_ELEVATION_RAD = 0.9
 DAYLIGHT = 0.65  # the sun's share of full daylight; that of the sky, from all directions, is AMBIENT
 AMBIENT = 0.45
+LOOKS_GROUP, BODIES_GROUP = 4, 5  # seen in colour alone, and in all but colour; other groups are seen in both
+TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between its sides and its corners
 
 
 def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
@@ -94,3 +95,50 @@ def object_name(model: mujoco.MjModel, geom: int) -> str:
     if geom < 0:
         return ""
     return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)
+
+
+def put_on_looks(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
+    """Let the looks of a scenery's model follow its bodies, which have been laid out; the plain lane has none.
+
+    `obstacles`: geoms of the layout's obstacles, in its order.
+    """
+    trunks = named(model, "trunk_")
+    if not len(trunks):
+        return
+    used, meshes = trunks[: len(obstacles)], _trunk_meshes(model, layout)
+    model.geom_rgba[trunks] = (0.5, 0.5, 0.5, 0.0)  # MuJoCo's default lets the material's colour through
+    model.geom_rgba[used, 3] = 1.0
+    model.geom_dataid[used], model.geom_matid[used] = meshes, model.geom_matid[obstacles]
+    model.geom_sameframe[used] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turn goes unnoticed
+    away_from_sun = np.array(
+        [np.cos(layout.sun_azimuth_rad / 2), 0.0, 0.0, -np.sin(layout.sun_azimuth_rad / 2)]
+    )
+    for geom, mesh, obstacle in zip(used, meshes, obstacles, strict=True):
+        _place(model, geom, mesh, model.geom_pos[obstacle, :2], away_from_sun)
+    for side in ("west", "east"):
+        model.geom(f"edge_{side}").matid = model.geom(f"wall_{side}").matid
+
+
+def _trunk_meshes(model: mujoco.MjModel, layout: LaneLayout) -> NDArray[np.int64]:
+    """For each obstacle the trunk that is nearest to it in size."""
+    meshes = [mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")]
+    radii_m = model.numeric("trunk_radii_m").data
+    wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
+    nearest = np.abs(np.log(wanted[:, None] / radii_m)).argmin(axis=1)
+    chosen: NDArray[np.int64] = np.array(meshes)[nearest]
+    return chosen
+
+
+def _place(
+    model: mujoco.MjModel, geom: int, mesh: int, place_m: NDArray[np.float64], turn: NDArray[np.float64]
+) -> None:
+    """Put a mesh's own origin somewhere on the ground: MuJoCo keeps meshes in the frame of their inertia."""
+    mujoco.mju_rotVecQuat(model.geom_pos[geom], model.mesh_pos[mesh], turn)
+    model.geom_pos[geom, :2] += place_m
+    mujoco.mju_mulQuat(model.geom_quat[geom], turn, model.mesh_quat[mesh])
+
+
+def named(model: mujoco.MjModel, beginning: str) -> NDArray[np.int64]:
+    """Ids of the geoms whose names begin so, in the order of their names."""
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    return np.array([geom for geom, name in enumerate(names) if name.startswith(beginning)], int)

@@ -7,17 +7,19 @@ of the object's middle. Spawned objects take spare geoms (uavaccel.sim.scene.mod
 from __future__ import annotations
 
 import re
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.lane.looks import LOOKS_GROUP
+from uavaccel.sim.lane.scene import LOOKS_GROUP
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounding_boxes import refit_bounding_boxes
-from uavaccel.sim.scene.model import PARKED_M, SPARE
+from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
+
+if TYPE_CHECKING:
+    from uavaccel.sim.world import World
 
 Scale = tuple[float, float, float]
 
@@ -37,35 +39,17 @@ ASSETS: dict[str, tuple[int, Scale]] = {
     "Plane": (BOX, (0.5, 0.5, 0.005)),
 }
 LARGEST_HALF_M = 1e4
-_FIELDS = (
-    "pos",
-    "quat",
-    "size",
-    "type",
-    "aabb",
-    "rbound",
-    "rgba",
-    "matid",
-    "contype",
-    "conaffinity",
-    "sameframe",
+_FIELDS = (  # of a geom, all that an object's pose, scale and presence change
+    *("pos", "quat", "size", "type", "aabb", "rbound"),
+    *("rgba", "matid", "contype", "conaffinity", "sameframe"),
 )
-
-
-class Scene(Protocol):
-    """Has the model that the objects are in, which may be made anew, and is told what has become of them."""
-
-    model: mujoco.MjModel
-
-    def surroundings_changed(self) -> None:
-        """Objects were moved, have come or gone, or look different."""
 
 
 class SceneObjects:
     """The objects of one scene. What is refused raises ValueError."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    def __init__(self, world: World) -> None:
+        self._world = world
         named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
         self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
@@ -75,7 +59,7 @@ class SceneObjects:
 
     @property
     def _model(self) -> mujoco.MjModel:
-        return self._scene.model
+        return self._world.model
 
     def _still_geoms(self) -> list[int]:
         still = (self._model.geom_bodyid == 0) & (self._model.geom_group != LOOKS_GROUP)
@@ -209,7 +193,7 @@ class SceneObjects:
 
     def _moved(self, geom: int) -> None:
         refit_bounding_boxes(self._model, {geom})
-        self._scene.surroundings_changed()
+        self._world.surroundings_changed()
 
 
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys, Truth, sensor
 from uavaccel.sim.sensors.earth import (
     SEA_LEVEL_PA,
     GeoPoint,
@@ -23,8 +23,6 @@ from uavaccel.sim.sensors.earth import (
 )
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
 from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White, seeds_of
-from uavaccel.sim.sensors.registry import sensor
-from uavaccel.sim.sensors.state import Truth
 
 NO_FIX, FIX_2D, FIX_3D = 0, 2, 3
 

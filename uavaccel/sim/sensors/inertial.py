@@ -9,11 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys, Truth, sensor
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2
 from uavaccel.sim.sensors.noise import UPDATES_PER_S, Drift, White
-from uavaccel.sim.sensors.registry import sensor
-from uavaccel.sim.sensors.state import Truth
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]

@@ -15,11 +15,9 @@ from pydantic import Field, model_validator
 
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.scene.rays import cast
-from uavaccel.sim.sensors.airsim_keys import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys, Truth, sensor
 from uavaccel.sim.sensors.inertial import NotNegative, Positive
 from uavaccel.sim.sensors.noise import White
-from uavaccel.sim.sensors.registry import sensor
-from uavaccel.sim.sensors.state import Truth
 
 MOST_POINTS = 100_000  # of one scan, as in AirSim
 NOISE_M = 0.2  # of a distance, DistanceSimpleParams's uncorrelated_noise_sigma

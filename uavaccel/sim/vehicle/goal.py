@@ -1,12 +1,17 @@
-"""What the autopilot is to reach, by AirSim's kinds of goal.
+"""Goals of the autopilot, by AirSim's kinds, and what the sticks of a remote control ask for.
 
-Source: AirSim v1.8.1, SimpleFlightApi.hpp: the command* methods, each a value and a mode per axis.
+Source: AirSim v1.8.1, SimpleFlightApi.hpp (command* methods, each a value and a mode per axis; setRCData) and
+RemoteControl.hpp (updateGoal). Sticks hold until they are moved: their age is ignored.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.sim.vehicle import autopilot
@@ -73,3 +78,24 @@ def motors(front_right: float, rear_left: float, front_left: float, rear_right: 
     """commandMotorPWMs: each from 0 to 1, past cascade and mixer."""
     values = (front_right, rear_left, front_left, rear_right)
     return Goal(values, autopilot.MOTORS, autopilot.THROTTLE, autopilot.RATE)
+
+
+ROLL, PITCH, THROTTLE, YAW, RATE_MODE, VALID = range(6)
+STICKS = 6
+RATE_SWITCH = 0.3
+TILT_LIMIT_RAD = math.pi / 5.5
+
+Sticks = NDArray[np.float64]  # roll, pitch, throttle, yaw, the switch for rates, whether they are valid
+
+
+def stick_goal(sticks: Sticks) -> Goal:
+    """What the sticks ask for while no program has control: angles, or rates where the switch says so."""
+    throttle = max(sticks[THROTTLE], autopilot.IDLE_THROTTLE)
+    roll, pitch = sticks[ROLL] * TILT_LIMIT_RAD, -sticks[PITCH] * TILT_LIMIT_RAD
+    yaw_rate = sticks[YAW] * math.pi
+    if sticks[RATE_MODE] >= RATE_SWITCH:
+        return body_rates(roll, pitch, yaw_rate, throttle, autopilot.THROTTLE)
+    return attitude(roll, pitch, Yaw(yaw_rate), throttle, autopilot.THROTTLE)
+
+
+IDLE = stick_goal(np.zeros(STICKS))

@@ -19,12 +19,10 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.saved import SavedState, State, into_record, of_record, prefixed, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
-from uavaccel.sim.vehicle.airframe import set_airframe
 from uavaccel.sim.vehicle.collisions import Touches
-from uavaccel.sim.vehicle.goal import Goal
+from uavaccel.sim.vehicle.goal import IDLE, Goal
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
 from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.sticks import IDLE
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
 AT_REST_M_S = 0.05
@@ -345,3 +343,28 @@ class Vehicle:
         self.touches.set_state(without_prefix("touches", state))
         for name, gains in without_prefix("gains", state).items():
             self.parameters[name] = gains
+
+
+def set_airframe(
+    model: mujoco.MjModel,
+    parameters: NDArray[np.void],
+    own: NDArray[np.void],
+    mass_ratio: float,
+    thrust_ratio: float,
+) -> None:
+    """Set, in place, mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
+
+    Both records (1,) are of quadrotor.PARAMETERS_DTYPE. The gains of the autopilot stay: it does not know. What MuJoCo
+    derives from the mass for contacts stays too, since in the lane the first touch ends a game.
+    """
+    for name in ("mass_kg", "inertia_kg_m2"):
+        parameters[name] = mass_ratio * own[name]
+    for name in ("max_thrust_n", "max_torque_n_m"):
+        parameters[name] = thrust_ratio * own[name]
+    body = model.body("quadrotor").id
+    mass_kg, inertia = parameters["mass_kg"][0], parameters["inertia_kg_m2"][0]
+    if model.body_mass[body] == mass_kg:
+        return
+    model.body_subtreemass[[0, body]] += mass_kg - model.body_mass[body]
+    model.body_mass[body], model.body_inertia[body] = mass_kg, inertia
+    model.dof_M0[:3], model.dof_M0[3:6] = mass_kg, inertia  # MuJoCo takes a free body's mass matrix from here

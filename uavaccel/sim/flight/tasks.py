@@ -1,28 +1,120 @@
-"""Following a path with a carrot: AirSim's moveOnPath, and moveToPosition, moveToZ, takeoff and goHome in its terms.
+"""AirSim's flight commands that choose their goal anew in a loop at 50 Hz, as its API thread does.
 
-Source: AirSim v1.8.1, MultirotorApiBase.cpp (moveOnPath, moveToPathPosition, setNextPathPosition, adjustYaw) with
-SimpleFlight's distance accuracy of .5 m and no braking distance (SimpleFlightApi.hpp).
+Source: AirSim v1.8.1, MultirotorApiBase.cpp (waitForFunction, moveByManual, moveOnPath, moveToPathPosition,
+setNextPathPosition, adjustYaw), Waiter.hpp, and SimpleFlightApi.hpp for its distance accuracy of 0.5 m without a braking
+distance. There is no thread here: `Pilot` asks a task for its next goal at the ticks at which AirSim's loop would run.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.flight.task import Turn
+from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.saved import SavedState, SavedValue, State, prefixed, without_prefix
 from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.goal import STRAIGHT_ON, Goal, Yaw
+from uavaccel.sim.vehicle.goal import PITCH, ROLL, STRAIGHT_ON, THROTTLE, VALID, YAW, Goal, Sticks, Yaw
+from uavaccel.sim.vehicle.quadrotor import world_to_body
+from uavaccel.units import euler_from_quaternion
 
+LANDING_M_S = 0.2
+AT_REST_M_S = 0.05  # approx_zero_vel_
+NOT_TURNING_RAD_S = 0.01  # approx_zero_angular_vel_
+LANDED_LOOPS = 10
+LARGEST_STICK = 10_000.0  # moveByManual's scale, kMaxRCValue
+YAW_STICK_DEG = 100.0
 COMMAND_PERIOD_S = 0.02
 ACCURACY_M = 0.5
 MAX_LOOKAHEAD_PERIODS, ADAPTIVE_LOOKAHEAD_PERIODS = 40, 30
 BRAKING_M_S, BRAKE_ABOVE_M_S = 1.0, 3.0
 
 Array = NDArray[np.float64]
+
+
+class Turn(NamedTuple):
+    """What one turn of a command's loop comes to: a goal to set, and the command's result once it is over."""
+
+    goal: Goal | None
+    result: bool | None = None
+
+
+class FlightTask(Protocol):
+    """A command's loop. Its fields are numbers, vectors and arrays of them: all that a saved game keeps of it."""
+
+    def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        """The loop's next turn, `elapsed_s` of simulated time after its first."""
+        ...
+
+
+@dataclass
+class Land:
+    """Sink until the vehicle has not sunk any more for more than ten turns in a row."""
+
+    timeout_s: float
+    still: int = 0
+
+    def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        if self.timeout_s <= 0:  # waitForFunction does not begin
+            return Turn(None, False)
+        self.still = self.still + 1 if now.linear_velocity_m_s[2] <= AT_REST_M_S else 0
+        goal = goals.velocity((0.0, 0.0, LANDING_M_S))
+        if self.still > LANDED_LOOPS:
+            return Turn(goal, True)
+        return Turn(goal, False if elapsed_s >= self.timeout_s else None)
+
+
+@dataclass
+class RotateToYaw:
+    """Hold a place and turn to a heading; over once it is within the margin and the vehicle turns no more.
+
+    The margin is measured along the shorter way; AirSim's own loop never ends where that leads past 180 degrees.
+    """
+
+    place_m: Vector
+    yaw_rad: float
+    margin_rad: float
+    timeout_s: float
+
+    def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        yaw = euler_from_quaternion(now.orientation_wxyz)[2]
+        there = abs(math.remainder(yaw - self.yaw_rad, 2 * math.pi)) <= self.margin_rad
+        goal = goals.position(self.place_m, STRAIGHT_ON if there else Yaw(self.yaw_rad, False))
+        if there and abs(now.angular_velocity_rad_s[2]) <= NOT_TURNING_RAD_S:
+            return Turn(goal, True)
+        return Turn(goal, False if elapsed_s >= self.timeout_s else None)
+
+
+@dataclass
+class MoveByManual:
+    """Sticks ask for horizontal velocities in the frame in which the vehicle was at the beginning, and for a climb."""
+
+    sticks: Sticks
+    vx_max_m_s: float
+    vy_max_m_s: float
+    z_min_m: float
+    duration_s: float
+    forward_only: bool
+    yaw_value: float
+    yaw_is_rate: bool
+    begun_at: Quaternion
+
+    def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
+        goal = self._goal(now) if self.sticks[VALID] else None
+        return Turn(goal, True if elapsed_s >= self.duration_s else None)
+
+    def _goal(self, now: Kinematics) -> Goal:
+        north, east = self.sticks[PITCH] * self.vy_max_m_s, self.sticks[ROLL] * self.vx_max_m_s
+        asked = (float(north) / LARGEST_STICK, float(east) / LARGEST_STICK, 0.0)
+        heading = world_to_body(np.array(self.begun_at), asked)
+        turned = self.yaw_value + math.radians(self.sticks[YAW] * YAW_STICK_DEG / LARGEST_STICK)
+        yaw = facing(heading, bool(self.forward_only), Yaw(turned, bool(self.yaw_is_rate)))
+        climb = self.sticks[THROTTLE] / LARGEST_STICK * self.z_min_m
+        return goals.velocity_z(heading[0], heading[1], float(climb) + now.position_m[2], yaw)
 
 
 def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) -> float:
@@ -145,3 +237,39 @@ class FollowPath:
         """What was asked for; beyond the end a fast vehicle turns back slowly."""
         beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
         return BRAKING_M_S if beyond else self.velocity_m_s
+
+
+TASKS: dict[str, type[FlightTask]] = {
+    kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)
+}
+
+
+def _numbers(value: Iterable[float]) -> tuple[float, ...]:
+    return tuple(float(number) for number in value)
+
+
+_READ: dict[str, Callable[[SavedValue], object]] = {  # by the annotation of a task's field
+    "float": float,
+    "int": int,
+    "bool": bool,
+    "Vector": _numbers,
+    "Quaternion": _numbers,
+    "Array": np.array,
+    "Sticks": np.array,
+}
+
+
+def state_of(task: FlightTask | None) -> State:
+    """Nothing for no task."""
+    if task is None:
+        return {}
+    kept = {field.name: np.asarray(getattr(task, field.name)) for field in fields(task)}  # type: ignore[arg-type]
+    return {"task": type(task).__name__} | prefixed("task", kept)
+
+
+def task_of(state: SavedState) -> FlightTask | None:
+    """The inverse of `state_of`."""
+    if "task" not in state:
+        return None
+    kind, kept = TASKS[str(state["task"])], without_prefix("task", state)
+    return kind(**{field.name: _READ[str(field.type)](kept[field.name]) for field in fields(kind)})  # type: ignore[arg-type]
