@@ -1,4 +1,4 @@
-"""AirSim's calls on a furnished scene in this process, for the tests of what a vehicle senses."""
+"""AirSim's calls on a scene for its clients in this process, for the tests of what a vehicle senses."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ MS = 1_000_000
 
 
 @cache
-def furnished_world() -> World:
+def airsim_world() -> World:
     """One for all tests: each begins with a reset, and what it spawned it destroys.
 
     Its blocks are where tests.scenes.BLOCKS has them; what is no block is out of the way.
     """
-    world = World("blocks", NATIVE, furnished=True)
+    world = World("blocks", NATIVE, airsim=True)
     objects = SceneObjects(world)
     for name in objects.names():
         middle, _ = BLOCKS.get(name, ((-5000.0, 0.0, -3.0), None))
@@ -55,7 +55,7 @@ class AirSimWire:
     """A settled hover 10 m up, running at 1x, API control on; replies are what a client unpacks."""
 
     def __init__(self, settings: Mapping[str, Any] | None = None, **api: Any) -> None:
-        self.world = furnished_world()
+        self.world = airsim_world()
         self.world.lead.state["wind"] = 0.0
         self.world.reset()
         self.said: list[str] = []

@@ -11,7 +11,7 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from uavaccel.resources import asset
-from uavaccel.sim.scene.model import SPARES, furnished_spec, put_spares_by
+from uavaccel.sim.scene.model import SPARES, airsim_spec, put_spares_by
 from uavaccel.sim.scene.objects import take_over
 from uavaccel.sim.scene.rays import cast
 from uavaccel.wire import rpc
@@ -162,7 +162,7 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
 def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWire) -> None:
     """As a world makes a new model that has others attached."""
     spawn(wire, "post", "Cylinder", (10.0, 0.0, -10.0), vector(1.0, 1.0, 30.0))
-    spec = furnished_spec(asset("mjcf/blocks.xml"))
+    spec = airsim_spec(asset("mjcf/blocks.xml"))
     other = mujoco.MjSpec.from_file(str(asset("mjcf/quadrotor.xml")))
     spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
     new = spec.compile()
@@ -206,7 +206,7 @@ def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_n
     from uavaccel.sim.scene.objects import SceneObjects
     from uavaccel.sim.world import World
 
-    world = World("blocks", NATIVE, furnished=True)
+    world = World("blocks", NATIVE, airsim=True)
     corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         way = end - start

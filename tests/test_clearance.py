@@ -44,7 +44,7 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
     return (
         world.samples().tobytes(),
         world.lead.collision_tick,
-        getattr(world.lead.touches.first, "object", ""),
+        getattr(world.lead.contact_log.first, "object", ""),
     )
 
 
@@ -122,7 +122,7 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
             ends.append(
                 (
                     world.lead.collision_tick,
-                    getattr(world.lead.touches.first, "object", ""),
+                    getattr(world.lead.contact_log.first, "object", ""),
                     world.lead.kinematics(),
                 )
             )
@@ -244,7 +244,7 @@ def test_what_is_moved_is_seen_at_once() -> None:
         else:
             world.set_lane(layout_from({"obstacles": [{"x_m": 12.0, "y_m": 0.3, "radius_m": 0.4}]}, "test"))
         world.advance(2)
-        assert getattr(world.lead.touches.first, "object", "") == (
+        assert getattr(world.lead.contact_log.first, "object", "") == (
             "wall_east" if move == "vehicle" else "obstacle_00"
         )
 

@@ -113,7 +113,7 @@ def test_a_flight_ends_at_the_step_of_the_collision(lane_world: World) -> None:
     lane_world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0))))
     lane_world.advance(5000)
     assert lane_world.lead.collision_tick is not None
-    assert getattr(lane_world.lead.touches.first, "object", "") == "obstacle_00"
+    assert getattr(lane_world.lead.contact_log.first, "object", "") == "obstacle_00"
     assert lane_world.lead.kinematics().position_m[0] == pytest.approx(free_distance_m(layout, 0.0), abs=0.02)
 
 

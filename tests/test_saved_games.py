@@ -172,7 +172,7 @@ def test_a_world_saved_while_it_touches_something_goes_on(profile: Any) -> None:
     for world in worlds:
         world.start_recording()
         world.advance(1000)
-        ends.append((world.samples().tobytes(), world.lead.touches.count, world.lead.touches.latest))
+        ends.append((world.samples().tobytes(), world.lead.contact_log.count, world.lead.contact_log.latest))
     assert ends[0] == ends[1]
     assert ends[0][1] > 1
 

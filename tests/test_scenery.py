@@ -109,7 +109,7 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
             (
                 world.physics().tobytes(),
                 world.lead.collision_tick,
-                getattr(world.lead.touches.first, "object", ""),
+                getattr(world.lead.contact_log.first, "object", ""),
             )
         )
     assert flown[0][2]

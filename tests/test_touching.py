@@ -72,7 +72,7 @@ def test_every_touch_is_told_once_and_a_reset_forgets_it(profile: Profile) -> No
         if touch == 1:
             go_to(simulation, simulation.world.tick + round(0.5 / profile.tick_s))
             collision(simulation, api)
-            simulation.world.lead.touches.count = 1  # however often it bounced
+            simulation.world.lead.contact_log.count = 1  # however often it bounced
     api.call("reset", [], simulation.wall_ns)
     assert collision(simulation, api)["has_collided"] is False
     assert collision(simulation, api)["object_name"] == ""
@@ -84,16 +84,16 @@ def test_another_object_is_another_touch_even_while_the_first_is_still_touched()
     simulation.world.place((BLOCK_FACE_M - HULL_RADIUS_M - 0.05, 0.0, -HULL_HALF_HEIGHT_M))
     go_to(simulation, 200)
     assert collision(simulation, api)["object_name"] == "ground"
-    count = simulation.world.lead.touches.count
+    count = simulation.world.lead.contact_log.count
     simulation.world.data.qvel[0] = 1.5
     while (info := collision(simulation, api))["object_name"] == "ground" and simulation.world.tick < 400:
         go_to(simulation, simulation.world.tick + 1)
     assert (info["has_collided"], info["object_name"]) == (True, "block_north")
-    assert simulation.world.lead.touches.count > count
+    assert simulation.world.lead.contact_log.count > count
     np.testing.assert_allclose(vector(info["normal"]), [-1.0, 0.0, 0.0], atol=1e-6)
     assert vector(info["impact_point"])[0] == pytest.approx(BLOCK_FACE_M, abs=0.01)
-    assert simulation.world.lead.touches.first is not None
-    assert simulation.world.lead.touches.first.object == "ground"
+    assert simulation.world.lead.contact_log.first is not None
+    assert simulation.world.lead.contact_log.first.object == "ground"
 
 
 def test_a_teleport_keeps_the_velocity_and_what_was_touched_and_is_ready_for_more() -> None:

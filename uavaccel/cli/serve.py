@@ -91,7 +91,7 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     profile = settings.recorder_of(PROFILES[options.profile])
-    simulation = ready_simulation(options.scene, profile, clock_speed, furnished=True)
+    simulation = ready_simulation(options.scene, profile, clock_speed, airsim=True)
     settings.prepare(simulation.world)
     return simulation
 

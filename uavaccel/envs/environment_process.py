@@ -28,6 +28,7 @@ from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
 from uavaccel.parent import end_with_parent
 from uavaccel.sim.camera.camera import make_cameras_with
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.rendering.camera import RemoteCamera
 
 NICENESS = 5  # the renderer and the learner, for whom all environments wait, go first
@@ -109,7 +110,7 @@ def fly(options: ProcessOptions, place: SlotOptions) -> None:
 
 
 def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, height: int) -> RemoteCamera:
-    if (width, height) != (RemoteCamera.width, RemoteCamera.height):
+    if (width, height) != (WIDTH, HEIGHT):
         raise UserError(f"pictures of {width} x {height} need renderer = own: a shared one draws 256 x 144")
     return RemoteCamera(model, **renderer)
 

@@ -39,8 +39,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     """An environment of a task, whose keys are the keywords of `gymnasium.make`; a subclass names the task.
 
     `reset` takes the `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (the
-    object that was hit, or None), `commands`, `wall_s` (seconds on the game's own wall clock), `phase_s` (the same by phase),
-    and the task's own items. Raises UserError for keywords that do not fit.
+    object that was hit, or None), `commands`, `wall_s` (seconds on the game's own wall clock), `phase_s` (the same by
+    phase), and the task's own items. Raises UserError for keywords that do not fit.
     """
 
     metadata: Info = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own

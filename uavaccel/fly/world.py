@@ -29,7 +29,7 @@ class FlownWorld:
         latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
         draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
         profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
-        self.world = World(options.scene, profile, furnished=True)
+        self.world = World(options.scene, profile, airsim=True)
         settings.prepare(self.world)
         self.simulation = _simulation(self.world, clock_speed, latency, draws)
         self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=tell)
@@ -50,7 +50,7 @@ class FlownWorld:
     def whereabouts(self) -> str:
         """Where the vehicle is, in words."""
         position = " ".join(f"{metres:.1f}" for metres in self.simulation.kinematics().position_m)
-        touch = self.world.lead.touches.latest
+        touch = self.world.lead.contact_log.latest
         return f"{position} m" + (f", last touched {touch.object}" if touch else "")
 
     def summary(self) -> FlightSummary:

@@ -327,7 +327,7 @@ class Simulation:
         """What the recorder and the command log hold since the first command after the last reset."""
         rows, log, origin = self.world.samples(), self.lead.log.ticks(), self.lead.log.origin_tick or 0
         rows[:, 0] -= origin
-        dropped = (self.world.samples_dropped, self.lead.log.dropped)
+        dropped = (self.world.recorder.dropped, self.lead.log.dropped)
         return Recording(rows, log - origin, self.profile.tick_ns, *dropped)
 
     # --- saving -----------------------------------------------------------------------------------

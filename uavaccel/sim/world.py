@@ -41,17 +41,17 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
 
-    `furnished` for AirSim's clients (uavaccel.sim.scene.model).
+    `airsim` for AirSim's clients (uavaccel.sim.scene.model).
     In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
     contacts act. Where no vehicle is named, the leading one is meant.
     """
 
-    def __init__(self, scene: str, profile: Profile, furnished: bool = False) -> None:
+    def __init__(self, scene: str, profile: Profile, airsim: bool = False) -> None:
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
         # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
         self.still = False
-        self._furnished = furnished
+        self._airsim = airsim
         self._mounted_camera: MountedCamera | None = None
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
@@ -67,7 +67,7 @@ class World:
     def _made(self, vehicles: Sequence[Vehicle]) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A model for these vehicles. Nothing changes here, so that what cannot be made costs nothing."""
         model = load_scene(
-            self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._furnished, self.scenery
+            self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._airsim, self.scenery
         )
         model.opt.timestep = self.profile.tick_s
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -231,7 +231,7 @@ class World:
             mujoco.mj_resetData(self.model, self.data)
         self.warnings[:] = 0
         self.lead.put(position_m, orientation_wxyz, velocity_m_s)
-        self.lead.forget_touches()
+        self.lead.clear_contacts()
         self._moved()
         self.failed = False
 
@@ -260,7 +260,7 @@ class World:
         if velocity_m_s is not None:
             vehicle.set_velocity(velocity_m_s, rate_rad_s)
         if self.freeze_on_collision:
-            vehicle.forget_touches()
+            vehicle.clear_contacts()
         self._moved()
 
     def check_place(
@@ -353,7 +353,7 @@ class World:
     def _look_at_contacts(self, vehicle: Vehicle) -> None:
         field = vehicle.field
         field["contacts_changed"][0] = 0
-        vehicle.touches.look(int(field["contact_tick"][0]), field["contact_position"][0])
+        vehicle.contact_log.look(int(field["contact_tick"][0]), field["contact_position"][0])
 
     # --- saving -----------------------------------------------------------------------------------
 
@@ -402,7 +402,8 @@ class World:
 
     @property
     def recording(self) -> bool:
-        return self.recorder.running
+        """Whether the recorder is active."""
+        return self.recorder.active
 
     def start_recording(self) -> None:
         """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
@@ -419,8 +420,3 @@ class World:
     def take_samples(self) -> NDArray[np.float64]:
         """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
         return self.recorder.take()
-
-    @property
-    def samples_dropped(self) -> int:
-        """Samples that found the buffer full."""
-        return self.recorder.dropped

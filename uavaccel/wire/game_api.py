@@ -98,7 +98,7 @@ class GameApi(Calls, title="Games"):
     def collision(self) -> Collision | dict[str, object]:
         """When, what and where the first touch was, simulated ns and NED; empty without one."""
         world = self.simulation.world
-        touch = world.lead.touches.first
+        touch = world.lead.contact_log.first
         if touch is None:
             return {}
         return {

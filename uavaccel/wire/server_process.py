@@ -38,13 +38,13 @@ def main() -> None:
 
 
 def ready_simulation(
-    scene: str, profile: Profile, clock_speed: float = 1.0, furnished: bool = False
+    scene: str, profile: Profile, clock_speed: float = 1.0, airsim: bool = False
 ) -> Simulation:
     """A settled hover on the machine's clock, with nothing left to compile, load or collect that could hold it up.
 
-    `furnished` for AirSim's clients.
+    `airsim` for AirSim's clients.
     """
-    world = World(scene, profile, furnished)
+    world = World(scene, profile, airsim)
     world.advance(1)  # compiles the hot loop, or loads it
     world.reset()
     gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up

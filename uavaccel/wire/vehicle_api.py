@@ -145,7 +145,7 @@ class VehicleApi(Calls, title="Vehicles"):
     def collision_info(self, vehicle: VehicleName = "") -> dict[str, object]:
         """Reading it sets has_collided back, as in AirSim."""
         flown = self.scenery.vehicle(vehicle)
-        touches = flown.touches
+        touches = flown.contact_log
         info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
         if touch := touches.latest:
             info |= {"time_stamp": types.stamp(self.simulation.time_of(touch.tick))}

@@ -1,8 +1,7 @@
-"""The drone's camera, off-screen: AirSim's front camera, 256 x 144 pixels, 90 degrees wide.
+"""The drone's off-screen camera: AirSim's front camera, 256 x 144 pixels and 90 degrees wide.
 
-Image, pose and simulated time belong together: every picture is of the pose in `data.qpos` at the moment of the
-call. Rendering never changes the flight. Pictures come with the top row first; OpenGL's bottom row first is
-turned over on the way.
+A picture shows the pose in `data.qpos` at the moment of the call, and rendering never changes the flight. Pictures have
+the top row first, unlike OpenGL's.
 """
 
 from __future__ import annotations
@@ -11,9 +10,10 @@ import atexit
 import contextlib
 import ctypes
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Protocol, Self
+from typing import Self
 
 import cv2
 import mujoco
@@ -40,23 +40,59 @@ from uavaccel.sim.lane.scene import object_name
 _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 
 
-class FrontCamera(Protocol):
-    """What a world asks of its camera, whoever draws: the methods of `Camera`, in which they are described."""
+class FrontCamera(ABC):
+    """Pictures (height, width) of a world's front camera, rendered in this process or in another one.
 
-    width: int
-    height: int
+    Each call returns a new array, or fills `out` and returns it.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, half_width: float) -> None:
+        """`half_width` is the tangent of half the horizontal field of view."""
+        self.model = model
+        self.width, self.height = width, height
+        self._ray_length = ray_lengths(width, height, half_width)
 
     @property
-    def far_m(self) -> float: ...
-    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image: ...
-    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image: ...
-    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage: ...
-    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage: ...
-    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage: ...
-    def object_names(self, geoms: GeomImage) -> list[str]: ...
-    def render_again(self, out: Image) -> None: ...
-    def scene_changed(self) -> None: ...
-    def close(self) -> None: ...
+    def far_m(self) -> float:
+        """Depth of the sky: the far clipping plane, in metres."""
+        return far_m(self.model)
+
+    @abstractmethod
+    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+        """Render luma (ITU-R BT.601, as OpenCV and v2e compute it); (height, width) uint8."""
+
+    @abstractmethod
+    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+        """Render red, green, blue; (height, width, 3) uint8."""
+
+    @abstractmethod
+    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """Render metres along the optical axis (AirSim's DepthPlanar), `far_m` for the sky; (height, width) float32."""
+
+    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+        """Render metres along each pixel's ray (AirSim's DepthPerspective); (height, width) float32."""
+        depth = self.depth(data, out)
+        depth *= self._ray_length
+        return depth
+
+    @abstractmethod
+    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
+        """Render the id of the geom in each pixel, -1 for the sky; (height, width) int32."""
+
+    def object_names(self, geoms: GeomImage) -> list[str]:
+        """Return the names of the objects in a segmentation, sorted, without the sky."""
+        return sorted({object_name(self.model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
+
+    @abstractmethod
+    def render_again(self, out: Image) -> None:
+        """Render the last scene again in colour, bottom row first: the bare cost, for benchmarks."""
+
+    def scene_changed(self) -> None:  # noqa: B027 - only a camera of another process keeps anything
+        """Note that objects of the model were moved or look different."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what OpenGL holds; further calls do nothing."""
 
 
 CameraMaker = Callable[[mujoco.MjModel, int, int], FrontCamera]
@@ -64,20 +100,20 @@ _maker: ContextVar[CameraMaker | None] = ContextVar("camera maker", default=None
 
 
 def make_cameras_with(maker: CameraMaker) -> None:
-    """Let the worlds of this thread have cameras that `maker` makes, of a model, a width and a height."""
+    """Let the worlds of this thread make their cameras with `maker(model, width, height)`."""
     _maker.set(maker)
 
 
 def make_camera(model: mujoco.MjModel, width: int, height: int) -> FrontCamera:
-    """The front camera of a world of this thread: one that draws in a context of its own, unless otherwise said."""
+    """Make the front camera of a world of this thread, by default a `Camera`; see `make_cameras_with`."""
     return (_maker.get() or Camera)(model, width, height)
 
 
-class Camera:
-    """Pictures from a camera of the model, in any MjData of it; each call returns a fresh array or fills `out`.
+class Camera(FrontCamera):
+    """Renders a camera of the model, in any MjData of it, with an OpenGL context of its own.
 
-    One camera belongs to the thread that made it. `fov_deg` is horizontal, at any width, as AirSim's is.
-    Raises UserError where OpenGL is missing or the model has no such camera.
+    A camera belongs to the thread that made it. `fov_deg` is horizontal at any width, as in AirSim. Raises UserError if
+    OpenGL is missing or the model has no such camera.
     """
 
     def __init__(
@@ -88,13 +124,11 @@ class Camera:
         camera: str = "front_center",
         fov_deg: float = FOV_DEG,
     ) -> None:
-        self.model = model
-        self.width, self.height = width, height
         self._view = View(model, width, height, camera, fov_deg)
+        super().__init__(model, width, height, self._view.half_width)
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._pixels: Image = np.empty((height, width, 4), np.uint8)  # as the driver has them: read unchanged
         self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
-        self._ray_length = ray_lengths(width, height, self._view.half_width)
         self._open()
 
     def _open(self) -> None:
@@ -111,13 +145,7 @@ class Camera:
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         _close_at_exit(self)
 
-    @property
-    def far_m(self) -> float:
-        """Depth of the sky: the far end of what is drawn."""
-        return far_m(self.model)
-
     def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        """Red, green, blue; (height, width, 3) uint8."""
         self._draw(data)
         self._read_colours()
         shape = (self.height, self.width, 3)
@@ -126,12 +154,10 @@ class Camera:
         return _turned_over(picture, out)
 
     def render_again(self, out: Image) -> None:
-        """The scene of the last picture once more, upside down: the bare loop that ours is measured against."""
         mujoco.mjr_render(self._rectangle, self._view.scene, self._context)
         mujoco.mjr_readPixels(out, None, self._rectangle, self._context)
 
     def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        """Luma of the colour picture (ITU-R BT.601, as OpenCV and v2e take it); (height, width) uint8."""
         self._draw(data)
         self._read_colours()
         picture = np.empty((self.height, self.width), np.uint8)
@@ -139,31 +165,16 @@ class Camera:
         return _turned_over(picture, out)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """Metres along the optical axis (AirSim's DepthPlanar); `far_m` for the sky; (height, width) float32."""
         self._draw(data, as_ids=True)  # depth needs no lighting
         picture = _target((self.height, self.width), np.dtype(np.float32), out)
         with self._turns:
             mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
         return to_metres(self.model, _turned_over(picture, out))
 
-    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """Metres along each pixel's ray (AirSim's DepthPerspective); (height, width) float32."""
-        depth = self.depth(data, out)
-        depth *= self._ray_length
-        return depth
-
     def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
-        """Id of the geom seen, -1 for the sky; (height, width) int32. Names: `object_names`."""
         self._draw(data, as_ids=True)
         self._read_colours()
         return self._view.geoms(self._pixels[::-1], out)
-
-    def object_names(self, geoms: GeomImage) -> list[str]:
-        """Names of the objects in a segmentation, sorted; the sky has none."""
-        return object_names(self.model, geoms)
-
-    def scene_changed(self) -> None:
-        """The model's objects were moved or look different: nothing of it is kept here."""
 
     def _draw(self, data: mujoco.MjData, as_ids: bool = False) -> None:
         self._bind()
@@ -172,7 +183,7 @@ class Camera:
             mujoco.mjr_render(self._rectangle, scene, self._context)
 
     def _read_colours(self) -> None:
-        """Red, green, blue, alpha, four bytes per pixel: leaving out the fourth takes the driver five times as long."""
+        """Read red, green, blue, alpha: with three bytes per pixel the driver takes five times as long."""
         with self._turns:
             self._read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
 
@@ -184,7 +195,6 @@ class Camera:
             gl.bind(self._gl)
 
     def close(self) -> None:
-        """Free what OpenGL holds; further calls do nothing."""
         if getattr(self, "_gl", None) is None or not gl.survives():
             return
         self._bind()
@@ -206,19 +216,14 @@ class Camera:
             pass
 
 
-def object_names(model: mujoco.MjModel, geoms: GeomImage) -> list[str]:
-    """Names of the objects in a segmentation, sorted; the sky has none."""
-    return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
-
-
 def _target(shape: tuple[int, ...], dtype: np.dtype[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
-    """Where to read a picture of that form into: `out` itself, if OpenGL can write there, else a fresh array."""
+    """Return `out` if OpenGL can write a picture of that form into it, else a new array."""
     fits = out is not None and out.flags.c_contiguous and (out.shape, out.dtype) == (shape, dtype)
     return out if out is not None and fits else np.empty(shape, dtype)
 
 
 def _turned_over(picture: NDArray[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
-    """The top row first: turned over in place, a third of the time that a second picture takes."""
+    """Flip the picture upside down in place, which is three times as fast as into a second array; fill `out`."""
     cv2.flip(picture, 0, dst=picture)
     if out is None or out is picture:
         return picture
@@ -230,7 +235,7 @@ _open_cameras: weakref.WeakSet[Camera] = weakref.WeakSet()
 
 
 def _close_at_exit(camera: Camera) -> None:
-    """Close before MuJoCo's own exit handler, which takes the display away: handlers run last in, first out."""
+    """Close before MuJoCo's own exit handler, which removes the display: handlers run last in, first out."""
     if not _open_cameras:
         atexit.unregister(_close_all)
         atexit.register(_close_all)

@@ -1,8 +1,8 @@
 """AirSim's flight commands that choose their goal anew in a loop at 50 Hz, as its API thread does.
 
 Source: AirSim v1.8.1, MultirotorApiBase.cpp (waitForFunction, moveByManual, moveOnPath, moveToPathPosition,
-setNextPathPosition, adjustYaw), Waiter.hpp, and SimpleFlightApi.hpp for its distance accuracy of 0.5 m without a braking
-distance. There is no thread here: `Pilot` asks a task for its next goal at the ticks at which AirSim's loop would run.
+setNextPathPosition, adjustYaw), Waiter.hpp, and SimpleFlightApi.hpp for its distance accuracy of 0.5 m without a
+braking distance. There is no thread here: `Pilot` asks a task for its next goal at the ticks of AirSim's loop.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A camera whose pictures another process draws: to what asks it no different from one that draws itself."""
+"""A camera whose pictures another process renders, with the interface of one that renders itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import select
 import mujoco
 import numpy as np
 
-from uavaccel.sim.camera.camera import object_names
+from uavaccel.sim.camera.camera import FrontCamera
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
@@ -17,8 +17,6 @@ from uavaccel.sim.camera.view import (
     DepthImage,
     GeomImage,
     Image,
-    far_m,
-    ray_lengths,
     to_metres,
 )
 from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
@@ -27,22 +25,20 @@ PATIENCE_S = 60.0  # for one picture: a driver that hangs must not hang everythi
 
 
 class RendererGoneError(RuntimeError):
-    """The process that draws has ended, or does not answer."""
+    """The rendering process has ended, or does not answer."""
 
 
-class RemoteCamera:
-    """Camera number `number` of the `count` that one renderer serves; the size is AirSim's, 256 x 144.
+class RemoteCamera(FrontCamera):
+    """Camera `number` of the `count` cameras of one renderer, with AirSim's size of 256 x 144.
 
-    `memory`, `requests` and `replies` are file descriptors: the shared slots, and the two pipes. Calls raise
-    RendererGoneError where no picture comes.
+    `memory`, `requests` and `replies` are file descriptors of the shared slots and of the two pipes. Calls raise
+    RendererGoneError if no picture comes.
     """
-
-    width, height = WIDTH, HEIGHT
 
     def __init__(
         self, model: mujoco.MjModel, number: int, count: int, memory: int, requests: int, replies: int
     ) -> None:
-        self.model = model
+        super().__init__(model, WIDTH, HEIGHT, float(np.tan(np.radians(FOV_DEG) / 2)))
         slots = map_records(memory, slot_dtype(model), count)
         self._slot = slots[number]
         self._pose, self._pictures = self._slot["pose"], {kind: pixels(self._slot, kind) for kind in KINDS}
@@ -50,47 +46,26 @@ class RemoteCamera:
         self._requests, self._replies = requests, replies
         self._answered = select.poll()
         self._answered.register(replies, select.POLLIN)
-        self._ray_length = ray_lengths(WIDTH, HEIGHT, float(np.tan(np.radians(FOV_DEG) / 2)))
         self.scene_changed()
 
     def scene_changed(self) -> None:
-        """The model's objects were moved or look different."""
+        """Publish in the shared slot what the model looks like now."""
         write_looks(self.model, self._slot["looks"])
         self._slot["revision"] += 1
 
-    @property
-    def far_m(self) -> float:
-        """Depth of the sky."""
-        return far_m(self.model)
-
     def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        """As Camera.gray."""
         return self._picture("gray", data, out)
 
     def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        """As Camera.colour."""
         return self._picture("colour", data, out)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """As Camera.depth."""
         return to_metres(self.model, self._picture("depth", data, out))
 
-    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """As Camera.depth_perspective."""
-        depth = self.depth(data, out)
-        depth *= self._ray_length
-        return depth
-
     def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
-        """As Camera.segmentation."""
         return self._picture("segmentation", data, out)
 
-    def object_names(self, geoms: GeomImage) -> list[str]:
-        """As Camera.object_names."""
-        return object_names(self.model, geoms)
-
     def render_again(self, out: Image) -> None:
-        """The last pose once more, in colour and upside down."""
         self._draw("colour")
         np.copyto(out, self._pictures["colour"])
 
@@ -114,4 +89,4 @@ class RemoteCamera:
             raise RendererGoneError("the renderer has ended or hangs: no picture comes any more")
 
     def close(self) -> None:
-        """Nothing is held here: pipes and memory belong to who made them."""
+        """See FrontCamera; pipes and memory belong to the renderer's service."""

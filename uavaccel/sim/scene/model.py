@@ -38,19 +38,19 @@ def scene_path(scene: str, scenery: str = PLAIN) -> Path:
 
 
 def load_scene(
-    scene: str, others: Sequence[str] = (), furnished: bool = False, scenery: str = PLAIN
+    scene: str, others: Sequence[str] = (), airsim: bool = False, scenery: str = PLAIN
 ) -> mujoco.MjModel:
     """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
 
-    `furnished` for AirSim's clients. Raises UserError for an unknown scene.
+    `airsim` for AirSim's clients. Raises UserError for an unknown scene.
     """
     path = scene_path(scene, scenery)
     if not others:
-        return furnished_model(path) if furnished else mujoco.MjModel.from_xml_path(str(path))
-    spec = furnished_spec(path) if furnished else mujoco.MjSpec.from_file(str(path))
+        return airsim_model(path) if airsim else mujoco.MjModel.from_xml_path(str(path))
+    spec = airsim_spec(path) if airsim else mujoco.MjSpec.from_file(str(path))
     attach_quadrotors(spec, others)
     model = spec.compile()
-    if furnished:
+    if airsim:
         put_spares_by(model)
     return model
 
@@ -64,14 +64,14 @@ def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
 
 
-def furnished_model(scene: Path) -> mujoco.MjModel:
+def airsim_model(scene: Path) -> mujoco.MjModel:
     """The scene in a file, with a wide ground and SPARES spare geoms, neither seen nor touched."""
-    model = furnished_spec(scene).compile()
+    model = airsim_spec(scene).compile()
     put_spares_by(model)
     return model
 
 
-def furnished_spec(scene: Path) -> mujoco.MjSpec:
+def airsim_spec(scene: Path) -> mujoco.MjSpec:
     """The same before it is compiled, its spare geoms solid: else MuJoCo would leave them out of its trees."""
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene

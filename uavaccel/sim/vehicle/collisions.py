@@ -15,7 +15,7 @@ from uavaccel.units import mujoco_to_ned
 
 
 @dataclass(frozen=True)
-class Touch:
+class Contact:
     """The moment at which an object was touched; metres, NED.
 
     `normal` points out of the object, `position_m` is the vehicle's, at `tick`.
@@ -29,7 +29,7 @@ class Touch:
     penetration_m: float
 
 
-class Touches:
+class ContactLog:
     """Counts touches since the vehicle was last placed, and keeps the first and the latest.
 
     A touch begins when something is touched that was not touched before; what stays in touch is no new one.
@@ -45,8 +45,8 @@ class Touches:
     def clear(self) -> None:
         """Nothing has been touched."""
         self.count = 0
-        self.first: Touch | None = None
-        self.latest: Touch | None = None
+        self.first: Contact | None = None
+        self.latest: Contact | None = None
         self._unread = False
         self.leave()
 
@@ -65,7 +65,7 @@ class Touches:
         outwards = (
             1.0 if int(contact.geom[0]) == geom else -1.0
         )  # MuJoCo's points from the first to the second
-        self.latest = Touch(
+        self.latest = Contact(
             tick,
             self._name_of(geom),
             _vector(position_m),
@@ -116,12 +116,12 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[
     return found
 
 
-def _touch(state: SavedState, name: str) -> Touch | None:
+def _touch(state: SavedState, name: str) -> Contact | None:
     if f"{name}.tick" not in state:
         return None
     n = [float(number) for number in state[f"{name}.numbers"]]
     vectors = (_vector(n[0:3]), _vector(n[3:6]), _vector(n[6:9]))
-    return Touch(int(state[f"{name}.tick"]), str(state[f"{name}.object"]), *vectors, n[9])
+    return Contact(int(state[f"{name}.tick"]), str(state[f"{name}.object"]), *vectors, n[9])
 
 
 def _vector(numbers: Iterable[float]) -> Vector:

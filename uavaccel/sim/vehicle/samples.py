@@ -22,7 +22,7 @@ class Samples:
         self.stop()
 
     @property
-    def running(self) -> bool:
+    def active(self) -> bool:
         return int(self.record["next_tick"][0]) != NEVER
 
     @property

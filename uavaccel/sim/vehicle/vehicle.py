@@ -19,9 +19,16 @@ from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.saved import SavedState, State, into_record, of_record, prefixed, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
-from uavaccel.sim.vehicle.collisions import Touches
+from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
-from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, Record, parameters
+from uavaccel.sim.vehicle.quadrotor import (
+    FLIGHT_DTYPE,
+    KINEMATICS,
+    NEVER,
+    PARAMETERS_DTYPE,
+    Record,
+    parameters,
+)
 from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
@@ -75,19 +82,19 @@ class Vehicle:
         self.origin_m = origin_m
         self._samples, self._contacts_act = samples, contacts_act
         self._flight = np.zeros(1, FLIGHT_DTYPE)
-        # views of the records' fields, which numpy finds again only slowly
-        self._field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
+        # the state's fields (1, ...), to be changed in place: numpy finds them again only slowly
+        self.field = {name: self._flight[name] for name in FLIGHT_DTYPE.names or ()}
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
-        self._parameters: NDArray[np.void] | None = None
+        self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model, the one before being gone; `name_of` names what a geom belongs to."""
         body = model.body(self.prefix + BODY)
-        if self._parameters is None:
+        if not self.parameters["mass_kg"]:
             inertia, ticks = model.body_inertia[body.id], self.profile.hover_after_ticks
             mass = model.body_mass[body.id]
-            self._parameters = parameters(self.profile.tick_s, ticks, mass, inertia, self._contacts_act)
+            self._parameters[:] = parameters(self.profile.tick_s, ticks, mass, inertia, self._contacts_act)
             self._own_parameters = self._parameters.copy()
             self._default_gains = {name: self._parameters[name].copy() for name in GAINS}
         joint = model.joint(int(model.body_jntadr[body.id]))
@@ -102,7 +109,7 @@ class Vehicle:
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
-        self.touches = Touches(data, self.body_id, model, name_of)
+        self.contact_log = ContactLog(data, self.body_id, model, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -110,7 +117,7 @@ class Vehicle:
         """What the hot loop works on, in the order of hotloop.views."""
         arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
-        own = [array.ctypes.data for array in (*arrays, *records)]  # type: ignore[union-attr]
+        own = [array.ctypes.data for array in (*arrays, *records)]
         fixed = [hotloop.mj_step_address(), model._address, data._address]
         free = [self._warm_start.ctypes.data, self._time_s.ctypes.data]
         return np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
@@ -120,7 +127,6 @@ class Vehicle:
     @property
     def parameters(self) -> Record:
         """The quadrotor's and the autopilot's parameters (quadrotor.PARAMETERS_DTYPE)."""
-        assert self._parameters is not None, "bound before anything else"
         return self._parameters[0]
 
     @property
@@ -129,18 +135,13 @@ class Vehicle:
         return self._flight[0]
 
     @property
-    def field(self) -> dict[str, NDArray[np.generic]]:
-        """The state's fields, (1, ...) each, to be changed in place."""
-        return self._field
-
-    @property
     def tick(self) -> int:
-        return int(self._field["tick"][0])
+        return int(self.field["tick"][0])
 
     @property
     def collision_tick(self) -> int | None:
         """Tick of the first touch since the last reset."""
-        tick = int(self._field["collision_tick"][0])
+        tick = int(self.field["collision_tick"][0])
         return None if tick == NEVER else tick
 
     @property
@@ -185,7 +186,7 @@ class Vehicle:
 
     def set_goal(self, goal: Goal) -> None:
         """Set what the autopilot is to reach from the next tick on."""
-        field, values = self._field, goal.values
+        field, values = self.field, goal.values
         if self.origin_m is not HERE:
             held = (goal.xy_mode, goal.xy_mode, goal.z_mode)
             places = [
@@ -199,7 +200,7 @@ class Vehicle:
 
     def hold_from(self, tick: int | None) -> None:
         """Position hold sets in at `tick`; None: not at all."""
-        self._field["hover_tick"][0] = NEVER if tick is None else tick
+        self.field["hover_tick"][0] = NEVER if tick is None else tick
 
     def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
         """A level of the cascade, "position", "velocity", "angle" or "rate": gains of its three axes.
@@ -214,7 +215,7 @@ class Vehicle:
         if level == "velocity":  # its vertical integrator leaks, and is one of its own
             parameters["z_integral_gain"], parameters["integral_gain"][slots.stop - 1] = ki[2], 0.0
         parameters["full_pid"] = parameters["integral_gain"].any() or parameters["derivative_gain"].any()
-        self._field["z_integral_mode"][0] = self._field["pid_mode"][0] = autopilot.UNSET
+        self.field["z_integral_mode"][0] = self.field["pid_mode"][0] = autopilot.UNSET
 
     def restore_gains(self) -> None:
         """Params.hpp's gains."""
@@ -222,8 +223,7 @@ class Vehicle:
             self.parameters[name] = gains[0]
 
     def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
-        """Make it heavier or stronger than its own."""
-        assert self._parameters is not None
+        """Scale its mass, and thrust and torque of its rotors, relative to its own."""
         set_airframe(self.model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
 
     # --- places -----------------------------------------------------------------------------------
@@ -238,27 +238,25 @@ class Vehicle:
         self.state["hover_tick"] = NEVER
         self.state["pid_mode"] = autopilot.UNSET
         self.put(start.position_m, start.orientation_wxyz)
-        self.forget_touches()
+        self.clear_contacts()
         if start.idle:
             self.set_goal(IDLE)
             for name in ("rotor_input", "rotor_lagged", "rotor_output"):
                 self.state[name] = autopilot.IDLE_THROTTLE
             self.state["z_integral_mode"] = autopilot.UNSET
         else:
-            assert self._parameters is not None
             autopilot.settle(self._parameters, self._flight)
         self.look()
 
-    def forget_touches(self) -> None:
+    def clear_contacts(self) -> None:
         """Nothing has been touched."""
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
-        self.touches.clear()
+        self.contact_log.clear()
 
     def stand(self) -> None:
         """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
         self.look()
-        assert self._parameters is not None
         parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
         hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
         self.state["contacts"] = UNCOUNTED
@@ -286,7 +284,7 @@ class Vehicle:
         self.set_pose(position_m, orientation_wxyz)
         self._warm_start[:] = 0.0
         self.state["contacts"] = self.state["contacts_changed"] = 0
-        self.touches.leave()
+        self.contact_log.leave()
         self.look()
 
     def set_velocity(self, velocity_m_s: Vector, rate_rad_s: Vector) -> None:
@@ -303,13 +301,15 @@ class Vehicle:
     def carry(self) -> State:
         """What of the flight is in the model, to be taken over into the next."""
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
-        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.touches.get_state()}
+        return {name: array.copy() for name, array in arrays.items()} | {
+            "touches": self.contact_log.get_state()
+        }
 
     def take_over(self, carried: SavedState) -> None:
         """The inverse of `carry`; what stands still keeps its geoms' numbers where vehicles are added behind it."""
         for name in ("qpos", "qvel", "_force", "_push"):
             getattr(self, name)[:] = carried[name]
-        self.touches.set_state(carried["touches"])
+        self.contact_log.set_state(carried["touches"])
 
     def look(self) -> None:
         """Read MuJoCo's pose and velocity, after they were changed from outside."""
@@ -334,13 +334,15 @@ class Vehicle:
 
     def get_state(self) -> State:
         """Its record, its touches, its gains; the pose is MuJoCo's."""
-        state = prefixed("flight", of_record(self._flight)) | prefixed("touches", self.touches.get_state())
+        state = prefixed("flight", of_record(self._flight)) | prefixed(
+            "touches", self.contact_log.get_state()
+        )
         return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
         """Back to what `get_state` gave."""
         into_record(self._flight, without_prefix("flight", state))
-        self.touches.set_state(without_prefix("touches", state))
+        self.contact_log.set_state(without_prefix("touches", state))
         for name, gains in without_prefix("gains", state).items():
             self.parameters[name] = gains
 
