@@ -217,7 +217,7 @@ def test_learning_goes_on_while_the_lanes_fly() -> None:
     learner, lanes = learning(1, games=1_000)
     said: list[str] = []
     for owner, name, word in (
-        *((learner, part, "learns") for part in ("_draw", "_step")),
+        *((learner, part, "learns") for part in ("_prepare_batch", "_step")),
         *((lanes, "step_async", "flies"), (lanes, "step_wait", "waited for")),
     ):
         setattr(owner, name, partial(say_and, said, word, getattr(owner, name)))
@@ -247,7 +247,7 @@ def descended(batch: Batch, **options: Any) -> tuple[Any, np.ndarray, np.ndarray
     learner.rate = 0.1
     learner._sample = lambda: batch
     before = weights_of(net)
-    learner._draw()
+    learner._prepare_batch()
     learner._step()
     return learner, before, weights_of(net)
 
@@ -317,7 +317,7 @@ def test_steps_at_once_are_steps_of_a_batch_each(monkeypatch: pytest.MonkeyPatch
     one._steps_at_once(3)
     for first in (0, 16, 32):
         other._sample = lambda at=first: Batch(*(each[at : at + 16] for each in drawn))
-        other._draw()
+        other._prepare_batch()
         other._step()
     assert (asked, one.updates) == (["3"], 3)
     np.testing.assert_allclose(weights_of(one.policy.q_net), weights_of(other.policy.q_net), atol=1e-7)
@@ -375,7 +375,7 @@ def test_half_of_a_batch_is_seen_in_a_mirror() -> None:
         np.testing.assert_array_equal(after[2:], before[2:])
     np.testing.assert_array_equal(turned.rewards, batch.rewards)
     learner._sample, learner.targets = lambda: batch, lambda drawn: drawn.actions
-    learner._draw()
+    learner._prepare_batch()
     np.testing.assert_array_equal(learner._batch.actions, turned.actions)
     np.testing.assert_array_equal(learner._targets, turned.actions)
 
@@ -413,7 +413,7 @@ def test_learning_rate_and_exploration_fall_with_games() -> None:
         learner._schedule()
         assert (learner.rate, learner.exploration_rate) == pytest.approx((rate, exploration))
     learner._sample = lambda: random_batch(16)
-    learner._draw()
+    learner._prepare_batch()
     learner._step()
     assert learner.policy.optimizer.param_groups[0]["lr"] == pytest.approx(6e-6)
 
@@ -459,7 +459,7 @@ def test_a_learner_goes_on_from_its_state() -> None:
     for each in (first, second):
         th.manual_seed(1)
         for _ in range(4):
-            each._draw()
+            each._prepare_batch()
             each._step()
     np.testing.assert_array_equal(weights_of(first.policy.q_net), weights_of(second.policy.q_net))
     assert second.random.rand() == first.random.rand()

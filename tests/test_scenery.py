@@ -18,6 +18,7 @@ from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.saved import of_physics
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
 
@@ -107,7 +108,7 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
         world.advance(20_000)
         flown.append(
             (
-                world.physics().tobytes(),
+                of_physics(world.model, world.data).tobytes(),
                 world.lead.collision_tick,
                 getattr(world.lead.contact_log.first, "object", ""),
             )

@@ -30,7 +30,7 @@ CATCH_UP_NS = NATIVE.catch_up_wall_ns
 def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) -> None:
     """The recorder runs from the game's start and starts again when the first command is accepted."""
     simulation = simulate(100, profile)
-    simulation.record()
+    simulation.world.start_recording()
     wall_ns = go_to(simulation, 37)
     assert len(simulation.recording().samples) > 1
     fly_velocity(simulation, NORTH, 1.0, wall_ns)
@@ -47,7 +47,7 @@ def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) 
 
 def test_samples_are_the_states_at_their_ticks() -> None:
     simulation = simulate()
-    simulation.record()
+    simulation.world.start_recording()
     fly_velocity(simulation, NORTH, 1.0, 0)
     states = []
     for tick in range(0, 501, 25):
@@ -60,7 +60,7 @@ def test_samples_are_the_states_at_their_ticks() -> None:
 
 def test_arrays_of_a_recording_have_decimal_times() -> None:
     simulation = simulate()
-    simulation.record()
+    simulation.world.start_recording()
     for tick in (5, 505):
         fly_velocity(simulation, NORTH, 1.0, go_to(simulation, tick))
     go_to(simulation, 1005)
@@ -82,18 +82,18 @@ def test_arrays_of_a_recording_have_decimal_times() -> None:
 def test_a_full_recorder_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(samples, "SAMPLE_CAPACITY", 8)
     simulation = Simulation(World("blocks", NATIVE))
-    simulation.record()
+    simulation.world.start_recording()
     go_to(simulation, 11 * NATIVE.recorder_ticks)
     recording = simulation.recording()
     assert recording.samples[:, 0].tolist() == [25 * i for i in range(8)]
     assert recording.dropped == 4
-    simulation.record()
+    simulation.world.start_recording()
     assert (len(simulation.recording().samples), simulation.recording().dropped) == (1, 0)
 
 
 def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     simulation = simulate()
-    simulation.record()
+    simulation.world.start_recording()
     fly_velocity(simulation, NORTH, 0.1, 0)
     simulation.reset(go_to(simulation, 100))
     assert not simulation.world.recording
@@ -107,7 +107,7 @@ def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
 ) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
-    simulation.record()
+    simulation.world.start_recording()
     for tick in (10, 30, 50, 70, 90):
         fly_velocity(simulation, NORTH, 0.02, go_to(simulation, tick))
     go_to(simulation, 110)
@@ -198,7 +198,7 @@ def test_lost_time_never_changes_the_step() -> None:
 
     def positions(wait_ns: int) -> tuple[NDArray[np.float64], Simulation]:
         simulation = simulate(10, catch_up_wall_ns=CATCH_UP_NS)
-        simulation.record()
+        simulation.world.start_recording()
         fly_velocity(simulation, NORTH, 20.0, 0)
         wall_ns = 0
         while simulation.world.tick < 10_000:
@@ -231,7 +231,7 @@ def test_a_flight_that_cannot_be_integrated_is_a_failure_and_no_wait_for_ever(
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     simulation = simulate(100)
-    simulation.record()
+    simulation.world.start_recording()
     command = fly_velocity(simulation, NORTH, 1.0, 0)
     wall_ns = go_to(simulation, 100)
     simulation.world.data.qvel[0] = poison
@@ -286,7 +286,7 @@ def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: f
 
     def flown(looks_ns: list[int]) -> NDArray[np.float64]:
         simulation = simulate(clock_speed)
-        simulation.record()
+        simulation.world.start_recording()
         ends = [simulation.pacer.wall_due(tick) for tick in (100, 180)]
         fly_velocity(simulation, NORTH, 0.2, 0)
         for wall_ns in [look for look in looks_ns if look < ends[1]]:

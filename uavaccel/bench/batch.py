@@ -92,7 +92,7 @@ def bare_tiles(count: int) -> tuple[float, str]:
     def loop() -> None:
         for _ in range(TILE_ROUNDS):
             for place, scene in enumerate(scenes):
-                tiles.draw(0, place, scene)
+                tiles.render(0, place, scene)
             with tiles.read(0, count):
                 pass
 

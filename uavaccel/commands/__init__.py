@@ -1,4 +1,4 @@
-"""The paper's two synchronous commands. They know a client and nothing of who simulates."""
+"""The paper's two synchronous commands, ADSC and TCSC, which depend only on a client's interface."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.tcsc import tcsc
 from uavaccel.kinematics import VelocityGoal
 
-__all__ = ["COMMANDS", "Command", "MissionClient", "VelocityGoal", "adsc", "tcsc"]
+__all__ = ["COMMANDS", "MissionClient", "SynchronousCommand", "VelocityGoal", "adsc", "tcsc"]
 
 
 class Fly(Protocol):
-    """A command's flight: yields what the client gathers every T_sample."""
+    """The function of a command: it flies, and yields what the client gathers every T_sample."""
 
     def __call__(
         self,
@@ -28,11 +28,14 @@ class Fly(Protocol):
     ) -> Iterator[SampleT]: ...
 
 
-class Command(NamedTuple):
-    """A command and what a game has to do before its first one."""
+class SynchronousCommand(NamedTuple):
+    """A command, and what a game has to do before its first one."""
 
     begin: Callable[[Pausable], None]
     fly: Fly
 
 
-COMMANDS = {"adsc": Command(_adsc.begin, adsc), "tcsc": Command(_tcsc.begin, tcsc)}
+COMMANDS = {
+    "adsc": SynchronousCommand(_adsc.begin, adsc),
+    "tcsc": SynchronousCommand(_tcsc.begin, tcsc),
+}

@@ -1,6 +1,6 @@
 """ADSC, the AirSim Default Synchronous Command (paper, section II-B).
 
-The simulation runs on while the client waits for the command's end, gathers and thinks: what TCSC removes.
+The simulation continues while the client waits for the command's end and computes, which TCSC avoids.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from uavaccel.kinematics import VelocityGoal
 
 
 def begin(client: Pausable) -> None:
-    """Before the first command of a game: the clock runs from now on."""
+    """Prepare a game for its first command: the clock runs from now on."""
     client.run()
 
 
@@ -24,7 +24,7 @@ def adsc(
     t_sample_s: float,
     t_th_ns: int = 0,
 ) -> Iterator[SampleT]:
-    """Fly `velocity` for T_move, join, and yield a sample every T_sample; `t_th_ns` is TCSC's and has no part here.
+    """Fly `velocity` for T_move, join, and yield a sample every T_sample; `t_th_ns` is for TCSC, and ignored.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
     pause, gather, continue, the last one after the join.
@@ -44,7 +44,7 @@ def adsc(
 
 
 def gather(client: MissionClient[FutureT, SampleT]) -> SampleT:
-    """One sample: of a moment at which the clock stood."""
+    """Gather one sample while the simulation is paused."""
     client.pause()
     sample = client.gather(client.kinematics())
     client.run()

@@ -1,10 +1,10 @@
-"""AirSim's own Python client as the client that ADSC and TCSC fly: the same commands drive a real AirSim.
+"""An adapter of AirSim's own Python client, with which ADSC and TCSC fly a real AirSim.
 
     import airsim
     client = AirSimAdapter(airsim.MultirotorClient(), clock_speed=10)
     for state in tcsc(client, VelocityGoal((1.0, 0.0, 0.0)), t_move_s=1.0, t_sample_s=0.33, t_th_ns=...):
 
-Nothing here imports airsim: any object with the methods of its MultirotorClient will do.
+This module does not import airsim: any object with the methods of its MultirotorClient will do.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ class AirSimAdapter:
         self._clock = MonotonicClock()
 
     def now_ns(self) -> int:
+        """See `MissionClient`."""
         return self._clock.now_ns()
 
     def move_async(self, goal: VelocityGoal, t_move_s: float) -> OfAirSim:
-        """Returns the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
+        """Return the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
         vx, vy, vz = goal.velocity_m_s
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
         move, third = self.client.moveByVelocityAsync, vz

@@ -13,7 +13,7 @@ PATHS: dict[str, tuple[Vector, ...]] = {"square": SQUARE, "two_forward_one_back"
 
 
 def velocities(path: str | Sequence[Vector], rounds: int, speed_m_s: float = 1.0) -> list[Vector]:
-    """One velocity per command (NED, m/s): a named path at `speed_m_s`, or the caller's own velocities as they are."""
+    """Return one velocity per command, NED m/s: a named path at `speed_m_s`, or the caller's own velocities."""
     if isinstance(path, str):
         once: Sequence[Vector] = [(x * speed_m_s, y * speed_m_s, z * speed_m_s) for x, y, z in PATHS[path]]
     else:

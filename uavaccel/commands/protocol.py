@@ -1,4 +1,4 @@
-"""What a synchronous command needs of a client: any object with these methods, ours or one around AirSim's own."""
+"""The client interface of synchronous commands, which any object with these methods implements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SampleT = TypeVar("SampleT", covariant=True)
 
 
 class Pausable(Protocol):
-    """A client that stops and starts the simulation's clock."""
+    """A client that pauses and resumes the simulation."""
 
     def pause(self) -> None: ...
 
@@ -27,23 +27,25 @@ class MissionClient(Pausable, Protocol[FutureT, SampleT]):
         ...
 
     def now_ns(self) -> int:
-        """The client's wall clock."""
+        """Return the time on the client's wall clock."""
         ...
 
     def move_async(self, goal: VelocityGoal, t_move_s: float) -> FutureT:
-        """Issue a velocity command; returns its future without waiting."""
+        """Issue a velocity command and return its future without waiting."""
         ...
 
     def join(self, future: FutureT, deadline_ns: int | None = None) -> bool:
-        """Wait for the command's end, or for the wall deadline if that comes first: then False."""
+        """Wait for the command's end and return True, or False if the wall deadline comes first."""
         ...
 
     def continue_for(self, duration_ns: int) -> Kinematics:
-        """Run for a simulated time, pause again and return the state."""
+        """Run for a simulated time, pause, and return the state."""
         ...
 
-    def kinematics(self) -> Kinematics: ...
+    def kinematics(self) -> Kinematics:
+        """Return the present state."""
+        ...
 
     def gather(self, state: Kinematics) -> SampleT:
-        """What the mission computer takes as a sample while the clock stands: the state, with images or without."""
+        """Gather a sample while the simulation is paused: the state, with or without images."""
         ...

@@ -1,4 +1,4 @@
-"""How a command's time is cut into samples."""
+"""The division of a command's time into slices, each of which ends with a sample."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from itertools import pairwise
 
 from uavaccel.units import NS_PER_S, seconds_to_ns
 
-TAIL = (
-    0.05  # of T_sample: 1 s in steps of .33 s is three samples, the last of .34 s, as the paper counts them
-)
+# Shortest last slice, as a share of T_sample: 1 s in steps of .33 s is three samples, as the paper counts them.
+TAIL = 0.05
 
 
 def slice_of(t_move_ns: int, t_sample_ns: int) -> int:
-    """T_wakeup = min(T_move, T_sample), but a tail too short for a sample of its own is flown at once."""
+    """Return T_wakeup = min(T_move, T_sample), with a rest shorter than TAIL included."""
     return t_move_ns if t_move_ns - t_sample_ns < TAIL * t_sample_ns else t_sample_ns
 
 
 def samples_due(t_move_s: float, t_sample_s: float) -> list[int]:
-    """Simulated nanoseconds after a command's start at which its samples are due; the last one is its end."""
+    """Return the simulated nanoseconds from a command's start to each sample; the last one is its end."""
     due, left, t_sample = [0], seconds_to_ns(t_move_s), seconds_to_ns(t_sample_s)
     while left > 0:
         t_wakeup = slice_of(left, t_sample)
@@ -28,7 +27,7 @@ def samples_due(t_move_s: float, t_sample_s: float) -> list[int]:
 
 
 def check_times(t_move_s: float, t_sample_s: float, check_duration: Callable[[float, str], None]) -> None:
-    """Raise what `check_duration(seconds, name)` raises for a command's duration or that of one of its slices."""
+    """Call `check_duration(seconds, name)`, which may raise, for a command's duration and those of its slices."""
     check_duration(t_move_s, "t_move_s")
     check_duration(min(t_sample_s, t_move_s), "t_sample_s")
     due_ns = [0, *samples_due(t_move_s, t_sample_s)]

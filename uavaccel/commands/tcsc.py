@@ -1,6 +1,6 @@
 """TCSC, the Time-Controlled Simulation Command (paper, section III-B and Figure 4).
 
-The clock is stopped whenever the client is not flying, so no latency reaches the trajectory.
+The simulation is paused whenever no command flies, so that latencies do not affect the trajectory.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from uavaccel.units import seconds_to_ns
 
 
 def begin(client: Pausable) -> None:
-    """Before the first command of a game: the clock stands still between commands."""
+    """Prepare a game for its first command: the simulation is paused between commands."""
     client.pause()
 
 

@@ -1,4 +1,4 @@
-"""The quadrotor's world on MuJoCo, which looks at MUJOCO_GL as soon as it is imported: here, with one clear line."""
+"""The simulation on MuJoCo. MuJoCo reads MUJOCO_GL when it is imported; a wrong value raises UserError here."""
 
 import os
 

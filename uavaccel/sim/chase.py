@@ -1,4 +1,4 @@
-"""A flight through a lane as seen from behind and above, drawn afterwards from its poses."""
+"""A chase view: a flight through a lane, rendered afterwards from behind and above its poses."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 
-EYE = Pose((-2.2, 0.0, -0.9), from_degrees(0.0, -14.0, 0.0))  # in a frame that turns with the heading alone
+EYE = Pose((-2.2, 0.0, -0.9), from_degrees(0.0, -14.0, 0.0))  # relative to the vehicle's position and heading
 FOV_DEG = 80.0
-FINER = 2  # drawn so many times as large and averaged: MuJoCo's own smoothing is off
+FINER = 2  # supersampling factor, in place of MuJoCo's antialiasing
 
 
 class ChaseView:
-    """Pictures of n poses: `position_m` (n, 3) NED, `orientation_wxyz` (n, 4). Raises UserError without OpenGL."""
+    """Renders n poses, `position_m` (n, 3) NED and `orientation_wxyz` (n, 4). Raises UserError without OpenGL."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class ChaseView:
         self._lens = Lens(FINER * self._width, FINER * self._height, FOV_DEG)
 
     def __call__(self, number: int) -> NDArray[np.uint8]:
-        """The picture of a pose; (height, width, 3) red, green, blue."""
+        """Render pose `number`: (height, width, 3) red, green, blue."""
         north, east, down = self._position_m[number].tolist()
         w, x, y, z = self._orientation_wxyz[number].tolist()
         self._world.teleport(self._world.lead, (north, east, down), (w, x, y, z))

@@ -1,4 +1,4 @@
-"""A reply that is not due yet: nobody waits inside the simulation, whoever asked is answered when the time has come."""
+"""A reply that is due later than its call: the simulation does not wait, but resolves the reply in time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 
 
 class DeferredReply:
-    """A reply that is not yet due: `join` of a command, or a continue-for."""
+    """The pending reply of a command's `join`, or of a continue-for."""
 
     def __init__(self) -> None:
         self.value: object = None
-        self.encode: Callable[[Any], object] = lambda value: value  # as the wire wants it
+        self.encode: Callable[[Any], object] = lambda value: value  # to the form of the wire
         self.due_wall_ns: int | None = None
         self.on_due: Callable[[DeferredReply], None] | None = None
 
     def resolve(self, value: object, wall_ns: int) -> None:
-        """Fix the reply and the wall time before which it may not leave."""
+        """Set the value, and the wall time before which the reply may not be sent."""
         self.value, self.due_wall_ns = value, wall_ns
         if self.on_due is not None:
             self.on_due(self)

@@ -20,11 +20,11 @@ from uavaccel.units import ceil_div
 
 @dataclass
 class Frames:
-    """Frames of a game; with `period_ns` 0 there are none, and images are of the moment at which they are asked for.
+    """Frames every `period_ns` of wall time; with 0 there are none, and an image shows the moment of its request.
 
-    `wait_ns` draws how long a frame is waited for. `stale_pose`: images show the pose of the last tick of the game,
-    which ticks at every multiple of `period_ns` of wall time unless paused. `after_continue`: the reply of a
-    continue-for waits for a frame too.
+    `wait_ns` samples the wait for a frame. With `stale_pose` images show the pose of the game's last tick, at multiples
+    of `period_ns` of wall time unless it is paused. With `after_continue` the reply of a continue-for waits for a frame
+    too.
     """
 
     period_ns: int = 0
@@ -33,41 +33,41 @@ class Frames:
     wait_ns: Callable[[], int] = lambda: 0
     _shown: mujoco.MjData | None = field(default=None, repr=False)
 
-    def drawn(self, asked_ns: int) -> int:
-        """When an image asked for at `asked_ns` is there."""
+    def ready_ns(self, asked_ns: int) -> int:
+        """Return the wall time at which an image requested at `asked_ns` is ready."""
         return asked_ns + self.wait_ns() if self.period_ns else asked_ns
 
     def continued(self, paused_ns: int) -> int:
-        """When a continue-for replies that has paused at `paused_ns`."""
-        return self.drawn(paused_ns) if self.after_continue else paused_ns
+        """Return the wall time at which a continue-for replies that has paused at `paused_ns`."""
+        return self.ready_ns(paused_ns) if self.after_continue else paused_ns
 
     def ticks(self, from_ns: int, to_ns: int) -> range:
-        """The game's ticks after `from_ns` and not after `to_ns`; none where poses are not stale."""
+        """Return the game's ticks after `from_ns` up to `to_ns`; none unless poses are stale."""
         if not (self.period_ns and self.stale_pose):
             return range(0)
         first = ceil_div(from_ns + 1, self.period_ns) * self.period_ns
         return range(first, to_ns + 1, self.period_ns)
 
     def show(self, data: mujoco.MjData) -> None:
-        """The game has ticked: images show the pose in `data` from now on."""
+        """Let images show the pose in `data` from now on: the game has ticked."""
         self._shown = self._shown or mujoco.MjData(data.model)
         self._shown.qpos[:] = data.qpos
 
     def scene(self, data: mujoco.MjData) -> mujoco.MjData:
-        """What a camera draws: the present `data`, or the pose that was shown last."""
+        """Return what a camera renders: the pose shown last or, without any, the present `data`."""
         return self._shown or data
 
     def get_state(self) -> State:
-        """The pose that is shown; empty where nothing has been shown yet."""
+        """Return the pose shown, empty before the first."""
         return {"shown": [] if self._shown is None else self._shown.qpos.tolist()}
 
     def set_state(self, state: SavedState, data: mujoco.MjData) -> None:
-        """Back to what `get_state` gave; `data` is of the same scene."""
+        """Restore what `get_state` returned; `data` is of the same scene."""
         self.forget()
         if len(state["shown"]):
             self._shown = mujoco.MjData(data.model)
             self._shown.qpos[:] = state["shown"]
 
     def forget(self) -> None:
-        """A new game: nothing has been shown yet."""
+        """Forget the pose shown, for a new game."""
         self._shown = None

@@ -1,4 +1,4 @@
-"""Poses: a place and an attitude, NED or FRD, and how one is put upon another."""
+"""Poses, a position and an attitude in NED or FRD, and their composition."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 class Pose(NamedTuple):
-    """Metres and a unit wxyz quaternion, in the frame of something larger."""
+    """A position in metres and a unit wxyz quaternion, relative to an outer frame."""
 
     position_m: Vector = (0.0, 0.0, 0.0)
     orientation_wxyz: Quaternion = LEVEL
 
     def of(self, inner: Pose) -> Pose:
-        """`inner`, which is given in this pose's frame, in the frame that this pose is given in."""
+        """Return `inner`, a pose in this pose's frame, in the outer frame."""
         turned = self.matrix() @ np.array(inner.position_m)
         x, y, z = (float(value) for value in np.array(self.position_m) + turned)
         return Pose((x, y, z), multiply(self.orientation_wxyz, inner.orientation_wxyz))
 
     def matrix(self) -> NDArray[np.float64]:
-        """Forward, right and down as columns (3, 3)."""
+        """Return the rotation matrix (3, 3), whose columns are forward, right and down."""
         w, x, y, z = self.orientation_wxyz
         return np.array(
             [
@@ -37,18 +37,18 @@ class Pose(NamedTuple):
         )
 
     def inwards(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) of the outer frame in this pose's own."""
+        """Return points (..., 3) of the outer frame in this pose's frame."""
         return np.asarray((np.asarray(points_m) - np.array(self.position_m)) @ self.matrix())
 
     def inwards_pose(self, other: Pose) -> Pose:
-        """Another pose of the outer frame in this pose's own: the inverse of `of`."""
+        """Return a pose of the outer frame in this pose's frame: the inverse of `of`."""
         w, x, y, z = self.orientation_wxyz
         place_x, place_y, place_z = (float(value) for value in self.inwards(other.position_m))
         return Pose((place_x, place_y, place_z), multiply((w, -x, -y, -z), other.orientation_wxyz))
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The turn by `b` and then by `a`, wxyz."""
+    """Return the rotation by `b` followed by `a`, wxyz."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -60,7 +60,7 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def from_degrees(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """The attitude that is turned by yaw, then by pitch, then by roll: AirSim's toQuaternion."""
+    """Return the attitude rotated by yaw, then pitch, then roll: AirSim's toQuaternion."""
     turns = [(math.cos(math.radians(a) / 2), math.sin(math.radians(a) / 2)) for a in (roll, pitch, yaw)]
     (cr, sr), (cp, sp), (cy, sy) = turns
     return multiply(multiply((cy, 0.0, 0.0, sy), (cp, 0.0, sp, 0.0)), (cr, sr, 0.0, 0.0))

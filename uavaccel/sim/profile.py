@@ -15,27 +15,28 @@ from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns, ticks_exactly
 
 
-@dataclass(frozen=True, eq=False)  # each is one of a kind, and hashing seven fields would be slow
+@dataclass(frozen=True, eq=False)  # compared by identity: hashing seven fields would be slow
 class Profile:
-    """How a simulation steps, ends commands, continues and keeps up."""
+    """How a simulation steps, ends commands, continues and catches up."""
 
     name: str
     tick_ns: int
     goal_period_ticks: int  # a command ends on this grid, counted from its acceptance
-    hover_after_ticks: int  # position hold sets in so long after a command has returned
+    hover_after_ticks: int  # from the end of a command to position hold
     recorder_ticks: int
-    exact_times: bool  # times that the tick does not divide are refused
-    exact_pauses: bool  # a continue-for ends on the tick; otherwise a wall timer ends it
-    catch_up_wall_ns: int  # backlog that is made good; beyond it simulated time is lost
+    exact_times: bool  # whether durations must be whole ticks
+    exact_pauses: bool  # whether a continue-for ends at a tick, not by a wall timer
+    catch_up_wall_ns: int  # backlog that is caught up; beyond it simulated time is lost
 
     @property
     def tick_s(self) -> float:
+        """Physics step in seconds."""
         return self.tick_ns / NS_PER_S
 
     def t_th_ns(self, t_th_wall_s: float, clock_speed: float, t_sample_s: float) -> int:
-        """TCSC's T_th in simulated nanoseconds: 0 where continue-for is exact; else latency × ClockSpeed.
+        """Return TCSC's T_th in simulated nanoseconds: 0 if continue-for is exact, else latency × ClockSpeed.
 
-        At most a tenth of T_sample, at least a tick: a shorter continue-for may not bring any.
+        It is at most a tenth of T_sample and at least a tick, since a shorter continue-for may run none.
         """
         if self.exact_times:
             return 0
@@ -43,10 +44,10 @@ class Profile:
         return max(seconds_to_ns(latency_s), self.tick_ns)
 
     def check_duration(self, duration_s: float, name: str) -> None:
-        """Raise UserError where TCSC cannot fly a command, or a sample, of that time.
+        """Raise UserError if TCSC cannot fly a command or slice of that duration.
 
-        An exact profile needs whole ticks. A wall timer is not asked for a rest of a tick or less (T_th), so that a
-        command no longer than that would never begin.
+        An exact profile needs whole ticks. With wall timers a rest of a tick or less (T_th) is not flown, so that a
+        command of that length would never begin.
         """
         if self.exact_times:
             ticks_exactly(duration_s, self.tick_ns, name)
@@ -59,18 +60,18 @@ class Profile:
 
     @property
     def loop_ticks(self) -> int:
-        """Ticks between two turns of a flight command's loop, 20 ms or the next tick (getCommandPeriod)."""
+        """Ticks between two turns of a flight task's loop: 20 ms, rounded up (getCommandPeriod)."""
         return ceil_div(_COMMAND_LOOP_NS, self.tick_ns)
 
     def nearest_ticks(self, duration_s: float) -> int:
-        """As `command_ticks`; an exact profile takes the nearest time that fits, a tick at least."""
+        """Return `command_ticks`, or in an exact profile the nearest number of ticks, at least 1."""
         if self.exact_times:
             return max(round(exact(duration_s) * NS_PER_S / self.tick_ns), 1)
         return self.command_ticks(duration_s)
 
     @lru_cache(maxsize=256)  # noqa: B019  profiles live as long as the program; fractions are slow
     def command_ticks(self, duration_s: float) -> int:
-        """Ticks that a command of `duration_s` lasts; raises UserError in an exact profile if it does not fit."""
+        """Return the ticks of a command of `duration_s`. Raises UserError if an exact profile has none that fit."""
         if self.exact_times:
             return ticks_exactly(duration_s, self.tick_ns, "duration")
         period_ns = self.goal_period_ticks * self.tick_ns
@@ -110,9 +111,9 @@ _COMMAND_LOOP_NS, _GOAL_TIMEOUT_NS, _RECORD_NS = 20_000_000, 60_000_000, 50_000_
 def airsim_variant(
     tick_ns: int = AIRSIM.tick_ns, goal_timeout_ns: int = _GOAL_TIMEOUT_NS, exact_pauses: bool = False
 ) -> Profile:
-    """AirSim with another step, another api_goal_timeout or exact pauses, for ablations; AIRSIM itself by default.
+    """Return AIRSIM with another step, api_goal_timeout or exact pauses, for ablations; AIRSIM itself by default.
 
-    Its loops end on the step: the command's at 20 ms or after, the timeout and the recorder beyond 60 and 50 ms.
+    Its loops are rounded to the step: that of commands to 20 ms or more, timeout and recorder to above 60 and 50 ms.
     """
     if (tick_ns, goal_timeout_ns, exact_pauses) == (AIRSIM.tick_ns, _GOAL_TIMEOUT_NS, False):
         return AIRSIM
@@ -128,16 +129,18 @@ def airsim_variant(
 
 @dataclass(frozen=True)
 class Executor:
-    """What a tick of physics takes of wall time, and whether a ClockSpeed above 1 loses its fraction."""
+    """The speed that a ClockSpeed really gives in AirSim's physics thread.
+
+    A tick takes `tick_cost_ns` of wall time. With `integer_clock_speed` a ClockSpeed above 1 loses its fraction.
+    Source: SimModeWorldMultiRotor.cpp:48-72 (the loop's period is 3 ms over the ClockSpeed, cast to an integer) and
+    ScheduledExecutor.hpp (a tick that takes longer than the period delays all that follow).
+    """
 
     tick_cost_ns: int = 0
     integer_clock_speed: bool = False
 
     def speed(self, clock_speed: Fraction, tick_ns: int) -> Fraction:
-        """Simulated seconds per wall second while the clock runs; ticks of `tick_ns` of simulated time.
-
-        A tick never takes less than its cost, so that the speed saturates at tick_ns / tick_cost_ns.
-        """
+        """Return simulated seconds per wall second while the clock runs, at most tick_ns / tick_cost_ns."""
         if self.integer_clock_speed and clock_speed > 1:
             clock_speed = Fraction(int(clock_speed))
         if self.tick_cost_ns:

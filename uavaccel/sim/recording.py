@@ -1,4 +1,4 @@
-"""What the recorder saw of one game, as the arrays that a run directory keeps."""
+"""A game's recording, samples and commands, as the arrays in a run directory."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ COMMAND_LOG_LENGTH = 1 << 16
 
 
 class CommandLog:
-    """First and last tick of the commands since the last reset: the first `length` of them, and the latest.
+    """First and last ticks of the commands since the last reset: the first `length` commands, and the latest.
 
-    As the recorder's samples they begin with the first command; `dropped` counts those for which there was no room.
+    `dropped` counts the commands for which there was no room.
     """
 
     def __init__(self, length: int | None = None) -> None:
-        self.origin_tick: int | None = None  # at which the first was accepted: a recording's t = 0
+        self.origin_tick: int | None = None  # of the first command: t = 0 of a recording
         self.dropped = 0
         self._length = length or COMMAND_LOG_LENGTH
         self._ticks: list[tuple[int, int]] = []
         self._latest = (0, 0)  # the last of the list unless it was dropped
 
     def accept(self, tick: int, end_tick: int) -> None:
-        """A command begins, and ends at `end_tick` unless `cut_short`."""
+        """Add a command that begins at `tick` and ends at `end_tick` unless it is `cut_short`."""
         if self.origin_tick is None:
             self.origin_tick = tick
         self._latest = (tick, end_tick)
@@ -38,13 +38,13 @@ class CommandLog:
             self.dropped += 1
 
     def cut_short(self, tick: int) -> None:
-        """The latest ended at `tick`."""
+        """Let the latest command end at `tick`."""
         self._latest = (self._latest[0], tick)
         if not self.dropped:
             self._ticks[-1] = self._latest
 
     def last_goal(self, tick: int, period: int) -> int:
-        """When the latest's loop has last set its goal by `tick`: as it began, and every `period` ticks from there."""
+        """Return the last tick up to `tick` at which the latest command set its goal, which it does every `period`."""
         accepted = self._latest[0]
         return accepted + (tick - accepted) // period * period
 
@@ -55,15 +55,16 @@ class CommandLog:
         return iter(self._ticks)
 
     def ticks(self) -> NDArray[np.int64]:
-        """First and last ticks (c, 2)."""
+        """Return the first and last ticks of c commands (c, 2)."""
         return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
 
     def get_state(self) -> State:
+        """Return its contents."""
         state: State = {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
         return state | {"latest": np.array(self._latest), "dropped": self.dropped}
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         self.origin_tick = number_or_none(state["origin_tick"])
         self._ticks = [(int(first), int(last)) for first, last in state["ticks"]]
         first, last = state.get("latest", self._ticks[-1] if self._ticks else (0, 0))
@@ -72,10 +73,10 @@ class CommandLog:
 
 @dataclass(frozen=True)
 class Recording:
-    """A game as the recorder saw it; ticks count from the acceptance of the first command.
+    """A recorded game; ticks count from the start of the first command.
 
-    `samples` (n, 14): tick, position (m, NED), wxyz, velocity (m/s), body rate (rad/s). `commands` (c, 2): first
-    and last tick. `dropped` and `commands_dropped`: those of either for which there was no room; the first are kept.
+    `samples` (n, 14) are tick, position (m, NED), wxyz, velocity (m/s), body rate (rad/s); `commands` (c, 2) are first
+    and last ticks. `dropped` and `commands_dropped` count later ones for which there was no room.
     """
 
     samples: NDArray[np.float64]
@@ -85,7 +86,7 @@ class Recording:
     commands_dropped: int = 0
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
-        """The raw samples of a run directory, in seconds and SI units."""
+        """Return the arrays of a run directory, in seconds and SI units."""
         return {
             "time_s": self._seconds(self.samples[:, 0]),
             "position_m": self.samples[:, 1:4],
@@ -97,5 +98,5 @@ class Recording:
         }
 
     def _seconds(self, ticks: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Ticks as the float nearest to the exact decimal, so that 25 ticks of 2 ms are 0.05."""
+        """Convert ticks to the float nearest to the exact decimal: 25 ticks of 2 ms are 0.05."""
         return np.round(ticks * (self.tick_ns / NS_PER_S), 9)

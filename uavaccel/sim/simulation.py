@@ -1,8 +1,8 @@
-"""A free-running simulation and the commands that fly it, told the wall time by whoever owns it.
+"""A free-running simulation and its commands, advanced to a wall time that its owner passes in.
 
-Pull, not push: `advance_to(wall_ns)` runs every tick that is due by then; between two calls nothing moves. No
-thread, no socket, no sleep. A message handled at wall time w sees every tick due at w, and its goal acts from the
-next tick; whatever ends at tick n is seen by messages before tick n + 1.
+`advance_to(wall_ns)` runs every tick that is due by then; between two calls nothing moves, and there is no thread,
+socket or sleep. A message handled at wall time w sees every tick due at w, and its goal acts from the next tick; what
+ends at tick n is seen by messages before tick n + 1.
 """
 
 from __future__ import annotations
@@ -25,15 +25,13 @@ from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.sim.world import FlightError, World
 from uavaccel.units import NS_PER_S, exact
 
-MOST_CATCH_UP_TICKS = 5_000  # flown at once to make good what is behind, of one vehicle: some 30 ms
-
-
+MOST_CATCH_UP_TICKS = 5_000  # of one vehicle, flown at once to catch up: about 30 ms
 TRACE_LENGTH = 1 << 16
 
 
 @dataclass
 class ContinueFor:
-    """A running continue-for: up to a tick, or in `airsim` up to a wall time."""
+    """A running continue-for, which ends at a tick or, in profile `airsim`, at a wall time."""
 
     reply: DeferredReply
     end_tick: int | None = None
@@ -42,7 +40,7 @@ class ContinueFor:
 
 @dataclass
 class Speed:
-    """Simulated and wall time passed while the clock ran, and the wall time given up as lost."""
+    """Simulated and wall time that passed while the clock ran, and the wall time that was lost."""
 
     simulated_ns: int = 0
     wall_ns: int = 0
@@ -50,24 +48,24 @@ class Speed:
 
     @property
     def real_time_factor(self) -> float:
-        """Achieved simulated seconds per wall second; 0 before the clock ran."""
+        """Simulated seconds per wall second that were reached; 0 before the clock ran."""
         return self.simulated_ns / self.wall_ns if self.wall_ns else 0.0
 
 
 @dataclass
 class Trace:
-    """What the simulation did and when: (event, wall ns, simulated ns), the latest; kept only while switched on."""
+    """The latest events of a simulation, as (event, wall ns, simulated ns); recorded only while `enabled`."""
 
     events: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
     enabled: bool = False
 
 
 class Simulation:
-    """Clock, commands and recorder over one `World`.
+    """Clock, commands and recording of one `World`.
 
-    `catch_up_wall_ns`: backlog of wall time that is made good, of MOST_CATCH_UP_TICKS at most; the rest is lost and
-    counted. None: no bound, for a simulated wall clock. `timer_lateness_ns` draws how late a wall timer ends there
-    (`airsim`).
+    `catch_up_wall_ns` is the largest backlog of wall time that is caught up, of at most MOST_CATCH_UP_TICKS; more is
+    lost and counted. None sets no limit, for a simulated wall clock. `timer_lateness_ns` samples how late a wall timer
+    fires (profile `airsim`).
     """
 
     def __init__(
@@ -83,34 +81,34 @@ class Simulation:
         self.world = world
         self.profile: Profile = world.profile
         self.executor, self.frames = executor, frames or Frames()
-        self.clock_speed = positive_clock_speed(clock_speed)  # as asked for; the pacer's comes of it
+        self.clock_speed = positive_clock_speed(clock_speed)  # as requested; the executor may limit it
         self.pacer = Pacer(executor.speed(self.clock_speed, self.profile.tick_ns), self.profile.tick_ns)
         self.catch_up_wall_ns = catch_up_wall_ns
         self._timer_lateness_ns = timer_lateness_ns
         self.paused = False
         self.pilots = [Pilot(self, vehicle, vehicle is world.lead) for vehicle in world.vehicles]
         self.period: ContinueFor | None = None
-        self.records_game = True  # a recording begins anew with the first command
+        self.records_game = True  # whether the first command restarts an active recording
         self.trace = Trace()
         self.failure: str | None = None
         self.time0_ns = 0
         self.wall_ns = wall_ns
         self._bound_backlog()
-        self._start_over(wall_ns)
+        self._restart(wall_ns)
 
     # --- time -------------------------------------------------------------------------------------
 
     @property
     def time_ns(self) -> int:
-        """Simulated time since the simulation was made; a reset does not set it back, as in AirSim."""
+        """Simulated time since the simulation was made; as in AirSim a reset does not set it back."""
         return self.time_of(self.world.tick)
 
     def time_of(self, tick: int) -> int:
-        """Simulated time at a tick since the last reset."""
+        """Return the simulated time at a tick, counted from the last reset."""
         return self.time0_ns + tick * self.profile.tick_ns
 
     def advance_to(self, wall_ns: int) -> None:
-        """Fly every tick that is due by `wall_ns`, end what ends on the way, and show what frames show."""
+        """Advance every tick that is due by `wall_ns`, with all that ends on the way and the frames shown."""
         if not self.paused:
             for tick_ns in self.frames.ticks(self.wall_ns, wall_ns):
                 self._advance_to(tick_ns)
@@ -134,9 +132,9 @@ class Simulation:
         self._account(wall_ns)
 
     def next_event_wall_ns(self, turns: bool = True) -> int | None:
-        """When something will end unless a message comes first; None while nothing will.
+        """Return the wall time of the next end of a command or continue-for; None without one.
 
-        `turns`: a task's next turn, which may be its end, is such an event too. They happen at their ticks anyway.
+        With `turns` a task's next turn, which may be its last, counts too. Turns happen at their ticks in any case.
         """
         if self.paused:
             return None
@@ -154,11 +152,11 @@ class Simulation:
         return min(ticks, default=None)
 
     def wall_timer_ns(self) -> int | None:
-        """When a running continue-for of the `airsim` profile is over, on the wall clock."""
+        """Return the wall time at which a continue-for of profile `airsim` ends; None without one."""
         return self.period.end_wall_ns if self.period and not self.paused else None
 
     def _drop_backlog(self, wall_ns: int, kept_ns: int) -> None:
-        """Give up wall time that nobody asked for in time: the machine, or this process, was held up."""
+        """Lose the wall time beyond the backlog that is kept: the machine or this process was held up."""
         behind_ns = wall_ns - self.pacer.wall_due(self.world.tick + 1)
         lost = behind_ns - kept_ns
         if not self.paused and lost > 0:
@@ -166,7 +164,7 @@ class Simulation:
             self.pacer.anchor(wall_ns - kept_ns, self.world.tick + 1)
 
     def _bound_backlog(self) -> None:
-        """Whoever sets the ClockSpeed, or adds vehicles: one step of the clock never takes longer than others bear."""
+        """Limit the backlog so that catching up at this ClockSpeed, with these vehicles, does not block for long."""
         self._catch_up_ns = self.catch_up_wall_ns
         if self.catch_up_wall_ns is not None:
             tick_wall_ns = self.profile.tick_ns / float(self.clock_speed)
@@ -174,9 +172,9 @@ class Simulation:
             self._catch_up_ns = min(self.catch_up_wall_ns, most_ns)
 
     def _fly_to(self, tick: int) -> None:
-        """Fly up to a tick. What cannot be integrated is a `failure`, and the vehicle stands still from there on.
+        """Advance to a tick. A state that cannot be integrated sets `failure`; the vehicle then stands still.
 
-        Time goes on, so that nobody waits for ever; commands end with False.
+        Time goes on, so that nobody waits forever, and commands end with False.
         """
         start_tick = self.world.tick
         while (ticks := tick - self.world.tick) > 0:
@@ -200,14 +198,14 @@ class Simulation:
             self.pause(wall_ns)
 
     def note(self, event: str, wall_ns: int) -> None:
-        """Add to the trace, if it is switched on."""
+        """Add an event to the trace if it is enabled."""
         if self.trace.enabled:
             self.trace.events.append((event, wall_ns, self.time_ns))
 
     # --- clock commands ---------------------------------------------------------------------------
 
     def set_clock_speed(self, clock_speed: float, wall_ns: int) -> None:
-        """Go on at another speed. Raises UserError unless it is above 0."""
+        """Change the ClockSpeed. Raises UserError unless it is positive."""
         self.clock_speed = positive_clock_speed(clock_speed)
         self.pacer.set_clock_speed(self.executor.speed(self.clock_speed, self.profile.tick_ns), wall_ns)
         self._bound_backlog()
@@ -221,7 +219,7 @@ class Simulation:
         self._release_continue(wall_ns)
 
     def run(self, wall_ns: int) -> None:
-        """Let simulated time go on; ends a continue-for's period, as simPause(False) does."""
+        """Resume simulated time; a running continue-for replies at once, as with simPause(False)."""
         if self.paused:
             self.paused = False
             self.wall_ns = wall_ns
@@ -235,10 +233,10 @@ class Simulation:
             reply.resolve(self.kinematics(), self.frames.continued(wall_ns))
 
     def continue_for(self, duration_ns: int, wall_ns: int) -> DeferredReply:
-        """Run for `duration_ns` of simulated time, then pause and reply the `Kinematics`.
+        """Run for `duration_ns` of simulated time, then pause and reply with the `Kinematics`.
 
-        A second one replaces the first.
-        Rounded to a tick in an exact profile; a wall timer in `airsim`, which the scheduler ends.
+        A second call replaces the first. The duration is rounded to a tick in an exact profile; in `airsim` a wall
+        timer ends it.
         """
         self.run(wall_ns)
         period = self.period = ContinueFor(DeferredReply())
@@ -247,29 +245,30 @@ class Simulation:
             period.end_tick = self.world.tick + ticks
         else:
             timer = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
-            one_tick = self.pacer.wall_due(self.world.tick + 1)  # it flies before it looks at its timer
+            one_tick = self.pacer.wall_due(
+                self.world.tick + 1
+            )  # AirSim runs a tick before it checks the timer
             period.end_wall_ns = max(timer, one_tick) if duration_ns > 0 else timer
         self.advance_to(wall_ns)  # it may be over already
         return period.reply
 
     def continue_for_wall(self, seconds: float, wall_ns: int) -> DeferredReply:
-        """AirSim's simContinueForTime: `seconds` of wall time, so times clock_speed of simulated time."""
+        """Run for `seconds` of wall time, that times ClockSpeed of simulated time: AirSim's simContinueForTime."""
         return self.continue_for(round(exact(seconds) * self.clock_speed * NS_PER_S), wall_ns)
 
     # --- vehicles ---------------------------------------------------------------------------------
 
     @property
     def lead(self) -> Pilot:
-        """Who flies the first vehicle, which is meant wherever none is named."""
+        """The pilot of the first vehicle, to which calls without a vehicle refer."""
         return self.pilots[0]
 
     def add_vehicles(self, newcomers: Sequence[AddedVehicle]) -> None:
-        """More vehicles, each with who flies it. Raises UserError as World.add_vehicles does."""
+        """Add vehicles with their pilots. Raises UserError as World.add_vehicles does."""
         self.world.add_vehicles(newcomers)
-        self.frames.forget()  # the pose that was shown is of the model before
-        self.pilots += [
-            Pilot(self, vehicle, leads=False) for vehicle in self.world.vehicles[len(self.pilots) :]
-        ]
+        self.frames.forget()  # the pose shown belongs to the previous model
+        added = self.world.vehicles[len(self.pilots) :]
+        self.pilots += [Pilot(self, vehicle, leads=False) for vehicle in added]
         self._bound_backlog()
 
     # --- start and record -------------------------------------------------------------------------
@@ -281,10 +280,10 @@ class Simulation:
         orientation_wxyz: Quaternion = LEVEL,
         recording: bool = False,
     ) -> None:
-        """Back to the start, the leading vehicle to a settled hover where a place is given; API control off.
+        """Go back to the start without API control; the first vehicle hovers at `position_m`, NED, if that is given.
 
-        What runs is released, a command with False. The recorder stops, or with `recording` starts anew. Raises
-        UserError where nothing can hover.
+        A running command ends with False, a continue-for replies. The recorder stops or, with `recording`, restarts.
+        Raises UserError where no vehicle can hover.
         """
         if position_m is not None:
             self.world.check_place(position_m, orientation_wxyz)
@@ -296,14 +295,14 @@ class Simulation:
         self.world.reset(position_m, orientation_wxyz)
         for pilot in self.pilots:
             pilot.api_control = False
-        self._start_over(wall_ns)
+        self._restart(wall_ns)
         if recording:
-            self.record()
+            self.world.start_recording()
 
-    def _start_over(self, wall_ns: int) -> None:
+    def _restart(self, wall_ns: int) -> None:
         self.period = None
         for pilot in self.pilots:
-            pilot.start_over()
+            pilot.restart()
         self.failure = None
         self.frames.forget()
         self.speed = Speed()
@@ -311,20 +310,16 @@ class Simulation:
         self.pacer.anchor(wall_ns, self.world.tick)
 
     def kinematics(self) -> Kinematics:
-        """The state at the present tick, stamped with `time_ns`."""
+        """Return the first vehicle's state at the present tick, with the simulated time."""
         return self.world.lead.kinematics(self.time0_ns)
 
-    def record(self) -> None:
-        """Start the recorder anew: nobody else does."""
-        self.world.start_recording()
-
     def begin_recording(self, pilot: Pilot) -> None:
-        """t = 0 of a recording is the tick at which the leading vehicle's first command is accepted."""
+        """Restart an active recording at the first vehicle's first command, whose tick is the recording's t = 0."""
         if self.records_game and pilot is self.lead and not pilot.log and self.world.recording:
-            self.record()
+            self.world.start_recording()
 
     def recording(self) -> Recording:
-        """What the recorder and the command log hold since the first command after the last reset."""
+        """Return samples and commands since the first command after the last reset."""
         rows, log, origin = self.world.samples(), self.lead.log.ticks(), self.lead.log.origin_tick or 0
         rows[:, 0] -= origin
         dropped = (self.world.recorder.dropped, self.lead.log.dropped)
@@ -333,9 +328,9 @@ class Simulation:
     # --- saving -----------------------------------------------------------------------------------
 
     def get_state(self) -> State:
-        """All that the flight from here on depends on, the world's state included; see World.get_state.
+        """Return all that the flight depends on, the world's state included; see World.get_state.
 
-        Replies that somebody waits for, and the trace, are not in it: save between two commands of a client.
+        Pending replies and the trace are not included: save between two commands of a client.
         """
         state: State = {"clock_speed": str(self.clock_speed), "anchor": list(self.pacer.anchored)}
         state |= {"time0_ns": self.time0_ns, "wall_ns": self.wall_ns}
@@ -346,16 +341,13 @@ class Simulation:
         state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
         state |= prefixed("running", self.lead.get_state()) | prefixed("commands", self.lead.log.get_state())
         for pilot in self.pilots[1:]:
-            kept = (
-                pilot.get_state()
-                | prefixed("log", pilot.log.get_state())
-                | {"api_control": pilot.api_control}
-            )
+            kept = pilot.get_state() | {"api_control": pilot.api_control}
+            kept |= prefixed("log", pilot.log.get_state())
             state |= prefixed(f"pilots.{pilot.vehicle.name}", kept)
         return state | prefixed("frames", self.frames.get_state()) | prefixed("world", self.world.get_state())
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave. Raises UserError for the state of another scene or profile."""
+        """Restore what `get_state` returned. Raises UserError for another scene or profile."""
         self.world.set_state(without_prefix("world", state))
         self.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), self.profile.tick_ns
         self.pacer = Pacer(self.executor.speed(self.clock_speed, tick_ns), tick_ns)

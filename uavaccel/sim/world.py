@@ -1,4 +1,4 @@
-"""The drones of one MuJoCo scene, stepped together in whole ticks. No wall time, no commands, no threads."""
+"""A MuJoCo scene with its quadrotors, stepped in whole ticks, without wall time, commands or threads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
@@ -35,21 +35,21 @@ MOST_VEHICLES = 100
 
 
 class FlightError(RuntimeError):
-    """MuJoCo warned of a state it could not integrate; the game is void."""
+    """MuJoCo warned of a state that it cannot integrate; the game is void."""
 
 
 class World:
-    """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade; the first one leads.
+    """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade.
 
-    `airsim` for AirSim's clients (uavaccel.sim.scene.model).
-    In the lane the vehicle is frozen where it first touches anything, which ends a game; in other scenes MuJoCo's
-    contacts act. Where no vehicle is named, the leading one is meant.
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model). In the lane a vehicle freezes at its
+    first contact, which ends a game; in other scenes MuJoCo's contact forces act. Methods without a vehicle refer to
+    the first one, `lead`.
     """
 
     def __init__(self, scene: str, profile: Profile, airsim: bool = False) -> None:
         self.profile = profile
         self.freeze_on_collision = scene == "lane"
-        # nothing flies: the vehicles are where they are put, as in AirSim's ComputerVision mode
+        # AirSim's ComputerVision mode: vehicles do not fly, but stay where they are put
         self.still = False
         self._airsim = airsim
         self._mounted_camera: MountedCamera | None = None
@@ -61,11 +61,11 @@ class World:
         acts = not self.freeze_on_collision
         self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
         self.vehicles = [self.lead]
-        self._take(*self._made(self.vehicles))
+        self._adopt(*self._build(self.vehicles))
         self.reset()
 
-    def _made(self, vehicles: Sequence[Vehicle]) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """A model for these vehicles. Nothing changes here, so that what cannot be made costs nothing."""
+    def _build(self, vehicles: Sequence[Vehicle]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Build a model for these vehicles, without changing the world, which an error leaves as it was."""
         model = load_scene(
             self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._airsim, self.scenery
         )
@@ -75,8 +75,8 @@ class World:
             model.body(vehicle.prefix + BODY)  # raises KeyError where MuJoCo has made another name of it
         return model, mujoco.MjData(model)
 
-    def _take(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Fly in this model from now on."""
+    def _adopt(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Simulate this model from now on."""
         self.model, self.data = model, data
         self.warnings = self.data.warning.number
         self.clearance = Clearance(self.model, self.data)
@@ -88,21 +88,21 @@ class World:
         self._handles_pointer = self._handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     def name_of(self, geom: int) -> str:
-        """The object, or the other vehicle, that a geom belongs to."""
+        """Return the name of the object or vehicle that a geom belongs to."""
         return self._bodies.get(int(self.model.geom_bodyid[geom])) or object_name(self.model, geom)
 
     # --- scene ------------------------------------------------------------------------------------
 
     def camera(self, width: int, height: int) -> FrontCamera:
-        """The front camera at a size; made when first asked for, kept. Raises UserError without OpenGL."""
-        from uavaccel.sim.camera.camera import make_camera  # what needs no images needs no OpenGL
+        """Return the front camera of a size, made at the first request. Raises UserError without OpenGL."""
+        from uavaccel.sim.camera.camera import make_camera  # without images no OpenGL is needed
 
         if (width, height) not in self._cameras:
             self._cameras[width, height] = make_camera(self.model, width, height)
         return self._cameras[width, height]
 
     def mounted_camera(self, width: int, height: int) -> MountedCamera:
-        """A camera to be pointed anywhere, for pictures up to a size; kept. Raises UserError without OpenGL."""
+        """Return a camera that can be placed anywhere, for pictures up to a size. Raises UserError without OpenGL."""
         from uavaccel.sim.camera.mounted import MountedCamera
 
         camera = self._mounted_camera
@@ -113,46 +113,45 @@ class World:
         return camera
 
     def set_lane(self, layout: LaneLayout) -> None:
-        """Lay out the lane's obstacles, light and wind anew. Raises UserError in another scene.
+        """Set the lane's obstacles, light and wind, and the vehicle's mass and thrust. Raises UserError elsewhere.
 
-        Another scenery is another model of MuJoCo's: cameras are made anew, and the vehicle flies on in it.
+        Another scenery needs another MuJoCo model: cameras are made anew, and the vehicle continues its flight there.
         """
         if layout.scenery != self.scenery:
-            self._move_to(layout.scenery)
+            self._change_scenery(layout.scenery)
         apply_layout(self.model, self.data, layout)
         self.lane = layout
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
         self.lead.set_airframe(layout.mass_ratio, layout.thrust_ratio)
 
-    def _move_to(self, scenery: str) -> None:
-        scene_path(self.scene, scenery)  # raises UserError, while nothing has changed
-        physics, carried = self.physics(), self.lead.carry()
+    def _change_scenery(self, scenery: str) -> None:
+        scene_path(self.scene, scenery)  # raises UserError before anything changes
+        physics, carried = of_physics(self.model, self.data), self.lead.carry()
         self.close()
         self.scenery = scenery
-        self._take(*self._made(self.vehicles))
-        self.set_physics(physics)
+        self._adopt(*self._build(self.vehicles))
+        into_physics(self.model, self.data, physics)
         self.lead.take_over(carried)
 
     def surroundings_changed(self) -> None:
-        """Objects of the model were moved, have come or gone, or look different."""
+        """Note that objects of the model were moved, added or removed, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
         mujoco.mj_kinematics(self.model, self.data)
         self.clearance.surroundings_changed()
 
     def set_wind(self, wind_m_s: Vector) -> None:
-        """NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
+        """Set the wind, NED, for all vehicles. Raises UserError beyond STRONGEST_WIND_M_S."""
         check_wind(wind_m_s)
         for vehicle in self.vehicles:
             vehicle.state["wind"] = wind_m_s
         self.clearance.look_anew()
 
     def add_vehicles(self, newcomers: Sequence[AddedVehicle]) -> None:
-        """More vehicles, at their starts; the others fly on. Cameras are made anew.
+        """Add vehicles at their starts, while the others continue their flights. Cameras are made anew.
 
-        Raises UserError, and adds none, for a name that is taken or cannot be, for a place where nothing can begin, and
-        in the lane.
+        Raises UserError, and adds none, for an invalid name, for a start that is not possible, and in the lane.
         """
         if self.freeze_on_collision or len(self.vehicles) + len(newcomers) > MOST_VEHICLES:
             raise UserError(f"no vehicle can be added: at most {MOST_VEHICLES}, and one in the lane")
@@ -162,19 +161,16 @@ class World:
             self.check_place(start.position_m, start.orientation_wxyz)
             check_apart(name, start.position_m, places)
             places[name] = start.position_m
-        carried, ticks, wind = (
-            [old.carry() for old in self.vehicles],
-            self.tick,
-            self.lead.state["wind"].copy(),
-        )
+        carried, wind = [old.carry() for old in self.vehicles], self.lead.state["wind"].copy()
+        ticks = self.tick
         new = [
             Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
             for name, start, origin_m in newcomers
         ]
-        made, before = self._made([*self.vehicles, *new]), self.model
+        made, before = self._build([*self.vehicles, *new]), self.model
         self.vehicles += new
         self.close()
-        self._take(*made)
+        self._adopt(*made)
         take_over(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
             old.take_over(kept)
@@ -184,7 +180,7 @@ class World:
         self._begin({vehicle: vehicle.start for vehicle in new}, ticks)
 
     def close(self) -> None:
-        """Give back what OpenGL holds."""
+        """Free what OpenGL holds."""
         while self._cameras:
             self._cameras.popitem()[1].close()
         if self._mounted_camera is not None:
@@ -194,9 +190,9 @@ class World:
     # --- places -----------------------------------------------------------------------------------
 
     def reset(self, position_m: Vector | None = None, orientation_wxyz: Quaternion = LEVEL) -> None:
-        """Tick 0: every vehicle at its start, the leading one at rest in a settled position hold where one is given.
+        """Go back to tick 0 with every vehicle at its start; the first hovers at `position_m`, NED, if that is given.
 
-        The recorder stops.
+        The recorder stops. Raises UserError where no vehicle can hover.
         """
         start = self.lead.start if position_m is None else Start(position_m, orientation_wxyz)
         self.check_place(start.position_m, start.orientation_wxyz)
@@ -206,7 +202,7 @@ class World:
         self.failed = False
 
     def _begin(self, starts: Mapping[Vehicle, Start], tick: int) -> None:
-        """Let vehicles begin at a tick; those that are idle and touch something stand on it."""
+        """Start vehicles at a tick; idle ones that touch something stand on it."""
         for vehicle, start in starts.items():
             vehicle.begin(start)
             vehicle.state["tick"] = tick
@@ -222,9 +218,9 @@ class World:
     def place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE
     ) -> None:
-        """Put the leading vehicle somewhere (NED, wxyz), not turning; its autopilot and rotors go on as they are.
+        """Put the first vehicle at a pose (NED, wxyz) without rotation; its autopilot and rotors continue.
 
-        Raises UserError, and leaves it where it is, below the ground, in an object or above HIGHEST_M.
+        Raises UserError, without moving it, for a position below the ground, in an object or above HIGHEST_M.
         """
         self.check_place(position_m, orientation_wxyz)
         if len(self.vehicles) == 1:
@@ -243,16 +239,16 @@ class World:
         velocity_m_s: Vector | None = None,
         rate_rad_s: Vector = HERE,
     ) -> None:
-        """Put a vehicle somewhere (NED of the world, wxyz), as fast as it is or as is said; all else goes on.
+        """Put a vehicle at a pose (NED of the world, wxyz), with its present velocity or the given one.
 
-        Below the ground is on it. What it has touched stays told (MultirotorPawnSimApi::setPose). Raises UserError as
-        `place` does otherwise.
+        A position below the ground is moved up to it. Earlier contacts stay in the log (MultirotorPawnSimApi::setPose).
+        Raises UserError as `place` does.
         """
         if not self.still:
             self.clearance.look_anew()
             position_m = on_the_ground(vehicle, position_m, orientation_wxyz)
         self.check_place(position_m, orientation_wxyz, vehicle)
-        if self.failed:  # nothing of its velocity is worth keeping
+        if self.failed:  # its velocity is not finite
             self.warnings[:] = 0
             vehicle.put(position_m, orientation_wxyz)
             self.failed = False
@@ -266,10 +262,10 @@ class World:
     def check_place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None
     ) -> None:
-        """Raise UserError, as `place` does, where a vehicle cannot be put."""
+        """Raise UserError, as `place` does, for a pose where a vehicle cannot be."""
         vehicle = vehicle or self.lead
         check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]), self.still)
-        if self.freeze_on_collision or self.still:  # nothing is thrown: the game is over before it began
+        if self.freeze_on_collision or self.still:  # contact forces cannot throw the vehicle
             return
         self.clearance.look_anew()
         depth_m, geom = depth(vehicle, position_m, orientation_wxyz)
@@ -284,19 +280,19 @@ class World:
     # --- time -------------------------------------------------------------------------------------
 
     def watch(self, every_ticks: int, look: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
-        """Call `look` with the tick at every so many ticks after `first_tick`; what is returned ends that.
+        """Call `look(tick)` every `every_ticks` ticks, counted from `first_tick`; the returned function stops that.
 
-        It is called in the middle of whatever flight was asked for, and changes none.
+        Calls come in the middle of `advance` and do not change the flight.
         """
         observer = every_ticks, first_tick, look
         self._observers.append(observer)
         return lambda: self._observers.remove(observer)
 
     def advance(self, ticks: int) -> int:
-        """Fly up to `ticks` ticks; returns how many: fewer where a touch freezes the vehicle, or an observer ends.
+        """Advance up to `ticks` ticks and return how many: fewer if a contact freezes the vehicle.
 
-        A frozen vehicle is not looked at any more. Raises FlightError when MuJoCo warns; the vehicles then stand still
-        until one is placed anew.
+        Watchers are not called for a frozen vehicle. Raises FlightError if MuJoCo warns; after that the vehicles stand
+        still until one is placed again.
         """
         flown = 0
         while self._observers and flown < ticks and not self._frozen:
@@ -304,7 +300,7 @@ class World:
             due = min(ticks - flown, to_next)
             chunk = self._advance(due)
             flown += chunk
-            if chunk < due:  # a touch
+            if chunk < due:  # a contact
                 break
             for every, first, look in tuple(self._observers):  # one may end itself
                 if (self.tick - first) % every == 0:
@@ -335,22 +331,22 @@ class World:
                 continue
             flown += lead.fly(due)
             if field["contacts_changed"][0]:
-                self._look_at_contacts(lead)
+                self._log_contacts(lead)
                 if self.freeze_on_collision:
                     break
         return flown
 
     def _fly_all(self, ticks: int) -> int:
-        """Contacts are always looked for: vehicles move, and may meet."""
+        """Advance several vehicles, always with contact detection, since they may collide."""
         flown = 0
         while flown < ticks:
             flown += int(hotloop.ENTRY_POINTS.fly_all.ctypes(self._handles_pointer, ticks - flown))
             for vehicle in self.vehicles:
                 if vehicle.field["contacts_changed"][0]:
-                    self._look_at_contacts(vehicle)
+                    self._log_contacts(vehicle)
         return flown
 
-    def _look_at_contacts(self, vehicle: Vehicle) -> None:
+    def _log_contacts(self, vehicle: Vehicle) -> None:
         field = vehicle.field
         field["contacts_changed"][0] = 0
         vehicle.contact_log.look(int(field["contact_tick"][0]), field["contact_position"][0])
@@ -358,13 +354,13 @@ class World:
     # --- saving -----------------------------------------------------------------------------------
 
     def get_state(self) -> State:
-        """All that the flight depends on, for np.savez or, with units.plain, JSON.
+        """Return all that the flight depends on, for np.savez or, with units.plain, JSON.
 
-        `World(scene, profile).set_state(world.get_state())` flies on to the same bytes, in another process too; the
-        lane's layout and the samples recorded so far are in it.
+        `World(scene, profile).set_state(world.get_state())` continues to the same bytes, in another process too. The
+        lane's layout and the recorded samples are included.
         """
         state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self.failed}
-        state |= {"physics": self.physics(), "warnings": self.warnings.copy()}
+        state |= {"physics": of_physics(self.model, self.data), "warnings": self.warnings.copy()}
         state |= self.lead.get_state() | prefixed("samples", self.recorder.get_state())
         state |= prefixed("contacts", self.clearance.get_state())
         for vehicle in self.vehicles[1:]:
@@ -372,7 +368,7 @@ class World:
         return state | (prefixed("lane", vars(self.lane)) if self.lane else {})
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave. Raises UserError for the state of another scene, profile or vehicles."""
+        """Restore what `get_state` returned. Raises UserError for another scene, profile or set of vehicles."""
         saved = sorted({key.split(".")[1] for key in state if key.startswith("vehicles.")})
         for name, found, own in (
             ("scene", str(state["scene"]), self.scene),
@@ -384,7 +380,7 @@ class World:
         self.failed = bool(state["failed"])
         if lane := without_prefix("lane", state):
             self.set_lane(layout_of(lane))
-        self.set_physics(state["physics"])
+        into_physics(self.model, self.data, state["physics"])
         self.warnings[:] = state["warnings"]
         self.lead.set_state(state)
         for vehicle in self.vehicles[1:]:
@@ -392,21 +388,13 @@ class World:
         self.recorder.set_state(without_prefix("samples", state))
         self.clearance.set_state(without_prefix("contacts", state))
 
-    def physics(self) -> NDArray[np.float64]:
-        """MuJoCo's state for its integrator."""
-        return of_physics(self.model, self.data)
-
-    def set_physics(self, values: ArrayLike) -> None:
-        """Back to what `physics` gave."""
-        into_physics(self.model, self.data, values)
-
     @property
     def recording(self) -> bool:
         """Whether the recorder is active."""
         return self.recorder.active
 
     def start_recording(self) -> None:
-        """Sample the state at this tick and then on the profile's grid, into an emptied buffer."""
+        """Record samples into an emptied buffer, at this tick and then at the profile's interval."""
         self.recorder.start(self.tick)
         self.lead.stand_still(0)
 
@@ -414,9 +402,9 @@ class World:
         self.recorder.stop()
 
     def samples(self) -> NDArray[np.float64]:
-        """Copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
+        """Return a copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
         return self.recorder.rows()
 
     def take_samples(self) -> NDArray[np.float64]:
-        """The recorded rows, as `samples`, and room for as many anew; the recorder's grid goes on."""
+        """Return the recorded rows as `samples` does, and empty the buffer; the recorder's interval continues."""
         return self.recorder.take()

@@ -56,7 +56,7 @@ NO_EVENTS = np.empty((0, 4), np.float32)
 
 
 class DvsState(NamedTuple):
-    """What a sensor remembers between frames. Arrays are (H, W) and never modified in place."""
+    """A sensor's state between frames; arrays are (H, W) and never modified in place."""
 
     base_log: Floats
     filtered_log: Floats
@@ -67,7 +67,7 @@ class DvsState(NamedTuple):
 
 
 class _FrameEvents(NamedTuple):
-    """The events that one frame causes, before the refractory period suppresses some of them."""
+    """The events of a frame, before the refractory period suppresses some of them."""
 
     signed: Counts
     stamps_s: NDArray[np.float32]
@@ -87,14 +87,14 @@ RELATIVE_INTENSITY = (np.arange(256) + 20) / 275.0
 
 
 def luma(rgb: NDArray[np.uint8]) -> Frame:
-    """Luma (H, W) of an RGB image (H, W, 3), by OpenCV's conversion, which v2e applies to its BGR frames."""
+    """Convert an RGB image (H, W, 3) to luma (H, W) as OpenCV does, and v2e for its BGR frames."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: int = 0) -> DvsState:
-    """The state after the first grey frame (H, W), taken at `t_s` seconds, which causes no events.
+    """Return the state after the first grey frame (H, W), taken at `t_s` seconds, which causes no events.
 
-    `noise_seed` seeds leak jitter and shot noise. v2e takes the time of the first frame to be 0.
+    `noise_seed` seeds leak jitter and shot noise. In v2e the time of the first frame is 0.
     """
     _check_frame(sensor, frame)
     log = LIN_LOG[np.ascontiguousarray(frame)].astype(sensor.positive_threshold.dtype)
@@ -103,7 +103,7 @@ def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: in
 
 
 def step(sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float) -> tuple[DvsState, Counts, Counts]:
-    """The new state, and ON and OFF counts (H, W), after the grey frame (H, W) taken at `t_s` seconds.
+    """Return the new state, and ON and OFF counts (H, W), after the grey frame (H, W) taken at `t_s` seconds.
 
     Raises ValueError if the frame is not uint8 of the sensor's shape, or is earlier than the previous one.
     """
@@ -114,17 +114,17 @@ def step(sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float) -> tuple[
 def step_with_events(
     sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float
 ) -> tuple[DvsState, Counts, Counts, Events]:
-    """As `step`, with the events (n, 4) float32 as well: rows (t, x, y, p), t in seconds, p = +1 or -1.
+    """Do `step` and also return the events (n, 4) float32: rows (t, x, y, p), t in seconds, p = +1 or -1.
 
-    In v2e's order: by stamp, ON before OFF; shot noise last, with the frame's last stamp.
+    Their order is v2e's: by stamp, ON before OFF; shot noise last, with the frame's last stamp.
     """
     return _advance(sensor, state, frame, t_s, listed=True)
 
 
 def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32]:
-    """The `count` >= 1 stamps of a frame: evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
+    """Return a frame's `count` >= 1 time stamps, evenly spaced from `t_before_s` (exclusive) to `t_s`, in seconds.
 
-    Bit for bit v2e's float32 `torch.linspace` on an x86-64 with AVX2: filled from both ends, each element by
+    They equal v2e's float32 `torch.linspace` on x86-64 with AVX2 bit for bit: filled from both ends, each element by
     one fused multiply-add.
     """
     start = np.float32(t_before_s + (t_s - t_before_s) / count)
@@ -138,14 +138,14 @@ def time_stamps(t_before_s: float, t_s: float, count: int) -> NDArray[np.float32
 
 
 def _once_rounded(base: np.float64, offsets: NDArray[np.float64]) -> NDArray[np.float32]:
-    """`base + offsets`, which may need more than a double's 53 bits, rounded to float32 as if in one step.
+    """Return `base + offsets`, which may need more than a double's 53 bits, rounded once to float32.
 
-    The double sum is rounded to odd (Boldo and Melquiond 2008): where it is inexact its last bit is set, so that it
-    is never taken for a tie of float32.
+    The double sum is rounded to odd (Boldo and Melquiond 2008): if it is inexact its last bit is set, so that it is
+    never mistaken for a tie of float32.
     """
     near = base + offsets
     part = near - base
-    lost = (base - (near - part)) + (offsets - part)  # exactly what the sum has lost (Knuth's TwoSum)
+    lost = (base - (near - part)) + (offsets - part)  # the exact rounding error of the sum (Knuth's TwoSum)
     beyond = np.nextafter(near, np.where(lost > 0, np.inf, -np.inf))
     even = (near.view(np.int64) & 1) == 0
     return np.where((lost != 0) & even, beyond, near).astype(np.float32)
@@ -196,7 +196,7 @@ def _due_events(
     signed = count(log, base, sensor.positive_threshold, sensor.negative_threshold)
     stamp_count = int(max(1, signed.max(), -signed.min()))
     refractory_s = sensor.parameters.refractory_s
-    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then lets everything pass and keeps no times
+    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then suppresses nothing and stores no times
         refractory_s = -math.inf
     asked_for = listed or not math.isinf(refractory_s)
     stamps_s = time_stamps(state.time_s, t_s, stamp_count) if asked_for else NO_STAMPS
@@ -224,7 +224,7 @@ def _shot_noise(
 
 
 def shot_chances(rate_hz: float, dt_s: float) -> NDArray[np.float64]:
-    """Probability (256,) of a noise event of one polarity within a frame, by intensity."""
+    """Return the probability (256,), by intensity, of a noise event of one polarity within a frame."""
     return rate_hz / 2 * dt_s * ((SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1)
 
 

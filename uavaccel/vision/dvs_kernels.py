@@ -1,10 +1,9 @@
-"""The arithmetic of the DVS model, compiled: one pixel's, for a CPU's loops or a GPU's threads alike, then pictures'.
+"""The compiled arithmetic of the DVS model: functions of one pixel, for CPU and GPU, then of whole pictures.
 
 Every operation keeps the type and the single rounding it has in v2e (SensorsINI/v2e, commit cac6384,
 `v2ecore/emulator.py` and `emulator_utils.py`): no fastmath, no fused multiply-add. Logarithms and what is memorised are
-float32 or, after a low-pass, float64; thresholds, factors and draws are float32 where v2e has them so.
-Pictures are (H, W).
-A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
+float32 or, after a low-pass, float64; thresholds, factors and draws are float32 where v2e has them so. Pictures are (H,
+W). A signed count is +n for n ON events of a pixel and -n for n OFF events; no pixel has both in one frame.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ Frame = NDArray[np.uint8]
 
 @part(error_model="numpy")
 def low_passed(before: float, log: float, weight: float) -> float:
-    """One step of a first-order low-pass, in double precision."""
+    """Return a first-order low-pass after one step, in double precision."""
     return times(1.0 - weight, before) + times(weight, log)
 
 
 @part(error_model="numpy")
 def heated(base: Float, positive: Float, share: np.float32) -> Float:
-    """A hot pixel's memorised intensity, fallen by a share of its threshold."""
+    """Return a hot pixel's memorised intensity, lowered by a share of its threshold."""
     return base - times(share, np.float32(positive))
 
 
@@ -45,14 +44,14 @@ def leaked(
     factor: np.float32,
     jitter: np.float32,
 ) -> Float:
-    """The memorised intensity after a leak of `rate_hz`, times a pixel's own factor, times this frame's `jitter`."""
+    """Return the memorised intensity after a leak at `rate_hz` times pixel's `factor` times frame's `jitter`."""
     rate = times(times(rate_hz, factor), jitter)
     return base - times(times(dt_s, rate), np.float32(positive))
 
 
 @part(error_model="numpy")
 def jittered(fraction: np.float32, normal: np.float32) -> np.float32:
-    """What a leak is multiplied by, for a draw of the standard normal distribution."""
+    """Return a leak's jitter factor for a standard normal number."""
     return ONE - times(fraction, normal)
 
 
@@ -60,7 +59,7 @@ def jittered(fraction: np.float32, normal: np.float32) -> np.float32:
 def count_single_pixel(
     log: np.float32, base: np.float32, positive: np.float32, negative: np.float32
 ) -> np.int32:
-    """Signed count: whole thresholds in log - base, float32.
+    """Return the signed count, the whole thresholds in log - base, in float32.
 
     v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision
     quotient: that of two float32 is never rounded up to a whole number below 2^28.
@@ -72,7 +71,7 @@ def count_single_pixel(
 
 @part(error_model="numpy")
 def count_double_pixel(log: float, base: float, positive: float, negative: float) -> np.int32:
-    """As `count_single_pixel`, in float64, where a whole quotient may have been rounded up: the remainder decides."""
+    """Return `count_single_pixel` in float64, where the remainder tells if a whole quotient was rounded up."""
     change = log - base
     threshold, size = positive if change > 0 else negative, abs(change)
     quotient = size / threshold
@@ -84,7 +83,7 @@ def count_double_pixel(log: float, base: float, positive: float, negative: float
 
 @part(error_model="numpy")
 def advanced(base: Float, signed: int | np.int32, positive: Float, negative: Float) -> Float:
-    """The memorised log intensity after the events: moved by whole thresholds, so the remainder is kept.
+    """Return the memorised log intensity after the events, moved by whole thresholds so that the remainder stays.
 
     v2e multiplies int32 by float32, so the move is rounded to float32 even where the base is float64.
     """
@@ -95,13 +94,13 @@ def advanced(base: Float, signed: int | np.int32, positive: Float, negative: Flo
 
 @part(error_model="numpy")
 def shot_chance(chance: float, nominal: np.float32, threshold: Float) -> float:
-    """Probability of a noise event of one polarity: the more sensitive the pixel, the higher."""
+    """Return the probability of a noise event of one polarity, which is higher for a more sensitive pixel."""
     return times(chance, np.float64(nominal / np.float32(threshold)))
 
 
 @part(error_model="numpy")
 def shot(draw: np.float32, chance_on: float, chance_off: float) -> np.int32:
-    """Noise of a frame, for a draw of [0, 1): 1 for an ON event, -1 for an OFF event, 2 for one of each."""
+    """Return a frame's noise for a random number in [0, 1): 1 for ON, -1 for OFF, 2 for one event of each."""
     on, off = draw > 1.0 - chance_on, draw < chance_off
     if on and off:
         return np.int32(2)
@@ -110,7 +109,7 @@ def shot(draw: np.float32, chance_on: float, chance_off: float) -> np.int32:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def look_up(frame: Frame, table: Floats) -> Floats:
-    """The entry of a 256-element table for each intensity."""
+    """Look up each intensity in a table (256,)."""
     result = np.empty(frame.shape, table.dtype)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
@@ -120,7 +119,7 @@ def look_up(frame: Frame, table: Floats) -> Floats:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table: Floats) -> Floats:
-    """One step of a first-order low-pass whose weight depends on the intensity."""
+    """Return a first-order low-pass, whose weight depends on the intensity, after one step."""
     result = np.empty_like(filtered_log)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
@@ -131,7 +130,7 @@ def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def heat(base: Floats, positive: Floats, hot: NDArray[np.bool_], share: np.float32) -> Floats:
-    """The memorised intensity, fallen by a share of the threshold where a pixel is hot."""
+    """Return the memorised intensities, those of hot pixels lowered by a share of their thresholds."""
     result = base.copy()
     for y in range(base.shape[0]):
         for x in range(base.shape[1]):
@@ -150,7 +149,7 @@ def leak(
     jitter: np.float32,
     normal: Floats,
 ) -> Floats:
-    """The memorised intensity after a leak, uneven by `jitter` times a normal draw."""
+    """Return the memorised intensities after a leak with jitter, from standard normal numbers."""
     result = np.empty_like(base)
     for y in range(base.shape[0]):
         for x in range(base.shape[1]):
@@ -161,7 +160,7 @@ def leak(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Signed counts, float32."""
+    """Return the signed counts, computed in float32."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
@@ -171,7 +170,7 @@ def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Signed counts, float64."""
+    """Return the signed counts, computed in float64."""
     signed = np.empty(log.shape, np.int32)
     for y in range(log.shape[0]):
         for x in range(log.shape[1]):
@@ -183,7 +182,7 @@ def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) 
 def drop_refractory(
     signed: Counts, stamps_s: Floats, last_event_s: Floats, refractory_s: np.float32
 ) -> tuple[Counts, Floats]:
-    """Signed counts without events within `refractory_s` of the pixel's previous one, and the new last times."""
+    """Drop events within `refractory_s` of a pixel's previous one; returns the signed counts and last event times."""
     kept, last = np.zeros_like(signed), last_event_s.copy()
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
@@ -196,7 +195,7 @@ def drop_refractory(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def advance_base(signed: Counts, base: Floats, positive: Floats, negative: Floats) -> Floats:
-    """The memorised log intensity after the events."""
+    """Return the memorised log intensities after the events."""
     result = np.empty_like(base)
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
@@ -213,7 +212,7 @@ def shoot(
     negative: Floats,
     nominal: tuple[np.float32, np.float32],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Where shot noise makes ON and OFF events; `chances` by intensity, `draws` of [0, 1)."""
+    """Return masks of ON and OFF shot noise; `chances` (256,) are by intensity, `draws` in [0, 1)."""
     on, off = np.empty(frame.shape, np.bool_), np.empty(frame.shape, np.bool_)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
@@ -226,7 +225,7 @@ def shoot(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def split_polarities(signed: Counts) -> tuple[Counts, Counts]:
-    """ON and OFF counts of signed counts."""
+    """Split signed counts into ON and OFF counts."""
     on, off = np.empty_like(signed), np.empty_like(signed)
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
@@ -239,9 +238,9 @@ def split_polarities(signed: Counts) -> tuple[Counts, Counts]:
 def list_events(
     signed: Counts, stamps_s: Floats, last_event_s: Floats, refractory_s: np.float32, events: Floats
 ) -> None:
-    """Fill `events` (n, 4) with rows (t, x, y, p): stamp by stamp, ON before OFF, each in raster order.
+    """Fill `events` (n, 4) with rows (t, x, y, p), by stamp, ON before OFF, each in raster order.
 
-    `signed` are the counts before `drop_refractory`, and n the number of events that it keeps.
+    `signed` are the counts before `drop_refractory`; n is the number of events that it keeps.
     """
     last, row = last_event_s.copy(), 0
     for i in range(len(stamps_s)):
@@ -257,7 +256,7 @@ def list_events(
 
 @njit(nogil=True, cache=True)
 def block_sums(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """128 plus ON - OFF, summed over blocks of 4 x 4 pixels and clipped to 0..255: (H, W) become (H / 4, W / 4)."""
+    """Return 128 plus ON - OFF summed over blocks of 4 x 4 pixels, clipped to 0..255: (H / 4, W / 4)."""
     image = np.empty((on.shape[0] // BLOCK_SIDE, on.shape[1] // BLOCK_SIDE), np.uint8)
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):

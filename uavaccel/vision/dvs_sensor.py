@@ -1,4 +1,4 @@
-"""The DVS as a device: its parameters, v2e's presets, and what differs from pixel to pixel."""
+"""A DVS as a device: its parameters, v2e's presets, and the variation from pixel to pixel."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ Floats = NDArray[np.floating]
 
 MIN_THRESHOLD = np.float32(0.01)
 HOT_RATE_HZ = 10.0  # of a hot pixel; this project's choice
-_HOT = 0x407  # sets the draw of hot pixels apart from those of v2e's maps
+_HOT = 0x407  # in the seed of hot pixels, which is independent of v2e's maps
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class DvsParameters:
     shot_noise_rate_hz: float = 0.0
     refractory_s: float = 0.0
     hot_share: float = 0.0
-    """Of the pixels: hot ones, which make ON events in the dark too, HOT_RATE_HZ of them. Not v2e's."""
+    """Share of hot pixels, which emit ON events at HOT_RATE_HZ even in the dark; not part of v2e."""
 
 
 _LEAK_SPREAD = {"leak_jitter_fraction": 0.1, "leak_rate_spread_decades": 0.1}
@@ -58,7 +58,7 @@ PRESETS: Mapping[str, DvsParameters] = MappingProxyType(
 
 
 def with_thresholds(parameters: DvsParameters, ratio: float) -> DvsParameters:
-    """The parameters with `ratio` times the contrast thresholds; their spread from pixel to pixel stays."""
+    """Scale the contrast thresholds by `ratio`; their spread from pixel to pixel stays."""
     return replace(
         parameters,
         positive_threshold=ratio * parameters.positive_threshold,
@@ -73,7 +73,7 @@ def with_noise(
     spread_ratio: float = 1.0,
     hot_share: float = 0.0,
 ) -> DvsParameters:
-    """The parameters with more noise: rates are added, the thresholds' spread from pixel to pixel is multiplied."""
+    """Add noise: rates are added, the thresholds' spread from pixel to pixel is multiplied."""
     return replace(
         parameters,
         shot_noise_rate_hz=parameters.shot_noise_rate_hz + shot_noise_hz,
@@ -84,9 +84,9 @@ def with_noise(
 
 
 class DvsSensor(NamedTuple):
-    """One sensor: its parameters, and what is drawn once per pixel. Arrays are (H, W).
+    """One sensor: its parameters, and the sampled maps (H, W) of its pixels.
 
-    Thresholds are float32, or float64 after a low-pass, where v2e computes in double precision.
+    Thresholds are float32, or float64 with a low-pass, for which v2e computes in double precision.
     """
 
     parameters: DvsParameters
@@ -94,14 +94,14 @@ class DvsSensor(NamedTuple):
     negative_threshold: Floats
     leak_rate_factor: NDArray[np.float32]
     hot: NDArray[np.bool_] | None = None
-    """None without hot pixels."""
+    """Mask of hot pixels; None without any."""
 
 
 class Draws(NamedTuple):
-    """What is drawn once per pixel (H, W): of the standard normal distribution, float32, and `heat` of [0, 1).
+    """Random numbers of each pixel (H, W).
 
-    `up` and `down` spread the thresholds, `leak_factor` is log-normal already; a pixel is hot whose `heat` is below the
-    share of hot ones.
+    `up` and `down` are standard normal and spread the thresholds; `leak_factor` is log-normal; `heat` is uniform in
+    [0, 1), and pixels whose heat is below the share of hot ones are hot.
     """
 
     up: NDArray[np.float32]
@@ -111,7 +111,7 @@ class Draws(NamedTuple):
 
 
 def draw_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> Draws:
-    """The draws of a sensor of that seed."""
+    """Sample the random numbers of a sensor of that seed."""
     rng = np.random.default_rng(seed)
     even = np.zeros(shape, np.float32)  # thresholds without a spread are not drawn
     up, down = (rng.standard_normal(shape, np.float32) if parameters.threshold_sigma else even for _ in "+-")
@@ -121,7 +121,7 @@ def draw_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) ->
 
 
 def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
-    """Draw a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
+    """Sample a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
     draws = draw_pixels(parameters, shape, seed)
     positive = _thresholds(parameters.positive_threshold, parameters.threshold_sigma, draws.up)
     negative = _thresholds(parameters.negative_threshold, parameters.threshold_sigma, draws.down)
@@ -134,7 +134,7 @@ def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) ->
 def sensor_from_maps(
     parameters: DvsParameters, positive: Floats, negative: Floats, leak_rate_factor: Floats | None = None
 ) -> DvsSensor:
-    """A sensor with given maps (H, W), such as another emulator's; without a leak map all factors are 1."""
+    """Make a sensor with given maps (H, W), such as another emulator's; without a leak map all factors are 1."""
     precision = np.float64 if parameters.cutoff_hz > 0 else np.float32
     factor = np.ones(positive.shape) if leak_rate_factor is None else leak_rate_factor
     return DvsSensor(

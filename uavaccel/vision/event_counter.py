@@ -1,4 +1,4 @@
-"""A DVS that sees more frames than it is asked about: what happened is counted until somebody takes it."""
+"""An event counter: it accumulates a DVS's events over several frames until they are taken."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NS = 1e-9
 
 
 class EventCounter:
-    """The events of one sensor since they were last taken; `listed` keeps them one by one too."""
+    """Counts the events of one sensor since they were last taken; `listed` also keeps the individual events."""
 
     def __init__(self, sensor: DvsSensor, listed: bool = False) -> None:
         self.sensor = sensor
@@ -33,16 +33,16 @@ class EventCounter:
         self._seen_ns: int | None = None
         self._events: list[Events] | None = [] if listed else None
         self.frames = 0
-        """Seen since this was made, first ones apart."""
+        """Frames seen since it was made, without each game's first one."""
 
     def start(self, frame: Frame, time_ns: int, noise_seed: int = 0) -> None:
-        """Begin with this frame, which makes no events; stamps count from its time."""
+        """Begin with a frame, which causes no events; time stamps count from it."""
         self._state, self._start_ns = init_state(self.sensor, frame, noise_seed=noise_seed), time_ns
         self._counts = self._seen_ns = None
         self.take_events()
 
     def look(self, frame: Frame, time_ns: int) -> None:
-        """See the next frame (H, W)."""
+        """Process the next frame (H, W)."""
         assert self._state is not None
         self.frames += 1
         time_s = (time_ns - self._start_ns) * NS
@@ -56,23 +56,23 @@ class EventCounter:
         self._seen_ns = time_ns
 
     def has_seen(self, time_ns: int) -> bool:
-        """Whether the last frame that nobody has taken the events of was of this moment."""
+        """Return whether the last frame since `take` was of this time."""
         return self._seen_ns == time_ns
 
     def take(self) -> tuple[Counts, Counts]:
-        """ON and OFF counts (H, W) since they were last taken."""
+        """Return the ON and OFF counts (H, W) since the last call."""
         assert self._state is not None
         none = np.zeros(self._state.base_log.shape, np.int32)
         counts, self._counts, self._seen_ns = self._counts or (none, none), None, None
         return counts
 
     def take_events(self) -> Events:
-        """The events (n, 4) since they were last taken: rows (t in s, x, y, p), as step_with_events."""
+        """Return the events (n, 4) since the last call: rows (t in s, x, y, p) as in step_with_events."""
         taken, self._events = self._events, None if self._events is None else []
         return np.concatenate([NO_EVENTS, *(taken or [])])
 
     def get_state(self) -> dict[str, object]:
-        """All but the listed events, for np.savez."""
+        """Return all but the listed events, for np.savez."""
         assert self._state is not None
         state: dict[str, object] = {"start_ns": self._start_ns, **self._state._asdict()}
         if self._counts is not None:
@@ -80,7 +80,7 @@ class EventCounter:
         return state
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Back to what `get_state` gave: arrays, and plain numbers."""
+        """Restore what `get_state` returned: arrays and plain numbers."""
         fields = dict(state)
         self._start_ns, self._seen_ns = fields.pop("start_ns"), fields.pop("seen_ns", None)
         on, off = fields.pop("on", None), fields.pop("off", None)

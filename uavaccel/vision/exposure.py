@@ -1,8 +1,8 @@
-"""A MODEL of a game engine's auto-exposure, which the paper switched off: a gain that follows the brightness, slowly.
+"""A MODEL of a game engine's auto-exposure, which the paper switched off: a gain that slowly follows the brightness.
 
-Unreal moves the exposure by so many stops per second of its own running time, at most (its defaults: 3 up, 1 down),
-and does not while the game is paused. That time is wall time: at ClockSpeed k the exposure has 1/k of it for the same
-flight, so that images of one place are of other brightness.
+Unreal changes the exposure by a limited number of stops per second of running time (by default 3 up, 1 down), and not
+while the game is paused. That is wall time: at ClockSpeed k only 1/k of it passes in the same flight, so that images of
+the same place differ in brightness.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Image = NDArray[np.uint8]
 
 
 class AutoExposure:
-    """Brings every image's mean brightness towards that of the first, which is taken as it is."""
+    """Adapts each image's mean brightness towards that of the first, which stays unchanged."""
 
     def __init__(self) -> None:
         self.stops = 0.0
@@ -28,7 +28,7 @@ class AutoExposure:
         self._last_ns = 0
 
     def expose(self, image: Image, ran_ns: int) -> Image:
-        """A copy as it is exposed after `ran_ns` of running wall time in all; gray or colour."""
+        """Return a copy of a gray or colour image, exposed after a total running wall time of `ran_ns`."""
         brightness = max(mean_brightness(image), 1.0)
         if self._target is None:
             self._target, self._last_ns = brightness, ran_ns

@@ -1,4 +1,4 @@
-"""The image guard of the paper (section III-B): requests an image again if its mean brightness is implausible.
+"""The paper's image guard (section III-B), which requests an image again if its mean brightness is implausible.
 
 Consecutive images of a scene are about equally bright. An image is suspect if its mean brightness differs by more
 than 10 % from that of the previous image, or lies below a floor; it is then requested again while the simulation
@@ -38,7 +38,7 @@ class GuardSettings:
 
 
 class Verdict(StrEnum):
-    """What becomes of an image, and why."""
+    """The decision on an image, and its reason."""
 
     STEADY = "steady"  # brightness within the limits: accepted
     IDENTICAL = "identical"  # suspect, but equal to the suspect image before it: accepted
@@ -47,7 +47,7 @@ class Verdict(StrEnum):
 
 
 class GuardState(NamedTuple):
-    """What the guard remembers: the brightness of the last accepted image, and the suspect images since."""
+    """State of the guard: the brightness of the last accepted image, and the last suspect image and retries since."""
 
     reference_brightness: float | None = None
     suspect: Image | None = None
@@ -64,7 +64,7 @@ class Acquisition(NamedTuple):
 
 
 def mean_brightness(image: Image) -> float:
-    """Mean luma, 0..255, of a grey (H, W) or an RGB image (H, W, 3)."""
+    """Return the mean luma, 0..255, of a grey (H, W) or RGB image (H, W, 3)."""
     means = cv2.mean(image)
     if image.ndim == 2:
         return float(means[0])
@@ -72,7 +72,7 @@ def mean_brightness(image: Image) -> float:
 
 
 def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[GuardState, Verdict]:
-    """New state and verdict for an image just received. Pure: an image that is remembered is copied."""
+    """Return the new state and the verdict for a received image, without side effects; stored images are copies."""
     brightness = mean_brightness(image)
     if not _is_suspect(brightness, state.reference_brightness, settings):
         return GuardState(brightness), Verdict.STEADY

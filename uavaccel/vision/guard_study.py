@@ -1,4 +1,4 @@
-"""How much of a partly perturbed stream of images the guard keeps out."""
+"""A study of how many perturbed images of a stream the guard rejects."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ Image = NDArray[np.uint8]
 
 
 @dataclass
-class _Tally:
-    """Images sent and handed on, by kind of perturbation (None: clean), with retries and exhausted ones."""
+class _Statistics:
+    """Counts of images sent and passed, by kind of perturbation (None: clean), of retries and of exhausted retries."""
 
     sent: Counter[PerturbationKind | None] = field(default_factory=Counter)
     passed: Counter[PerturbationKind | None] = field(default_factory=Counter)
@@ -70,19 +70,19 @@ def guard_study(
     }
 
 
-def _send(frames: Sequence[Image], perturbed: PerturbationSettings, guard: GuardSettings) -> _Tally:
-    tally, state = _Tally(), GuardState()
+def _send(frames: Sequence[Image], perturbed: PerturbationSettings, guard: GuardSettings) -> _Statistics:
+    statistics, state = _Statistics(), GuardState()
     for frame in frames:
         sent: list[PerturbationKind | None] = []
 
         def camera(scene: Image = frame, sent: list[PerturbationKind | None] = sent) -> Image:
-            image, kind = perturb_share(scene, perturbed, index=tally.sent.total() + len(sent))
+            image, kind = perturb_share(scene, perturbed, index=statistics.sent.total() + len(sent))
             sent.append(kind)
             return image
 
         _, state, retries, reason = acquire(state, camera, guard)
-        tally.sent.update(sent)
-        tally.passed[sent[-1]] += 1
-        tally.retries += retries
-        tally.exhausted += reason is Verdict.EXHAUSTED
-    return tally
+        statistics.sent.update(sent)
+        statistics.passed[sent[-1]] += 1
+        statistics.retries += retries
+        statistics.exhausted += reason is Verdict.EXHAUSTED
+    return statistics

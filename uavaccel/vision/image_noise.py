@@ -1,6 +1,6 @@
-"""A camera's read noise: Gaussian, of each pixel, channel and moment (EMVA 1288's dark noise, in grey levels).
+"""A camera's read noise: Gaussian and independent for each pixel, channel and time (EMVA 1288's dark noise).
 
-A pure function of image, seed and time, so that a game that is gone on with has the noise of one that never stopped.
+It is a pure function of image, seed and time, so that a resumed game has the same noise as one that never stopped.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from uavaccel.vision import noise
 
 Image = NDArray[np.uint8]
-_APART = 0x6E01  # of a game's noise from what else it draws
+_APART = 0x6E01  # makes a game's noise independent of its other random numbers
 
 
 @dataclass(frozen=True)
 class ImageNoise:
-    """Noise of a standard deviation in grey levels of 255, from a seed, in a game that began at `start_ns`."""
+    """Noise with a standard deviation `sigma` in grey levels of 255, in a game that began at `start_ns`."""
 
     sigma: float = 0.0
     seed: int = 0
     start_ns: int = 0
 
     def add(self, image: Image, time_ns: int) -> Image:
-        """A copy of a uint8 image of any shape, with the noise of a moment, rounded and clipped to 0..255.
+        """Return a copy of a uint8 image with the noise of that time, rounded and clipped to 0..255.
 
-        The image itself where the deviation is 0.
+        If the deviation is 0 it is the image itself.
         """
         if self.sigma == 0.0:
             return image
@@ -39,6 +39,6 @@ class ImageNoise:
 
 
 def noise_seed(game: np.random.SeedSequence) -> int:
-    """Seed of the noise of a game, set apart from what else is drawn from the game's seed."""
+    """Return the noise seed of a game, independent of other random numbers from the game's seed."""
     apart = np.random.SeedSequence(game.entropy, spawn_key=(*game.spawn_key, _APART))
     return int(apart.generate_state(1, np.uint32)[0])

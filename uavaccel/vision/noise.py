@@ -1,7 +1,7 @@
-"""Random numbers by place: pure functions of a seed, a frame and a pixel (Philox 4x32-10, Salmon et al., SC 2011).
+"""Counter-based random numbers of a seed, a frame and a pixel (Philox 4x32-10, Salmon et al., SC 2011).
 
-So a picture's noise does not depend on the order in which its pixels are worked on, nor on what works on them: the same
-on one core, on many threads and on a GPU. A block is four pixels in a row.
+A picture's noise does not depend on the order in which its pixels are processed: it is the same on one core, on many
+threads and on a GPU. A block is four pixels in a row.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from uavaccel.parts import njit, part
 
-LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # what is drawn: streams of their own
-PIXELS = 4  # of a block
+LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # independent streams
+PIXELS = 4  # per block
 
 _MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _LOW, _WORD = np.uint64(0xFFFFFFFF), np.uint64(32)
 _ROUNDS = 10
-_HALF = np.uint64(8)  # bits that a float32 between 0 and 1 leaves over
+_HALF = np.uint64(8)  # bits of a word beyond the 24 of a float32
 _STEP_32, _STEP_24 = 2.0**-32, np.float32(2.0**-24)
 
 Word = int | np.uint64
@@ -30,7 +30,7 @@ Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 @part
 def words(seed: Word, frame: Word, stream: int, block: int) -> Words:
-    """Four random words of 32 bits."""
+    """Return four random words of 32 bits."""
     a, b = np.uint64(block) & _LOW, np.uint64(frame) & _LOW
     c, d = np.uint64(frame) >> _WORD, np.uint64(stream)
     k, m = np.uint64(seed) & _LOW, np.uint64(seed) >> _WORD
@@ -43,7 +43,7 @@ def words(seed: Word, frame: Word, stream: int, block: int) -> Words:
 
 @part
 def uniform_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
-    """Four numbers of [0, 1)."""
+    """Return four uniform numbers in [0, 1)."""
     a, b, c, d = words(seed, frame, stream, block)
     return (
         np.float32(a >> _HALF) * _STEP_24,
@@ -55,7 +55,7 @@ def uniform_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
 
 @part
 def normal_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
-    """Four numbers of the standard normal distribution, by Box and Muller in double precision."""
+    """Return four standard normal numbers, by Box and Muller's method in double precision."""
     a, b, c, d = words(seed, frame, stream, block)
     near = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP_32))
     far = math.sqrt(-2.0 * math.log((np.float64(b) + 0.5) * _STEP_32))
@@ -70,7 +70,7 @@ def normal_block(seed: Word, frame: Word, stream: int, block: int) -> Four:
 
 @njit(nogil=True, cache=True)
 def fill_uniform(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) -> None:
-    """Fill an array (n,) from the first block on."""
+    """Fill an array (n,) with uniform numbers in [0, 1), from block 0 on."""
     for first in range(0, len(out), PIXELS):
         four = uniform_block(seed, frame, stream, first // PIXELS)
         for place in range(min(PIXELS, len(out) - first)):
@@ -79,7 +79,7 @@ def fill_uniform(out: NDArray[np.float32], seed: Word, frame: Word, stream: int)
 
 @njit(nogil=True, cache=True)
 def fill_normal(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) -> None:
-    """Fill an array (n,) from the first block on."""
+    """Fill an array (n,) with standard normal numbers, from block 0 on."""
     for first in range(0, len(out), PIXELS):
         four = normal_block(seed, frame, stream, first // PIXELS)
         for place in range(min(PIXELS, len(out) - first)):
@@ -87,14 +87,14 @@ def fill_normal(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) 
 
 
 def uniform(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
-    """Numbers of [0, 1); `seed` and `frame` below 2**64."""
+    """Return an array of uniform numbers in [0, 1); `seed` and `frame` are below 2**64."""
     out = np.empty(shape, np.float32)
     fill_uniform(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
     return out
 
 
 def normal(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
-    """Numbers of the standard normal distribution; `seed` and `frame` below 2**64."""
+    """Return an array of standard normal numbers; `seed` and `frame` are below 2**64."""
     out = np.empty(shape, np.float32)
     fill_normal(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
     return out

@@ -1,4 +1,4 @@
-"""The policy network's view of the DVS: an event image small enough to learn from."""
+"""The event image that a policy network observes: DVS counts, reduced to a small grey image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ NEUTRAL_LEVEL = 128  # grey level for as many ON as OFF events
 
 
 def dvs_observation(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """128 plus the sum of ON - OFF over blocks of 4 x 4 pixels, clipped to 0..255.
+    """Return 128 plus the sum of ON - OFF over blocks of 4 x 4 pixels, clipped to 0..255.
 
     Counts (H, W) become (H / 4, W / 4): 144 x 256 gives 36 x 64. The reduction is this project's own choice.
     Raises ValueError if the shapes differ or are not multiples of 4.
@@ -17,6 +17,6 @@ def dvs_observation(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArra
         raise ValueError(
             f"ON and OFF need one (H, W) shape of multiples of {BLOCK_SIDE}: {on.shape}, {off.shape}"
         )
-    from uavaccel.vision.dvs_kernels import block_sums  # compiled: who asks for the sizes alone need not wait
+    from uavaccel.vision.dvs_kernels import block_sums  # compiled, and not needed for the constants
 
     return block_sums(on, off)

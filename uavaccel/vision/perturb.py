@@ -1,4 +1,4 @@
-"""A MODEL of how a renderer under time pressure spoils images; off by default, as MuJoCo spoils none.
+"""A MODEL of how a renderer under time pressure corrupts images; off by default, since MuJoCo corrupts none.
 
 The kinds are those that the paper observed in Unreal's pipeline (section III-A); their magnitudes are this
 project's own choice. Every figure that depends on this model has to say so.
@@ -18,7 +18,7 @@ CHANNEL_ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
 class PerturbationKind(StrEnum):
-    """The ways in which an image is spoilt."""
+    """The ways in which an image is corrupted."""
 
     SALT_AND_PEPPER = "salt_and_pepper"
     BRIGHTNESS = "brightness"
@@ -28,7 +28,7 @@ class PerturbationKind(StrEnum):
 
 @dataclass(frozen=True)
 class PerturbationSettings:
-    """The share of images that is perturbed, in which ways (equally often), and the seed."""
+    """The share of images that is perturbed, the kinds, which are equally frequent, and the seed."""
 
     share: float = 0.0
     kinds: tuple[PerturbationKind, ...] = tuple(PerturbationKind)
@@ -42,10 +42,10 @@ class PerturbationSettings:
 
 
 def share_at(clock_speed: float, share: float, half_excess: float | None) -> float:
-    """Share of the images that go wrong at a ClockSpeed: none at 1x or below, `share` in the limit.
+    """Return the share of corrupted images at a ClockSpeed: 0 at 1x or below, `share` in the limit.
 
-    A frame at ClockSpeed k has 1/k of the wall time for the same simulated time; half of `share` is reached where
-    k - 1 is `half_excess`. Without `half_excess` it is `share` at every ClockSpeed.
+    A frame at ClockSpeed k has 1/k of the wall time for the same simulated time; half of `share` is reached at
+    k - 1 = `half_excess`. Without `half_excess` it is `share` at every ClockSpeed.
     """
     if half_excess is None:
         return share
@@ -56,7 +56,7 @@ def share_at(clock_speed: float, share: float, half_excess: float | None) -> flo
 def perturb_share(
     image: Image, settings: PerturbationSettings, index: int
 ) -> tuple[Image, PerturbationKind | None]:
-    """The `index`-th image of a stream, perturbed or not, and how (None: not); a pure function of its arguments."""
+    """Perturb the `index`-th image of a stream, or not; returns it and the kind or None. A pure function."""
     if settings.share <= 0:
         return image, None
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
@@ -67,7 +67,7 @@ def perturb_share(
 
 
 def perturb(image: Image, kind: PerturbationKind, rng: np.random.Generator) -> Image:
-    """A perturbed copy of a uint8 image (H, W, 3)."""
+    """Return a perturbed copy of a uint8 image (H, W, 3)."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"an image must be uint8 (H, W, 3), not {image.dtype} of {image.shape}")
     return _PERTURB[kind](image, rng)

@@ -1,7 +1,7 @@
-"""A product that is rounded before anything is added to it, on whatever it is computed.
+"""A product that is rounded before anything is added to it, on CPU and GPU alike.
 
-A GPU's compiler fuses a product with the sum that follows, and so rounds once where v2e rounds twice. With numba-cuda
-at hand `uavaccel.kernels.cuda` gives `times` its meaning there.
+A GPU's compiler fuses a product with a following sum, which rounds once where v2e rounds twice. With numba-cuda
+`uavaccel.kernels.cuda` defines `times` for the GPU.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Real = TypeVar("Real", float, np.float32)
 
 
 def times(a: Real, b: Real) -> Real:
-    """a * b."""
+    """Return a * b, rounded."""
     return a * b
 
 

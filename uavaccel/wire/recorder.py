@@ -74,7 +74,7 @@ class Recorder:
             self._file.write("\t".join(COLUMNS) + "\n")
             self._say(f"recording to {here / FILE_NAME}")
         self._simulation.records_game = False
-        self._simulation.record()
+        self._simulation.world.start_recording()
         try:
             self._watch()
         except Exception:

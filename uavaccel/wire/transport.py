@@ -268,7 +268,7 @@ class VirtualTransport:
             call.value = value
             ready_ns = self._handled_ns
             if call.channel == "image":
-                ready_ns = self._api.simulation.frames.drawn(ready_ns)
+                ready_ns = self._api.simulation.frames.ready_ns(ready_ns)
             call.reply_wall_ns = ready_ns + self._latency.reply_ns(call.channel)
         self._unanswered = None if blocking else call
         if not blocking:

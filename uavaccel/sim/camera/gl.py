@@ -1,6 +1,6 @@
-"""Which OpenGL draws: MUJOCO_GL where the user set it, otherwise EGL, otherwise OSMesa, whichever works.
+"""OpenGL contexts: the backend of MUJOCO_GL if that is set, otherwise EGL or OSMesa, whichever works.
 
-Nothing here touches OpenGL before a context is asked for, so all that needs no images works on a machine without.
+OpenGL is not used before a context is requested, so that everything without images works on machines without it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6"
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
 
 _driver = threading.RLock()
-_in_thread = threading.local()  # .context: the one that is current
+_in_thread = threading.local()  # .context: the current one
 _drawn = False  # whether this process, or one that it was forked from, has made a context
 _forked = False  # whether it was forked after that
-_found: GlRenderer | None = None  # who drew in the last context of this process, or in the one that was tried
+_found: GlRenderer | None = None  # of the last context of this process, or of the probe
 
-# MuJoCo and PyOpenGL each settle for one backend a process, and a bad driver may crash: so try in another one.
+# MuJoCo and PyOpenGL use one backend per process, and a bad driver may crash: so probe in another process.
 _PROBE = """
 import mujoco
 context = mujoco.GLContext(8, 8)
@@ -43,7 +43,7 @@ context.free()
 
 @dataclass(frozen=True)
 class GlRenderer:
-    """Who draws: the backend ("egl", "osmesa", ...), GL_RENDERER, and whether that is a program on the CPU."""
+    """The renderer: the backend ("egl", "osmesa", ...), GL_RENDERER, and whether it is software."""
 
     backend: str
     name: str
@@ -51,15 +51,15 @@ class GlRenderer:
 
 
 def turns(renderer: GlRenderer) -> AbstractContextManager[object]:
-    """Lets the threads of this process draw one at a time in software: Mesa crashes now and then where many do."""
+    """Return a lock for rendering in software, since Mesa sometimes crashes if several threads render at once."""
     return _driver if renderer.software else nullcontext()
 
 
 def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]:
-    """A GL context of MuJoCo's, made current in this thread, and who draws in it.
+    """Make a GL context of MuJoCo's, current in this thread; returns it with its renderer.
 
-    Raises UserError where nothing can draw, one line that names the packages to install, and in a process that was
-    forked from one that has drawn: the driver's threads stayed behind, and it would wait for them for ever.
+    Raises UserError without a working OpenGL, naming the packages to install, and in a process forked from one that has
+    rendered: the driver's threads do not exist there, and it would wait for them forever.
     """
     global _drawn, _found
     check_process()
@@ -72,7 +72,7 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
             bind(context)
             _found = _current_renderer(backend)
             return context, _found
-    except Exception as error:  # of several libraries, each with its own kind
+    except Exception as error:  # several libraries, each with exceptions of its own
         raise UserError(
             f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
             f"unset MUJOCO_GL, or install {PACKAGES} (Debian)"
@@ -80,10 +80,10 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
 
 
 def _current_renderer(backend: str) -> GlRenderer:
-    from OpenGL import GL  # takes the platform of the first context, so not before there is one
+    from OpenGL import GL  # takes the platform of the first context, so imported after it
 
     name = GL.glGetString(GL.GL_RENDERER)
-    if name is None:  # GLFW without a display makes a context that is none
+    if name is None:  # GLFW without a display makes a context that does not work
         raise RuntimeError("the context draws nothing")
     return _named(backend, name.decode())
 
@@ -93,9 +93,9 @@ def _named(backend: str, name: str) -> GlRenderer:
 
 
 def sample_textures_fast(context: mujoco.MjrContext) -> None:
-    """Read one texel a pixel instead of MuJoCo's eight: a third of the frame, in software.
+    """Sample one texel per pixel instead of MuJoCo's eight, which saves a third of the frame time in software.
 
-    The nearest texel of the nearest mipmap; with one pixel a texel or less it looks the same, only crisper.
+    It is the nearest texel of the nearest mipmap; with at most one pixel per texel the picture is only crisper.
     """
     from OpenGL import GL
 
@@ -107,10 +107,10 @@ def sample_textures_fast(context: mujoco.MjrContext) -> None:
 
 
 def drop_stencil(context: mujoco.MjrContext, width: int, height: int) -> None:
-    """Give the off-screen buffer depths without MuJoCo's stencil beside them: a fifth of the frame, in software.
+    """Attach a depth buffer without MuJoCo's stencil, which saves a fifth of the frame time in software.
 
-    The stencil is for reflections, of which there are none; depths have the same 32 bits, so pixels are the same. The
-    buffer goes with the GL context.
+    The stencil is only for reflections, which are off; depths keep 32 bits, so that pixels are the same. The buffer is
+    freed with the GL context.
     """
     from OpenGL import GL
 
@@ -123,8 +123,8 @@ def drop_stencil(context: mujoco.MjrContext, width: int, height: int) -> None:
 
 
 def pixel_reader() -> Callable[..., None]:
-    """glReadPixels of the present context's library, without PyOpenGL's checks, which take longer than the call."""
-    from OpenGL.platform import PLATFORM  # that of the first context, so not before there is one
+    """Return the current library's glReadPixels without PyOpenGL's checks, which take longer than the call."""
+    from OpenGL.platform import PLATFORM  # set by the first context, so imported after it
 
     function = PLATFORM.GL.glReadPixels
     function.restype = None
@@ -133,9 +133,9 @@ def pixel_reader() -> Callable[..., None]:
 
 
 def describe_renderer() -> GlRenderer:
-    """The renderer that cameras of this process get, and of its children. Raises UserError where there is none."""
+    """Return the renderer of cameras in this process and its children. Raises UserError if there is none."""
     choose_backend()
-    if _found is not None:  # by whoever tried the backend, in a context of its own
+    if _found is not None:  # by the probe
         return _found
     context, renderer = make_context(8, 8)
     release(context)
@@ -143,24 +143,24 @@ def describe_renderer() -> GlRenderer:
 
 
 def known_renderer() -> GlRenderer | None:
-    """Who draws here, and in processes started from here, where that has been found out already."""
+    """Return the renderer of this process and its children if it is known already, else None."""
     return _found
 
 
 def bind(context: mujoco.GLContext) -> None:
-    """Make a context current in this thread, unless it is: the driver takes 10 µs to find out."""
+    """Make a context current in this thread unless it is, which the driver takes 10 µs to find out."""
     if getattr(_in_thread, "context", None) is not context:
         context.make_current()
         _in_thread.context = context
 
 
 def survives() -> bool:
-    """Whether this process may touch what OpenGL holds: not where it was forked from one that has drawn."""
+    """Return whether this process may free OpenGL's objects: not if it was forked from one that has rendered."""
     return not _forked
 
 
 def check_process() -> None:
-    """Raise UserError where this process cannot draw because its parent had drawn before it was forked."""
+    """Raise UserError in a process that cannot render since its parent had rendered before the fork."""
     if _forked:
         raise UserError(
             "this process was forked from one that had drawn, and OpenGL does not survive that: start workers by "
@@ -178,13 +178,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def release(context: mujoco.GLContext) -> None:
-    """Free a context; whatever it held must be freed before."""
+    """Free a context, whose objects must have been freed before."""
     context.free()
     _in_thread.context = None
 
 
 def choose_backend() -> str:
-    """The backend's name, as MUJOCO_GL takes it; written there, so that child processes need not try again."""
+    """Return the backend's name for MUJOCO_GL, which is set so that child processes need no probe."""
     global _found
     chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
     if chosen in ("disable", "disabled", "off", "false", "0"):
@@ -205,7 +205,7 @@ def _first_that_works() -> GlRenderer | None:
 
 
 def _tried(backend: str) -> GlRenderer | None:
-    """Who draws with that backend; None where it does not work."""
+    """Return the renderer with that backend; None if it does not work."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     try:
         command = [sys.executable, "-c", _PROBE]

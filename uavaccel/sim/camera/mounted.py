@@ -1,4 +1,4 @@
-"""Cameras of any place, size and field of view, drawn by one OpenGL context: AirSim's cameras of a vehicle."""
+"""Cameras of any pose, size and field of view with one OpenGL context: AirSim's cameras of a vehicle."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, Scalar, ray_lengths, to_metres
 from uavaccel.sim.poses import Pose
 
-MOST_LENSES = 8  # whose rays are kept
-SKY_M = 65504.0  # AirSim's depth of what has none: the largest half-precision number
+MOST_LENSES = 8  # whose ray lengths are cached
+SKY_M = 65504.0  # AirSim's depth of the sky: the largest half-precision number
 FRONT_CENTER = Pose((0.46, 0.0, 0.0))  # quadrotor.xml's own camera
 
 
 class Lens(NamedTuple):
-    """What a picture is taken through: pixels, and degrees from its left to its right edge."""
+    """Size of a picture in pixels, and its horizontal field of view in degrees."""
 
     width: int = WIDTH
     height: int = HEIGHT
@@ -27,9 +27,9 @@ class Lens(NamedTuple):
 
 
 class MountedCamera(Camera):
-    """A camera that is pointed anew for each picture, at most `width` x `height` pixels large.
+    """A camera that is pointed for each picture, of at most `width` x `height` pixels.
 
-    The vehicle that carries it is in the picture if it is in view. Raises UserError where OpenGL is missing.
+    The vehicle that carries it is visible. Raises UserError if OpenGL is missing.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int = WIDTH, height: int = HEIGHT) -> None:
@@ -40,7 +40,7 @@ class MountedCamera(Camera):
         self._rays: dict[Lens, DepthImage] = {}
 
     def point(self, eye: Pose | None, lens: Lens) -> None:
-        """Let the next pictures be taken from `eye`, NED, None for the model's own camera, through `lens`."""
+        """Take the next pictures from `eye`, NED, or from the model's own camera if None, through `lens`."""
         self._view.look_from(eye, lens.width, lens.height, lens.fov_deg)
         if lens != self._lens:
             self._lens = lens
@@ -50,7 +50,7 @@ class MountedCamera(Camera):
             self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
 
     def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """Metres along the optical axis, SKY_M for the sky; (height, width) float32."""
+        """Render metres along the optical axis, SKY_M for the sky; (height, width) float32."""
         self._draw(data, as_ids=True)
         picture = np.empty((self.height, self.width), np.float32)
         mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
@@ -60,7 +60,7 @@ class MountedCamera(Camera):
         return _into(depth, out)
 
     def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        """Metres along each pixel's ray, SKY_M for the sky; (height, width) float32."""
+        """Render metres along each pixel's ray, SKY_M for the sky; (height, width) float32."""
         depth = self.depth(data, out)
         if self._lens not in self._rays:
             half_width = float(np.tan(np.radians(self._lens.fov_deg) / 2))

@@ -1,4 +1,4 @@
-"""What a camera of the model sees, as MuJoCo's abstract scene: all of a picture that needs no OpenGL."""
+"""A camera's view as MuJoCo's abstract scene: the part of rendering that needs no OpenGL."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Image = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 GeomImage = NDArray[np.int32]
 AnyImage = NDArray[Any]
-"""Any of them: an `Image`, a `DepthImage` or a `GeomImage`, by the kind that was asked for."""
+"""An `Image`, a `DepthImage` or a `GeomImage`."""
 Scalar = TypeVar("Scalar", bound=np.integer | np.floating)
 
 WIDTH, HEIGHT, FOV_DEG = 256, 144, 90.0  # AirSim's defaults (AirSimSettings.hpp CaptureSetting)
@@ -33,9 +33,9 @@ _EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
 
 
 class View:
-    """The scene in front of a camera of the model; `fov_deg` is horizontal, at any width, as AirSim's is.
+    """The scene in front of a camera of the model; `fov_deg` is horizontal at any width, as in AirSim.
 
-    Raises UserError where the model has no such camera.
+    Raises UserError if the model has no such camera.
     """
 
     def __init__(
@@ -61,19 +61,19 @@ class View:
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
 
     def look_from(self, eye: Pose | None, width: int, height: int, fov_deg: float) -> None:
-        """Look from a place in the world, NED, None for the camera's own, and in another form."""
+        """Set the pose, NED, None for the camera's own, the size in pixels and the field of view."""
         self._eye = eye
         self.half_width = float(np.tan(np.radians(fov_deg) / 2))
         self._half_height = self.half_width * height / width
         self._resized = not self._models_own_view(width)
 
     def show_everything(self) -> None:
-        """Draw the drone too."""
+        """Make the drone visible too."""
         self._options.geomgroup[DRONE_GROUP] = True
 
     def update(self, data: mujoco.MjData, as_ids: bool = False) -> mujoco.MjvScene:
-        """The scene for the pose in `data.qpos`; `as_ids` draws each geom in a colour that stands for it, unlit."""
-        mujoco.mj_kinematics(self.model, data)  # mj_step leaves the places of the step's beginning
+        """Return the scene for the pose in `data.qpos`; with `as_ids` each geom has an unlit colour that encodes it."""
+        mujoco.mj_kinematics(self.model, data)  # mj_step leaves the positions of the step's beginning
         mujoco.mj_camlight(self.model, data)
         if self._eye is not None:
             self._place_eye(data, self._eye)
@@ -86,7 +86,7 @@ class View:
         return self.scene
 
     def geoms(self, drawn: NDArray[np.integer], out: GeomImage | None = None) -> GeomImage:
-        """Ids of the geoms in a picture (height, width, 3 or more) that was drawn `as_ids`; -1 for the sky."""
+        """Decode the geoms' ids in a picture (height, width, 3 or more) rendered `as_ids`; -1 for the sky."""
         segments = drawn[..., :3].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         ids = np.full(self.scene.ngeom + 1, -1, np.int32)
         for geom in self.scene.geoms[: self.scene.ngeom]:
@@ -94,19 +94,19 @@ class View:
         return np.take(ids, segments, out=out)
 
     def _show_looks(self, on: bool) -> None:
-        """What a scenery looks like, or the bodies behind that."""
+        """Show a scenery's looks, or its bodies instead."""
         self._options.geomgroup[LOOKS_GROUP] = on
         self._options.geomgroup[BODIES_GROUP] = not on
 
     def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:
-        """Let the model's camera be elsewhere: physics takes no notice of cameras, and each step places them anew."""
+        """Move the model's camera, which does not affect the physics and lasts until the next step."""
         camera = self._camera.fixedcamid
         forward, right, down = eye.matrix().T
         axes = np.stack([ned_to_mujoco(right), -ned_to_mujoco(down), -ned_to_mujoco(forward)], axis=1)
         data.cam_xpos[camera], data.cam_xmat[camera] = ned_to_mujoco(eye.position_m), axes.ravel()
 
     def _models_own_view(self, width: int) -> bool:
-        """Whether the model's vertical field of view is `fov_deg` wide at this aspect, to a thousandth of a pixel."""
+        """Return whether the model's own field of view is the one required, to a thousandth of a pixel."""
         half_height = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
         return bool(abs(half_height / self._half_height - 1) * width < 1e-3)
 
@@ -118,7 +118,7 @@ class View:
 
 
 def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
-    """The pose in `data.qpos` of the vehicle of that number, NED."""
+    """Return the pose, NED, of vehicle number `vehicle` in `data.qpos`."""
     place, attitude = np.split(data.qpos[7 * vehicle : 7 * vehicle + 7], [3])
     x, y, z = mujoco_to_ned(place).tolist()
     w, i, j, k = quaternion_mujoco_to_ned(attitude).tolist()
@@ -126,19 +126,19 @@ def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
 
 
 def far_m(model: mujoco.MjModel) -> float:
-    """Depth of the sky: the far end of what is drawn."""
+    """Return the depth of the sky: the far clipping plane, in metres."""
     return float(model.vis.map.zfar * model.stat.extent)
 
 
 def to_metres(model: mujoco.MjModel, depth: DepthImage) -> DepthImage:
-    """Metres along the optical axis, in place, from OpenGL's depth buffer: 1 at the near and 0 at the far plane."""
+    """Convert OpenGL's depth buffer, 1 at the near and 0 at the far plane, to metres in place."""
     far, near = np.float32(far_m(model)), np.float32(model.vis.map.znear * model.stat.extent)
     np.divide(near * far, near + depth * (far - near), out=depth)  # linear in the inverse of the depth
     return depth
 
 
 def ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
-    """Length of each pixel's ray to the plane one metre ahead; (height, width)."""
+    """Return the length of each pixel's ray to the plane one metre ahead; (height, width)."""
     pixel = 2 * half_width / width
     right = (np.arange(width) + 0.5 - width / 2) * pixel
     down = (np.arange(height) + 0.5 - height / 2) * pixel
@@ -146,7 +146,7 @@ def ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
 
 
 def set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
-    """What MjrContext reads once, when it is made: no shadow map and no multisampling, each several frames' worth."""
+    """Switch off shadow map and multisampling, whose setup takes several frames, before an MjrContext is made."""
     quality = model.vis.quality
     quality.shadowsize = quality.offsamples = 0
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
@@ -163,7 +163,7 @@ def _fixed_camera(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
 
 
 def _options(model: mujoco.MjModel, camera: int) -> mujoco.MjvOption:
-    """What is drawn: all but the drone, for a camera that it carries: nothing of it is in view."""
+    """Show everything except, for a camera on the drone, the drone, which is out of its view."""
     options = mujoco.MjvOption()
     options.geomgroup[DRONE_GROUP] = model.cam_bodyid[camera] != model.body("quadrotor").id
     return options

@@ -1,7 +1,7 @@
-"""Who flies one vehicle: its command, if one runs, the log of them, API control and the sticks.
+"""A pilot flies one vehicle: its running command, the log of its commands, API control and remote-control sticks.
 
-The latest command wins, at once: the one that ran ends with False. Without API control a command takes its time and
-has no effect (OffboardApi.hpp).
+A new command replaces the running one, which ends with False. Without API control a command takes its time but has no
+effect (OffboardApi.hpp).
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:
     from uavaccel.sim.simulation import Simulation
 
-OTHERS_LOG_LENGTH = 64  # nobody asks for it
-LONGEST_TICKS = 1 << 40  # of a command that nobody knows the end of
+OTHERS_LOG_LENGTH = 64  # of vehicles whose log is not recorded
+LONGEST_TICKS = 1 << 40  # of a command whose end is not known
 
 
 @dataclass
 class RunningCommand:
-    """What runs: up to `end_tick`, or, where it has a task, with the task's next turn at that tick."""
+    """A running command. It ends at `end_tick`; with a task, that is the tick of the task's next turn."""
 
     end_tick: int
     reply: DeferredReply
     task: FlightTask | None = None
     begin_tick: int = 0
-    goal_tick: int | None = None  # at which the task has last set a goal, if it has
+    goal_tick: int | None = None  # at which the task last set a goal
 
 
 class Pilot:
-    """The commands of one vehicle of a simulation; the one that `leads` keeps all of its log."""
+    """Flies one vehicle of a simulation; only the one that `leads` keeps its whole command log."""
 
     def __init__(self, simulation: Simulation, vehicle: Vehicle, leads: bool) -> None:
         self._simulation, self.vehicle, self._leads = simulation, vehicle, leads
         self._profile = simulation.profile
         self.api_control = False
-        vehicle.restore_gains()  # the world may have been another simulation's
-        self.start_over()
+        vehicle.restore_gains()  # another simulation may have changed them
+        self.restart()
 
-    def start_over(self) -> None:
-        """Nothing has been commanded yet."""
+    def restart(self) -> None:
+        """Forget command, log and sticks."""
         self.command: RunningCommand | None = None
         self.log = CommandLog(None if self._leads else OTHERS_LOG_LENGTH)
         self.sticks: Sticks = np.zeros(STICKS)
 
     def fly(self, goal: Goal, ticks: int, wall_ns: int) -> DeferredReply:
-        """Fly towards one goal for so many ticks."""
+        """Fly towards one goal for `ticks` ticks; the reply is whether the command was completed."""
         tick = self._accept(ticks, wall_ns)
         if self.api_control:
             self._set(goal)
@@ -63,7 +63,7 @@ class Pilot:
         return self.command.reply
 
     def start(self, task: FlightTask, wall_ns: int) -> DeferredReply:
-        """Let a task choose the goals; its first turn is now, and may already be the last."""
+        """Let a task choose the goals; its first turn is now and may be its last."""
         tick = self._accept(LONGEST_TICKS, wall_ns)
         command = self.command = RunningCommand(tick, DeferredReply(), task, tick)
         self.turn(wall_ns)
@@ -78,9 +78,9 @@ class Pilot:
         return tick
 
     def turn(self, wall_ns: int) -> None:
-        """What is due at this tick: the command's end, or its task's next turn."""
+        """Do what is due at this tick: the command's end, or its task's next turn."""
         command, tick = self.command, self.vehicle.tick
-        assert command is not None, "asked only at a command's tick"
+        assert command is not None, "called only at a command's tick"
         if command.task is None or self._simulation.failure is not None:
             self.end(self._simulation.failure is None, wall_ns)
             return
@@ -90,7 +90,7 @@ class Pilot:
             command.goal_tick = tick
             if self.api_control:
                 self._set(goal)
-        elif result is None:  # no goal in this turn: the goal timeout runs on
+        elif result is None:  # no goal in this turn: the goal timeout continues
             self._hold_after(command)
         if result is not None:
             self.end(result, wall_ns)
@@ -98,7 +98,7 @@ class Pilot:
             command.end_tick = tick + self._profile.loop_ticks
 
     def kinematics(self) -> Kinematics:
-        """The vehicle's state at the present tick, stamped with the simulation's time."""
+        """Return the vehicle's state at the present tick, with the simulated time."""
         return self.vehicle.kinematics(self._simulation.time0_ns)
 
     def _set(self, goal: Goal) -> None:
@@ -121,7 +121,7 @@ class Pilot:
         command.reply.resolve(completed, wall_ns)
 
     def _hold_after(self, command: RunningCommand) -> None:
-        """Let position hold set in a goal timeout after the command's last goal; one without any leaves it alone."""
+        """Schedule position hold a goal timeout after the command's last goal, if it has set any."""
         last = self._last_goal(command)
         if self.api_control and last is not None:
             self.vehicle.hold_from(last + self._profile.hover_after_ticks)
@@ -132,9 +132,9 @@ class Pilot:
         return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
 
     def arm(self, armed: bool) -> bool:
-        """Switch the rotors on or off; whether that was granted (OffboardApi::arm, disarm).
+        """Arm or disarm the rotors; returns whether that was granted (OffboardApi::arm, disarm).
 
-        It needs API control. Arming leaves a vehicle idle that was not armed, and another as it is.
+        It needs API control. A vehicle that is newly armed idles; arming an armed one changes nothing.
         """
         state = self.vehicle.state
         was_armed = bool(state["armed"])
@@ -146,7 +146,7 @@ class Pilot:
         return True
 
     def move_sticks(self, sticks: Sticks) -> None:
-        """Take the remote control's sticks; they fly the vehicle as long as no program has control."""
+        """Set the remote control's sticks, which fly the vehicle while no program has API control."""
         self.sticks = sticks
         if self.command is not None and isinstance(self.command.task, MoveByManual):
             self.command.task.sticks = sticks
@@ -154,7 +154,7 @@ class Pilot:
             self._set(stick_goal(sticks))
 
     def get_state(self) -> State:
-        """The command that runs, without the reply that somebody may wait for."""
+        """Return the running command, without its pending reply, and the sticks."""
         command = self.command
         state: State = {"command_end_tick": optional(command.end_tick if command else None)}
         state["sticks"] = self.sticks
@@ -164,7 +164,7 @@ class Pilot:
         return state
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave, for a reply that nobody waits for."""
+        """Restore what `get_state` returned; nobody waits for the command's reply."""
         end_tick = number_or_none(state["command_end_tick"])
         self.sticks = np.array(state["sticks"], float)
         self.command = None

@@ -37,23 +37,23 @@ Array = NDArray[np.float64]
 
 
 class Turn(NamedTuple):
-    """What one turn of a command's loop comes to: a goal to set, and the command's result once it is over."""
+    """Result of one turn of a task's loop: a goal to set, and the command's result once it is over."""
 
     goal: Goal | None
     result: bool | None = None
 
 
 class FlightTask(Protocol):
-    """A command's loop. Its fields are numbers, vectors and arrays of them: all that a saved game keeps of it."""
+    """A command's loop, a dataclass of numbers, vectors and arrays, which is how a saved game stores it."""
 
     def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
-        """The loop's next turn, `elapsed_s` of simulated time after its first."""
+        """Do the loop's next turn, `elapsed_s` of simulated time after the first."""
         ...
 
 
 @dataclass
 class Land:
-    """Sink until the vehicle has not sunk any more for more than ten turns in a row."""
+    """Descend until the vehicle has not descended for more than ten turns in a row."""
 
     timeout_s: float
     still: int = 0
@@ -70,9 +70,9 @@ class Land:
 
 @dataclass
 class RotateToYaw:
-    """Hold a place and turn to a heading; over once it is within the margin and the vehicle turns no more.
+    """Hold a position and turn to a heading; ends once it is within the margin and the vehicle has stopped turning.
 
-    The margin is measured along the shorter way; AirSim's own loop never ends where that leads past 180 degrees.
+    The margin is measured along the shorter way; AirSim's own loop never ends if that leads past 180 degrees.
     """
 
     place_m: Vector
@@ -91,7 +91,7 @@ class RotateToYaw:
 
 @dataclass
 class MoveByManual:
-    """Sticks ask for horizontal velocities in the frame in which the vehicle was at the beginning, and for a climb."""
+    """Sticks set horizontal velocities in the vehicle's initial frame, and a climb rate: AirSim's moveByManual."""
 
     sticks: Sticks
     vx_max_m_s: float
@@ -118,7 +118,7 @@ class MoveByManual:
 
 
 def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) -> float:
-    """The lookahead in m; where it is negative AirSim's own. Raises ValueError, with AirSim's words."""
+    """Return the lookahead in m, AirSim's own if it is negative. Raises ValueError with AirSim's message."""
     per_period_m = velocity_m_s * COMMAND_PERIOD_S
     if lookahead_m == 0:
         raise ValueError("lookahead distance cannot be 0")
@@ -138,7 +138,7 @@ def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) ->
 
 
 def facing(heading: Vector, forward_only: bool, yaw: Yaw) -> Yaw:
-    """The yaw goal for a direction of travel (adjustYaw); a heading of half a metre or less is none."""
+    """Return the yaw goal for a direction of travel (adjustYaw), which must be longer than half a metre."""
     if not forward_only or yaw.is_rate:
         return yaw
     if math.hypot(*heading) <= ACCURACY_M:
@@ -148,10 +148,10 @@ def facing(heading: Vector, forward_only: bool, yaw: Yaw) -> Yaw:
 
 @dataclass
 class FollowPath:
-    """Fly along `points` (n, 3), NED m, the first of which is where the vehicle is.
+    """Follow a path towards a carrot: moveOnPath, and moveToPosition, moveToZ, takeoff and goHome in its terms.
 
-    `lookahead_m` is how far the carrot is ahead; `adaptive` times the distance from the path is added to it.
-    The result is True only if the vehicle has passed the end, as in AirSim: one that stops short of it has it False.
+    `points` (n, 3) are NED, in m; the first is where the vehicle is. The carrot is `lookahead_m` ahead, plus `adaptive`
+    times the distance from the path. As in AirSim the result is True only if the vehicle has passed the end.
     """
 
     points: Array
@@ -162,7 +162,7 @@ class FollowPath:
     yaw_is_rate: bool
     lookahead_m: float
     adaptive: float
-    segment: int = 0  # how far the vehicle is: on which segment, how far along it, where
+    segment: int = 0  # progress of the vehicle: its segment, and the metres along it
     offset_m: float = 0.0
     goal_distance_m: float = 0.0
     error_m: float = 0.0
@@ -184,7 +184,7 @@ class FollowPath:
         return Turn(self._towards(carrot, now))
 
     def _advance(self, place: Array) -> bool:
-        """Move on by what was flown towards the last carrot; whether the end had been reached before."""
+        """Update the progress by what was flown towards the last carrot; returns whether the end was reached before."""
         _, _, carrot = self._ahead(self.lookahead_m + self.error_m)
         goal, flown = carrot - self._at, place - self._at
         distance = float(np.linalg.norm(goal))
@@ -201,7 +201,7 @@ class FollowPath:
         return distance == 0.0
 
     def _ahead(self, distance_m: float) -> tuple[int, float, Array]:
-        """The place on the path so far ahead of the vehicle: segment, offset and NED; at most the end."""
+        """Return the point of the path that far ahead of the vehicle, at most its end: segment, offset and NED."""
         segment, offset = self.segment, self.offset_m
         while segment < len(self._lengths):
             length = float(self._lengths[segment])
@@ -220,7 +220,7 @@ class FollowPath:
         return np.asarray(self.points[segment] + along * offset_m)
 
     def _towards(self, carrot: Array, now: Kinematics) -> Goal:
-        """The velocity that leads to the carrot; none within the accuracy, no climb or descent for half a metre."""
+        """Return the velocity towards the carrot: 0 within the accuracy, no climb or descent within half a metre."""
         way = carrot - np.array(now.position_m)
         distance = float(np.linalg.norm(way))
         yaw = facing(
@@ -234,7 +234,7 @@ class FollowPath:
         return goals.velocity((vx, vy, 0.0 if abs(way[2]) <= ACCURACY_M else vz), yaw)
 
     def _speed(self) -> float:
-        """What was asked for; beyond the end a fast vehicle turns back slowly."""
+        """Return the requested speed; beyond the end a fast vehicle turns back slowly."""
         beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
         return BRAKING_M_S if beyond else self.velocity_m_s
 
@@ -260,7 +260,7 @@ _READ: dict[str, Callable[[SavedValue], object]] = {  # by the annotation of a t
 
 
 def state_of(task: FlightTask | None) -> State:
-    """Nothing for no task."""
+    """Return a task's class name and fields; empty for None."""
     if task is None:
         return {}
     kept = {field.name: np.asarray(getattr(task, field.name)) for field in fields(task)}  # type: ignore[arg-type]
@@ -268,7 +268,7 @@ def state_of(task: FlightTask | None) -> State:
 
 
 def task_of(state: SavedState) -> FlightTask | None:
-    """The inverse of `state_of`."""
+    """Make the task that `state_of` described; None without one."""
     if "task" not in state:
         return None
     kind, kept = TASKS[str(state["task"])], without_prefix("task", state)

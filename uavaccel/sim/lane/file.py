@@ -39,12 +39,15 @@ class Obstacle(Config):
     """One obstacle: a cylinder, or a square post with two sides parallel to the lane."""
 
     x_m: Annotated[float, Field(gt=0.0, le=LENGTH_M)]
-    """North of the start."""
+    """Metres north of the start."""
     y_m: Annotated[float, Field(ge=-WIDTH_M / 2, le=WIDTH_M / 2)]
-    """East of the lane's centre line."""
+    """Metres east of the lane's centre line."""
     radius_m: HalfWidth | None = None
+    """Radius of a cylinder, metres."""
     half_side_m: HalfWidth | None = None
+    """Half the side of a square post, metres."""
     texture: Literal["red", "white", "yellow", "blue"] = "red"
+    """Texture of the obstacle."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
@@ -54,19 +57,22 @@ class Obstacle(Config):
 
 
 class LaneFile(Config):
-    """A lane as a user writes it, in a file or a mapping."""
+    """A user-defined lane, in a file or a mapping."""
 
     obstacles: Annotated[list[Obstacle], Field(max_length=MAX_OBSTACLES)]
+    """All obstacles of the lane."""
     wall_texture: Literal["concrete", "brick"] = "concrete"
+    """Texture of both walls."""
     ground_texture: Literal["asphalt", "grass"] = "asphalt"
+    """Texture of the ground."""
     light: Share = 1.0
-    """1 is full daylight."""
+    """Light level, 0 to 1, which is full daylight."""
     sun_azimuth_rad: float = 0.5
-    """Heading in which the sun shines; 0 is north, the way the drone faces."""
+    """Direction in which the sun shines, radians; 0 is north, the way the drone faces."""
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """NED."""
+    """Wind velocity, NED, m/s."""
     scenery: Scenery = "plain"
-    """forest: each texture is a kind of bark, of wood beyond the walls, of ground."""
+    """Appearance of the lane: plain, or forest, where each texture is a kind of bark, of trees or of ground."""
 
     @model_validator(mode="after")
     def _can_be_flown(self) -> Self:
@@ -76,7 +82,7 @@ class LaneFile(Config):
         return self
 
     def layout(self) -> LaneLayout:
-        """As the simulation takes it."""
+        """Convert to the layout that the simulation takes."""
         posts = self.obstacles
         return LaneLayout(
             x_m=np.array([post.x_m for post in posts], float),
@@ -94,7 +100,7 @@ class LaneFile(Config):
 
 
 def parse_lane(lane: object) -> object:
-    """A mapping, or the name of a YAML file that holds one, as a LaneFile; anything else, such as a seed, unchanged.
+    """Read a lane from a mapping or from the YAML file of that name; return anything else, such as a seed, unchanged.
 
     For use in validators, inside which pydantic refuses a list for a tuple. Raises UserError naming file and key.
     """
@@ -105,8 +111,8 @@ def parse_lane(lane: object) -> object:
 
 
 def layout_from(mapping: Mapping[str, object], source: str) -> LaneLayout:
-    """The layout that a mapping describes; errors call it `source`.
+    """Make the layout that a mapping describes; errors call it `source`.
 
-    Raises UserError if a key or a value is wrong, or if an obstacle stands where the drone starts.
+    Raises UserError for a wrong key or value, or for an obstacle at the drone's start.
     """
     return validate(LaneFile, mapping, source).layout()

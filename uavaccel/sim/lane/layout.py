@@ -1,4 +1,4 @@
-"""Layouts of the obstacle lane: random, reproducible from a seed; pure geometry, no MuJoCo.
+"""Layouts of the obstacle lane, sampled reproducibly from a seed: pure geometry, without MuJoCo.
 
 The paper gives only the lane's length (150 m, section III-C1); the rest of its geometry is this project's own choice.
 Rows of obstacles stand at fixed distances; their lateral positions are random. The lane runs north (NED frame).
@@ -24,7 +24,7 @@ Scenery = Literal["plain", "forest"]
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
 WIDTH_M = 10.0  # between the inner faces of the walls
 HULL_RADIUS_M = 0.3418  # of quadrotor.xml's hull
-HEAVIEST = 1.5  # times its own mass for its own rotors, which lift 1.7 times it at full throttle
+HEAVIEST = 1.5  # largest mass_ratio / thrust_ratio; full throttle lifts 1.7 times the weight
 MAX_OBSTACLES = 64  # as many as lane.xml provides
 
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
@@ -41,27 +41,27 @@ class Difficulty(Config):
     """The distribution that lanes are sampled from. All published figures use the defaults."""
 
     first_row_m: Annotated[float, Field(gt=1.0, le=1000.0)] = 10.0
-    """Distance from the start to the first row."""
+    """Distance from the start to the first row, metres."""
     row_spacing_m: Annotated[float, Field(gt=1.0, le=1000.0)] = 10.0
-    """Distance between rows."""
+    """Distance between rows, metres."""
     obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
+    """Number of obstacles in a row."""
     half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
-    """Half the side of an obstacle's square cross-section."""
+    """Half the side of an obstacle's square cross-section, metres."""
     min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M, le=WIDTH_M)] = 2.0
-    """Minimum clear width between neighbours in a row."""
+    """Minimum clear width between neighbours in a row, metres."""
     light: tuple[Share, Share] = (0.7, 1.0)
-    """Range of the light level; 1 is full daylight."""
+    """Range of the light level, 0 to 1, which is full daylight."""
     texture_variation: Share = 1.0
-    """Share of surfaces and obstacles with a random texture; the others wear the first one."""
+    """Share of surfaces and obstacles with a random texture; the others have the first one."""
     wind_m_s: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
-    """Speed of a steady horizontal wind from a random direction."""
+    """Speed of a steady horizontal wind from a random direction, m/s."""
     scenery: Scenery = "plain"
-    """What the lane looks like, its bodies in the same places: banded posts between walls, or trees in a wood."""
-
+    """Appearance of the lane, with the same bodies: plain, banded posts between walls, or forest, trees in a wood."""
     mass_ratio: Annotated[float, Field(ge=0.5, le=1.5)] = 1.0
-    """Times the vehicle's mass and moments of inertia."""
+    """Factor on the vehicle's mass and moments of inertia."""
     thrust_ratio: Annotated[float, Field(ge=0.7, le=1.5)] = 1.0
-    """Times its rotors' thrust and torque."""
+    """Factor on its rotors' thrust and torque."""
 
     @property
     def pitch_m(self) -> float:
@@ -96,9 +96,9 @@ class Difficulty(Config):
 
 @dataclass(frozen=True)
 class LaneLayout:
-    """Where a lane's obstacles stand and what the lane looks like: metres, NED, the start at the origin.
+    """Obstacles and appearance of a lane: metres, NED, with the start at the origin; arrays (n,) for n obstacles.
 
-    An obstacle is a square post of half side `half_width_m` or, where `round` is set, a cylinder of that radius.
+    An obstacle is a square post of half side `half_width_m` or, if `round`, a cylinder of that radius.
     """
 
     x_m: FloatArray
@@ -120,18 +120,18 @@ class LaneLayout:
 
 
 def lane_seed(split: Split, index: int) -> int:
-    """Seed of lane `index` of a split; the splits share no lane. Raises ValueError unless 0 <= index < 1 000 000."""
+    """Return the seed of lane `index` of a split. Raises ValueError unless 0 <= index < 1 000 000."""
     if not 0 <= index < EVALUATION_SEEDS:
         raise ValueError(f"lane index {index} must be at least 0 and below {EVALUATION_SEEDS}")
     return index if split == "evaluation" else EVALUATION_SEEDS + index
 
 
 def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
-    """The lane of a seed: the same seed and difficulty give the same arrays on every machine."""
+    """Sample the lane of a seed; the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
     rng = np.random.default_rng(seed)
     rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, difficulty.obstacles_per_row)
-    y_m = _draw_rows(rng, len(rows_m), difficulty)
+    y_m = _sample_rows(rng, len(rows_m), difficulty)
     count, varied = len(y_m), difficulty.texture_variation
     direction = rng.uniform(-np.pi, np.pi)
     return LaneLayout(
@@ -139,9 +139,9 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
         y_m=y_m,
         half_width_m=np.full(count, difficulty.half_width_m),
         round=np.zeros(count, dtype=bool),
-        texture=_draw_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
-        wall_texture=_draw_texture(rng, len(WALL_TEXTURES), varied),
-        ground_texture=_draw_texture(rng, len(GROUND_TEXTURES), varied),
+        texture=_sample_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
+        wall_texture=_sample_texture(rng, len(WALL_TEXTURES), varied),
+        ground_texture=_sample_texture(rng, len(GROUND_TEXTURES), varied),
         light=float(rng.uniform(*difficulty.light)),
         sun_azimuth_rad=float(rng.uniform(-1.0, 1.0)),
         wind_m_s=(difficulty.wind_m_s * np.cos(direction), difficulty.wind_m_s * np.sin(direction), 0.0),
@@ -153,16 +153,16 @@ def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
 
 @lru_cache(maxsize=64)
 def _row_distances(first_m: float, spacing_m: float, each: int) -> FloatArray:
-    """Distances of the rows: up to half a spacing before the lane's end, as far as the obstacles last."""
+    """Return the distances of the rows, up to half a spacing before the lane's end, and at most MAX_OBSTACLES."""
     rows = np.arange(first_m, LENGTH_M - spacing_m / 2, spacing_m)[: MAX_OBSTACLES // max(each, 1)]
     rows.flags.writeable = False
     return rows
 
 
-def _draw_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> FloatArray:
-    """Lateral positions, row by row: uniform over all that keep neighbours at least `min_gap_m` apart.
+def _sample_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> FloatArray:
+    """Sample lateral positions row by row, uniformly over all with gaps of at least `min_gap_m`.
 
-    Obstacles may reach into the walls, so flight along a wall is blocked as often as flight down the middle.
+    Obstacles may reach into the walls, so that the way along a wall is blocked as often as that down the middle.
     """
     count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
     slack = WIDTH_M - max(count - 1, 0) * pitch
@@ -171,19 +171,19 @@ def _draw_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> F
     return (drawn + pitch * np.arange(count) - WIDTH_M / 2).reshape(-1)
 
 
-def _draw_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
-    """Texture indices: random for a share `varied` of them, 0 for the rest."""
+def _sample_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
+    """Sample texture indices: random for a share `varied` of them, 0 for the rest."""
     return (rng.random(count) < varied) * rng.integers(kinds, size=count)
 
 
-def _draw_texture(rng: np.random.Generator, kinds: int, varied: float) -> int:
-    """One texture index."""
+def _sample_texture(rng: np.random.Generator, kinds: int, varied: float) -> int:
+    """Sample one texture index."""
     random, kind = rng.random() < varied, int(rng.integers(kinds))
     return kind if random else 0
 
 
 def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
-    """Distance in metres from the hull to the nearest obstacle or wall, for positions (..., 2); negative inside."""
+    """Return the metres from the hull to the nearest obstacle or wall at positions (..., 2); negative inside."""
     position = np.asarray(position_m, dtype=np.float64)
     wall = WIDTH_M / 2 - np.abs(position[..., 1])
     if not len(layout):
@@ -201,7 +201,7 @@ _NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int)
 
 
 def layout_of(state: SavedState) -> LaneLayout:
-    """The lane's layout from its fields."""
+    """Make a layout from the fields in a saved state."""
     fields: State = {}
     for name, like in vars(_NO_LANE).items():
         value = np.asarray(state.get(name, like))

@@ -34,12 +34,12 @@ BEAM_WIDTH = 48
 MAX_COMMANDS = 400
 AMPLE_CLEARANCE_M = 0.6  # beyond which more clearance is worth nothing
 
-Command = tuple[float, float]
+VelocityCommand = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class _Beam:
-    """The partial paths still followed, best first."""
+    """The partial paths that are still extended, best first."""
 
     state: FloatArray  # (n, 2 axes, 3): position, velocity, tilt
     cost: FloatArray  # (n,)
@@ -49,10 +49,10 @@ class _Beam:
 
 def plan_path(
     layout: LaneLayout, height_m: float = 10.0, margin_m: float = 0.25, command_s: float = COMMAND_S
-) -> list[Command]:
-    """Velocity commands (north, east) in m/s, `command_s` seconds each, from a hover at the start to the lane's end.
+) -> list[VelocityCommand]:
+    """Find velocity commands (north, east) in m/s, of `command_s` each, from a hover at the start to the lane's end.
 
-    The hull keeps `margin_m` clear of everything. Raises UserError if no such path is found.
+    The hull stays `margin_m` away from everything. Raises UserError if no such path is found.
     """
     transition, input_response = _response(height_m, command_s / CHECKS_PER_COMMAND)
     actions = SPEED_M_S * _directions()
@@ -70,7 +70,7 @@ def plan_path(
 
 
 def _trace(beams: list[_Beam], path: int) -> list[int]:
-    """Indices of the commands that led to a path of the last beam, in the order flown."""
+    """Return the indices of the commands that led to a path of the last beam, in order."""
     actions = []
     for beam in reversed(beams[1:]):
         actions.append(int(beam.action[path]))
@@ -84,7 +84,7 @@ def _directions() -> FloatArray:
 
 
 def _response(height_m: float, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Transition H (3, 3 n) and input response P (n, 3) of the n checks of a command.
+    """Return transition H (3, 3 n) and input response P (n, 3) for the n checks of a command.
 
     The states at the checks are state @ H + P * velocity command.
     """
@@ -104,7 +104,7 @@ def _extend(
     forced: FloatArray,
     actions: FloatArray,
 ) -> _Beam:
-    """Append every command to every path, drop what comes too near, and keep the best of each neighbourhood."""
+    """Append each command to each path, drop those too near to something, and keep the best of each cell."""
     free = (beam.state.reshape(-1, 3) @ transition).reshape(-1, 2, CHECKS_PER_COMMAND, 3).swapaxes(1, 2)
     flown = free[:, None] + forced
     clearance = clearance_m(_nearby(layout, flown[..., 0]), flown[..., 0]).min(axis=2)
@@ -118,7 +118,7 @@ def _extend(
 
 
 def _nearby(layout: LaneLayout, positions: FloatArray) -> LaneLayout:
-    """The layout reduced to the obstacles near these positions (..., 2)."""
+    """Reduce the layout to the obstacles near positions (..., 2)."""
     near = (layout.x_m > positions[..., 0].min() - 3.0) & (layout.x_m < positions[..., 0].max() + 3.0)
     return replace(
         layout, x_m=layout.x_m[near], y_m=layout.y_m[near], half_width_m=layout.half_width_m[near],
@@ -127,7 +127,7 @@ def _nearby(layout: LaneLayout, positions: FloatArray) -> LaneLayout:
 
 
 def _best_of_each_cell(state: FloatArray, score: FloatArray) -> NDArray[np.int64]:
-    """Indices of at most BEAM_WIDTH paths, best first, one per cell of lateral position, velocity and progress."""
+    """Return at most BEAM_WIDTH indices, best first, one per cell of lateral position, velocity and progress."""
     order = np.argsort(score, kind="stable")
     cells = np.round(state[order][:, [1, 1, 0], [0, 1, 0]] / (0.25, 0.25, 1.0)) @ (1.0, 1e3, 1e6)
     _, first = np.unique(cells, return_index=True)

@@ -1,8 +1,12 @@
 """Applies a lane layout to the MuJoCo scene assets/mjcf/lane.xml, and names what the drone has hit.
 
-Obstacles are geoms of the world body, moved in place: a new lane needs neither a new model nor a new GL context.
-Bodies of their own would raise their cost per physics step from 2 µs to 12 µs or more. MuJoCo finds contacts with
-them through a bounding-volume tree that it builds only once, so that tree is refitted here.
+Obstacles are geoms of the world body, moved in place: a new lane needs neither a new model nor a new GL context. As
+bodies of their own they would raise the cost of a physics step from 2 µs to 12 µs or more. MuJoCo finds contacts
+through a bounding-volume tree that it builds only once, so that tree is refitted.
+
+A scenery has looks in place of the lane's bodies: trunks for its obstacles, a forest edge for its walls. The bodies are
+those of the plain lane, and contacts, depth and segmentation use them; looks are seen only in colour and by the event
+camera.
 """
 
 from __future__ import annotations
@@ -19,16 +23,19 @@ from uavaccel.units import ned_to_mujoco
 OBSTACLE_HALF_HEIGHT_M = 10.0
 PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
 SUN_ELEVATION_RAD = 0.9
-DAYLIGHT = 0.65  # the sun's share of full daylight; that of the sky, from all directions, is AMBIENT
+DAYLIGHT = 0.65  # the sun's share of full daylight; AMBIENT is that of the sky
 AMBIENT = 0.45
-LOOKS_GROUP, BODIES_GROUP = 4, 5  # seen in colour alone, and in all but colour; other groups are seen in both
+LOOKS_GROUP, BODIES_GROUP = (
+    4,
+    5,
+)  # visible only in colour, and in all but colour; other groups are always visible
 TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between its sides and its corners
 
 
 def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
-    """Move the scene's obstacles and set its textures and light, in place; the drone is left alone.
+    """Move the scene's obstacles and set its textures and light, in place.
 
-    Raises UserError if the scene has fewer obstacles than the layout, as any scene but the lane has.
+    Raises UserError if the scene has fewer obstacles than the layout, as all scenes but the lane do.
     """
     geoms = obstacle_geoms(model)
     if len(layout) > len(geoms):
@@ -47,7 +54,7 @@ def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout)
 
 
 def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Ids of the geoms that a layout moves, in order of their names; empty in scenes other than the lane."""
+    """Return the ids of the geoms that a layout moves, in order of their names; empty in other scenes."""
     return named(model, "obstacle_")
 
 
@@ -84,23 +91,23 @@ def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
 
 
 def sunlight(layout: LaneLayout) -> tuple[NDArray[np.float64], float, float]:
-    """A lane's light: the direction in which the sun shines, MuJoCo's axes; the ambient and the diffuse level."""
+    """Return a lane's light: the sun's direction in MuJoCo's axes, the ambient and the diffuse level."""
     level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad
     direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(SUN_ELEVATION_RAD)]
     return ned_to_mujoco(direction), layout.light * AMBIENT, layout.light * DAYLIGHT
 
 
 def object_name(model: mujoco.MjModel, geom: int) -> str:
-    """Name of a geom, or of its body if it has none of its own; "" for -1, the sky."""
+    """Return the name of a geom or, if it has none, of its body; "" for -1, the sky."""
     if geom < 0:
         return ""
     return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)
 
 
 def put_on_looks(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
-    """Let the looks of a scenery's model follow its bodies, which have been laid out; the plain lane has none.
+    """Let the looks of a scenery's model follow its bodies, which have been placed; the plain lane has none.
 
-    `obstacles`: geoms of the layout's obstacles, in its order.
+    `obstacles` are the geoms of the layout's obstacles, in its order.
     """
     trunks = named(model, "trunk_")
     if not len(trunks):
@@ -120,7 +127,7 @@ def put_on_looks(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: La
 
 
 def _trunk_meshes(model: mujoco.MjModel, layout: LaneLayout) -> NDArray[np.int64]:
-    """For each obstacle the trunk that is nearest to it in size."""
+    """Return the mesh of the trunk nearest in size to each obstacle."""
     meshes = [mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")]
     radii_m = model.numeric("trunk_radii_m").data
     wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
@@ -132,13 +139,13 @@ def _trunk_meshes(model: mujoco.MjModel, layout: LaneLayout) -> NDArray[np.int64
 def _place(
     model: mujoco.MjModel, geom: int, mesh: int, place_m: NDArray[np.float64], turn: NDArray[np.float64]
 ) -> None:
-    """Put a mesh's own origin somewhere on the ground: MuJoCo keeps meshes in the frame of their inertia."""
+    """Place a mesh's origin on the ground; MuJoCo stores meshes in the frame of their inertia."""
     mujoco.mju_rotVecQuat(model.geom_pos[geom], model.mesh_pos[mesh], turn)
     model.geom_pos[geom, :2] += place_m
     mujoco.mju_mulQuat(model.geom_quat[geom], turn, model.mesh_quat[mesh])
 
 
 def named(model: mujoco.MjModel, beginning: str) -> NDArray[np.int64]:
-    """Ids of the geoms whose names begin so, in the order of their names."""
+    """Return the ids of the geoms whose names have that beginning, in order of their names."""
     names = [model.geom(geom).name for geom in range(model.ngeom)]
     return np.array([geom for geom, name in enumerate(names) if name.startswith(beginning)], int)

@@ -1,8 +1,8 @@
-"""The process that draws for many simulations, in the one GL context of the machine, until the last has ended.
+"""A process that renders for many simulations in one GL context, until the last of them has ended.
 
     python -m uavaccel.sim.rendering.process '{"scene": "lane", "scenery": "plain", "cameras": 8, "tiles": 8, ...}'
 
-prints one line of JSON when it is ready: who draws, or why nobody can.
+prints one line of JSON when it is ready: its renderer, or an error.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _READ_BYTES = 1 << 12
 
 
 class ServedCamera:
-    """One camera as the renderer knows it: a model that looks as its simulation's, and its slot."""
+    """The renderer's side of a camera: its slot, and a model that looks like its simulation's."""
 
     def __init__(self, model: mujoco.MjModel, slot: np.void, reply: int) -> None:
         self._model, self._data = copy.copy(model), mujoco.MjData(model)
@@ -52,10 +52,11 @@ class ServedCamera:
 
     @property
     def kind(self) -> str:
+        """Kind of picture that is requested."""
         return KINDS[self._slot["kind"]]
 
     def look(self, as_ids: bool) -> mujoco.MjvScene:
-        """The scene at the pose that the simulation has noted."""
+        """Return the scene at the pose in the slot."""
         if self._revision != self._slot["revision"]:
             read_looks(self._slot["looks"], self._model)
             self._revision = int(self._slot["revision"])
@@ -63,7 +64,7 @@ class ServedCamera:
         return self.view.update(self._data, as_ids)
 
     def hand_over(self, kind: str, drawn: AnyImage) -> None:
-        """Write what was drawn into the slot, as a picture of its kind, and say so."""
+        """Write a rendered picture into the slot in the form of its kind, and notify the camera."""
         picture = self._pictures[kind]
         if kind == "gray":
             cv2.cvtColor(drawn, cv2.COLOR_RGBA2GRAY, dst=picture)
@@ -78,7 +79,7 @@ class ServedCamera:
 
 
 class Sheet(NamedTuple):
-    """What has been drawn, and not yet handed over."""
+    """A sheet of pictures that were rendered but not yet handed over."""
 
     number: int
     kind: str
@@ -86,9 +87,9 @@ class Sheet(NamedTuple):
 
 
 def serve(tiles: Tiles, eyes: list[ServedCamera], requests: int) -> None:
-    """Draw for whoever waits, as many at once as there are tiles; until every simulation has ended.
+    """Render requests, up to `tiles.count` at once, until every simulation has ended.
 
-    A GPU draws while the pictures before are handed over; in software nothing is gained by letting these wait.
+    A GPU renders while earlier pictures are handed over; in software they are handed over at once.
     """
     waiting = select.poll()
     waiting.register(requests, select.POLLIN)
@@ -103,14 +104,14 @@ def serve(tiles: Tiles, eyes: list[ServedCamera], requests: int) -> None:
             return
         asking = [eyes[each] for each in np.frombuffer(numbers, f"<u{REQUEST_BYTES}").tolist()]
         for kind, some in _batches(asking, tiles.count):
-            drawn.append(_draw(tiles, Sheet(number, kind, some)))
+            drawn.append(_render(tiles, Sheet(number, kind, some)))
             number = (number + 1) % SHEETS
             if len(drawn) > ahead:
                 _hand_over(tiles, drawn.popleft())
 
 
 def _batches(asking: list[ServedCamera], most: int) -> Iterator[tuple[str, list[ServedCamera]]]:
-    """Those who ask for one kind of picture, as many at once as are drawn together."""
+    """Group requests by kind of picture, at most `most` in each group."""
     by_kind: dict[str, list[ServedCamera]] = {}
     for eye in asking:
         by_kind.setdefault(eye.kind, []).append(eye)
@@ -119,10 +120,10 @@ def _batches(asking: list[ServedCamera], most: int) -> Iterator[tuple[str, list[
             yield kind, eyes[start : start + most]
 
 
-def _draw(tiles: Tiles, sheet: Sheet) -> Sheet:
+def _render(tiles: Tiles, sheet: Sheet) -> Sheet:
     depth, as_ids = sheet.kind == "depth", sheet.kind in ("depth", "segmentation")  # depth needs no lighting
     for place, eye in enumerate(sheet.eyes):
-        tiles.draw(sheet.number, place, eye.look(as_ids), depth)
+        tiles.render(sheet.number, place, eye.look(as_ids), depth)
     return sheet
 
 
@@ -133,6 +134,7 @@ def _hand_over(tiles: Tiles, sheet: Sheet) -> None:
 
 
 def main() -> None:
+    """Render with the options in the first argument, JSON."""
     options = json.loads(sys.argv[1])
     cv2.setNumThreads(0)
     model = load_scene(options["scene"], scenery=options["scenery"])

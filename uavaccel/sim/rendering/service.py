@@ -1,4 +1,4 @@
-"""Starts a renderer and hands out what its cameras need, from the process that starts the simulations too."""
+"""Starts a rendering process, and provides the file descriptors of its cameras to the simulations' processes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from uavaccel.standstill import FIRST_LOOKS, LOOK_S, Standstill
 from uavaccel.units import NS_PER_S
 
 STOP_S = 3.0
-END_S = 2.0  # between the end of its pipes and of the process
+END_S = 2.0  # from the end of its pipes to that of the process
 
 
 class RenderService:
-    """A renderer of a scene for `cameras` cameras, which draws up to `tiles` pictures at once.
+    """A rendering process of a scene for `cameras` cameras, which renders up to `tiles` pictures at once.
 
-    It starts while the caller goes on; `ready` waits for it. It ends when every process that got `descriptors` has
-    ended and `close` was called here, or this process has ended.
+    It starts in the background; `ready` waits for it. It ends when every process with `descriptors` has ended and
+    either `close` was called here or this process has ended.
     """
 
     def __init__(self, scene: str, cameras: int, tiles: int, scenery: str = PLAIN) -> None:
@@ -37,25 +37,19 @@ class RenderService:
         pipes = [os.pipe() for _ in range(cameras)]
         self._replies = [read for read, _ in pipes]
         theirs = [self._memory, requests, *(write for _, write in pipes)]
-        options = {
-            "scene": scene,
-            "scenery": scenery,
-            "cameras": cameras,
-            "tiles": tiles,
-            "memory": self._memory,
-        }
-        options |= {"requests": requests, "replies": theirs[2:]}
+        options = {"scene": scene, "scenery": scenery, "cameras": cameras, "tiles": tiles}
+        options |= {"memory": self._memory, "requests": requests, "replies": theirs[2:]}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "uavaccel.sim.rendering.process", json.dumps(options)],
             stdout=subprocess.PIPE,
             pass_fds=theirs,
             start_new_session=True,  # Ctrl-C is for the process that flies
         )
-        for descriptor in theirs[1:]:  # else nobody would see the end of a pipe
+        for descriptor in theirs[1:]:  # otherwise the end of a pipe would not be noticed
             os.close(descriptor)
 
     def ready(self) -> GlRenderer:
-        """Who draws. Raises UserError where OpenGL is missing, RendererGoneError where nobody gets to."""
+        """Wait for the start and return the renderer. Raises UserError without OpenGL, RendererGoneError on failure."""
         assert self.process.stdout is not None
         standstill = Standstill()
         while not select.select([self.process.stdout], [], [], LOOK_S)[0]:
@@ -73,24 +67,24 @@ class RenderService:
         return GlRenderer(**answer)
 
     def status(self) -> str:
-        """What became of the renderer, for a camera that got no picture."""
+        """Describe the state of the process, for a camera that got no picture."""
         try:
             return f"ended with status {self.process.wait(END_S)}"
         except subprocess.TimeoutExpired:
             return "does not answer"
 
     def descriptors(self, number: int) -> dict[str, int]:
-        """Keywords of RemoteCamera for camera `number`: file descriptors that its process has to inherit."""
+        """Return RemoteCamera's keywords for camera `number`: file descriptors that its process must inherit."""
         return {"memory": self._memory, "requests": self._requests, "replies": self._replies[number]}
 
     def handed_out(self) -> None:
-        """The processes that draw with it have been started: from here on only they hold its pipes' other ends."""
+        """Close the cameras' descriptors here, after the processes that inherit them were started."""
         for descriptor in self._replies:
             os.close(descriptor)
         self._replies = []
 
     def close(self) -> None:
-        """Let the renderer end, once its cameras' processes have; ends it by force if it does not."""
+        """End the process after those of its cameras, by force if it does not end."""
         if self._requests < 0:
             return
         self.handed_out()
@@ -101,7 +95,7 @@ class RenderService:
 
 
 def stop(*processes: subprocess.Popen[bytes]) -> None:
-    """Wait for processes that are about to end; kill those that do not, after STOP_S for all together."""
+    """Wait for processes that are about to end, and kill those that have not after STOP_S in total."""
     clock = MonotonicClock()
     end_ns = clock.now_ns() + round(STOP_S * NS_PER_S)
     for process in processes:

@@ -1,8 +1,8 @@
-"""What a renderer and its cameras share: a slot of memory for each camera, and one pipe each way.
+"""Shared memory of a renderer and its cameras: a slot for each camera, besides a pipe in each direction.
 
-The memory and the pipes have no names, so nothing is left of them once the last process has ended, however it did. A
+Memory and pipes have no names, so that nothing remains of them after the last process has ended, however it did. A
 camera writes pose and kind into its slot and its number into the pipe of requests; the renderer writes the picture
-into the slot and a byte into the camera's own pipe. Either sees the other's end as the end of a pipe.
+into the slot and a byte into the camera's own pipe. Each notices the other's end as the end of a pipe.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ KINDS = ("gray", "colour", "depth", "segmentation")
 REQUEST_BYTES = 2  # the camera's number, little-endian: writes of so few bytes are whole
 DONE = b"\1"
 _PICTURE_BYTES = WIDTH * HEIGHT * 4
-_LOOKS = (  # all of the model that a lane's layout changes and that is seen
+_LOOKS = (  # the visible parts of the model that a layout changes
     *("geom_type", "geom_size", "geom_rbound", "geom_pos", "geom_quat", "geom_rgba", "geom_matid"),
     *("geom_dataid", "geom_sameframe"),
     *("light_pos", "light_dir", "light_diffuse", "light_ambient"),
@@ -29,7 +29,7 @@ _LOOKS = (  # all of the model that a lane's layout changes and that is seen
 
 
 def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
-    """One camera's slot: kind of picture, qpos, looks and how often they changed, picture bottom row first."""
+    """Return the type of a slot: kind of picture, number of changes of the looks, qpos, looks, picture bottom up."""
     looks = sum(getattr(model, name).nbytes for name in _LOOKS)
     return np.dtype(
         [
@@ -44,7 +44,7 @@ def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
 
 
 def write_looks(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
-    """Note what the model's objects and lights look like."""
+    """Copy the appearance of the model's objects and lights to `looks`."""
     start = 0
     for name in _LOOKS:
         values = getattr(model, name).view(np.uint8).reshape(-1)
@@ -53,7 +53,7 @@ def write_looks(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
 
 
 def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
-    """Give the model the looks of another."""
+    """Copy `looks` to the model."""
     start = 0
     for name in _LOOKS:
         values = getattr(model, name).view(np.uint8).reshape(-1)
@@ -62,7 +62,7 @@ def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
 
 
 def pixels(slot: np.void, kind: str) -> AnyImage:
-    """The picture in a slot, as an array of its kind: (H, W) uint8, float32 or int32, or (H, W, 3) uint8."""
+    """Return the picture in a slot as an array of its kind: (H, W) uint8, float32 or int32, or (H, W, 3) uint8."""
     if kind in ("gray", "colour"):
         shape = (HEIGHT, WIDTH) if kind == "gray" else (HEIGHT, WIDTH, 3)
         return np.asarray(slot["picture"][: int(np.prod(shape))].reshape(shape))
@@ -71,7 +71,7 @@ def pixels(slot: np.void, kind: str) -> AnyImage:
 
 
 def anonymous_memory(size: int) -> int:
-    """File descriptor of `size` bytes of zeros that processes started with it share."""
+    """Return a file descriptor of `size` zero bytes, shared by processes that inherit it."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("uavaccel")
     else:
@@ -82,5 +82,5 @@ def anonymous_memory(size: int) -> int:
 
 
 def map_records(descriptor: int, dtype: np.dtype[np.void], count: int) -> NDArray[np.void]:
-    """Records in shared memory."""
+    """Map `count` records in shared memory."""
     return np.frombuffer(mmap.mmap(descriptor, dtype.itemsize * count), dtype)

@@ -1,8 +1,8 @@
-"""Several pictures drawn one after another into one small buffer, and read back together.
+"""Several pictures rendered one after another into one small buffer, and read back at once.
 
-A picture's last bits depend on where in its buffer it is drawn: vertices are rounded relative to the buffer's corner.
-So each is drawn at the corner, as a camera's only picture is, and queued, by the GPU itself, into a tile of a sheet, a
-pixel buffer; what the processor waits for is the last one. With two sheets one is drawn while the other is read.
+A picture's last bits depend on its position in the buffer, since vertices are rounded relative to the buffer's corner.
+So each picture is rendered at the corner, like that of a single camera, and copied by the GPU into a tile of a sheet, a
+pixel buffer; the CPU waits only for the last one. With two sheets one is rendered while the other is read.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ SHEETS = 2
 
 
 class Tiles:
-    """`count` pictures at a time of scenes that share the textures of `model`; red, green, blue, alpha, or depth.
+    """Renders `count` pictures at a time of scenes with the textures of `model`: RGBA or depth, bottom row first.
 
-    Bottom row first. Raises UserError where OpenGL is missing.
+    Raises UserError if OpenGL is missing.
     """
 
     def __init__(self, model: mujoco.MjModel, count: int) -> None:
@@ -56,8 +56,8 @@ class Tiles:
             self._api.glBindBuffer(self._api.GL_PIXEL_PACK_BUFFER, self._sheets[sheet])
             self._bound = sheet
 
-    def draw(self, sheet: int, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
-        """Queue a picture of the scene for a tile."""
+    def render(self, sheet: int, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
+        """Queue the rendering of a scene into a tile."""
         self._bind(sheet)
         mujoco.mjr_render(self._rectangle, scene, self._context)
         api = self._api
@@ -68,7 +68,7 @@ class Tiles:
     def read(
         self, sheet: int, count: int, depth: bool = False
     ) -> Iterator[NDArray[np.uint8] | NDArray[np.float32]]:
-        """The first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, for as long as the block lasts."""
+        """Yield the first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, valid inside the block."""
         self._bind(sheet)
         api = self._api
         address = api.glMapBuffer(api.GL_PIXEL_PACK_BUFFER, api.GL_READ_ONLY)

@@ -1,8 +1,7 @@
-"""The MJCF model of a scene, with one quadrotor or several.
+"""The MuJoCo model of a scene, with one quadrotor or several.
 
-Furnished for AirSim's clients its ground goes on to the horizon, and it has room for objects that they spawn;
-NAME_airsim.xml stands for NAME.xml there if there is one. The experiments fly the plain scene, whose pictures stay as
-they are.
+For AirSim's clients the ground extends to the horizon, and spare geoms stand by for objects that they spawn;
+NAME_airsim.xml replaces NAME.xml if it exists. The experiments fly the scene without these changes.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from uavaccel.resources import asset
 from uavaccel.sim.lane.layout import PLAIN
 
 QUADROTOR = "quadrotor"
-DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which a camera that it carries leaves out
-OTHERS_GROUP = 2  # those of the others, which it sees
-SPARE = "spare_"  # begins the names of geoms that stand by until an object is spawned
+DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which its own camera does not render
+OTHERS_GROUP = 2  # of other quadrotors' visible geoms
+SPARE = "spare_"  # prefix of the names of geoms for spawned objects
 SPARES = 64
 PARKED_M = (0.0, 0.0, -500.0)  # below the ground, out of reach
 GROUND_HALF_M = 10_000.0
-NEAR_M, FAR_M = 0.05, 20_000.0  # drawn from and to
+NEAR_M, FAR_M = 0.05, 20_000.0  # clipping planes
 
 
 def scene_path(scene: str, scenery: str = PLAIN) -> Path:
-    """The file of a scene in a scenery. Raises UserError where there is none."""
+    """Return the file of a scene in a scenery. Raises UserError if there is none."""
     plain = asset(f"mjcf/{scene}.xml")
     path = plain if scenery == PLAIN else plain.parent / scenery / plain.name
     if not path.is_file():
@@ -40,9 +39,9 @@ def scene_path(scene: str, scenery: str = PLAIN) -> Path:
 def load_scene(
     scene: str, others: Sequence[str] = (), airsim: bool = False, scenery: str = PLAIN
 ) -> mujoco.MjModel:
-    """A scene of assets/mjcf with its quadrotor, and one more for each prefix, whose names begin with it.
+    """Load a scene of assets/mjcf with its quadrotor, and one more for each prefix in `others`.
 
-    `airsim` for AirSim's clients. Raises UserError for an unknown scene.
+    `airsim` prepares it for AirSim's clients. Raises UserError for an unknown scene.
     """
     path = scene_path(scene, scenery)
     if not others:
@@ -56,7 +55,7 @@ def load_scene(
 
 
 def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
-    """One quadrotor more for each prefix, whose names begin with it; what there was keeps its numbers."""
+    """Add a quadrotor for each prefix, with which its names begin; existing elements keep their ids."""
     for prefix in prefixes:
         quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
         for geom in quadrotor.geoms:
@@ -65,14 +64,14 @@ def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
 
 
 def airsim_model(scene: Path) -> mujoco.MjModel:
-    """The scene in a file, with a wide ground and SPARES spare geoms, neither seen nor touched."""
+    """Compile the scene in a file for AirSim's clients, with invisible spare geoms without contacts."""
     model = airsim_spec(scene).compile()
     put_spares_by(model)
     return model
 
 
 def airsim_spec(scene: Path) -> mujoco.MjSpec:
-    """The same before it is compiled, its spare geoms solid: else MuJoCo would leave them out of its trees."""
+    """Make the same uncompiled; its spare geoms have contacts, or MuJoCo would omit them from its trees."""
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene
     plain = mujoco.MjModel.from_xml_path(str(path))
@@ -86,13 +85,13 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
 
 
 def put_spares_by(model: mujoco.MjModel) -> None:
-    """Let nothing touch the spare geoms of a compiled model."""
+    """Switch off the contacts of a compiled model's spare geoms."""
     spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
     model.geom_contype[spares] = model.geom_conaffinity[spares] = 0
 
 
 def _widen_ground(spec: mujoco.MjSpec) -> None:
-    """Planes reach to the horizon; what is drawn on them keeps its size."""
+    """Extend planes to the horizon; their textures keep their scale."""
     wide: set[str] = set()
     for geom in spec.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -116,7 +115,10 @@ def _add_spares(spec: mujoco.MjSpec) -> None:
 
 
 def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
-    """Refit the world body's tree to the geoms `moved`; nodes precede their children, so from last to first."""
+    """Refit the world body's bounding-volume tree, which MuJoCo builds only once, to the geoms `moved`.
+
+    Nodes precede their children, hence the reverse order.
+    """
     first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
     boxes, children = model.bvh_aabb[first:], model.bvh_child[first:]
     for node in reversed(range(count)):
@@ -130,7 +132,7 @@ def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
 
 
 def _box(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
-    """Middle and half sizes (6,) of a geom along the axes of its body."""
+    """Return centre and half sizes (6,) of a geom's box along the axes of its body."""
     flat, own = np.empty(9), model.geom_aabb[geom]
     mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
     turn = flat.reshape(3, 3)

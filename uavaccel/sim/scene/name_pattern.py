@@ -1,8 +1,8 @@
-"""Regular expressions that clients send, matched against whole names in bounded time: std::regex_match with icase.
+"""Regular expressions from clients, matched against whole names in bounded time: std::regex_match with icase.
 
-A matcher that backtracks takes 2^n steps for some expressions of n letters, and nobody can interrupt it. Here all ways
-through an expression are followed at once, letter by letter (Thompson, CACM 11(6), 1968). Syntax: ECMA-262, 15.10, with
-the POSIX classes that std::regex adds; back references are refused, since no known way of matching them is bounded.
+A backtracking matcher takes 2^n steps for some expressions of n characters, and cannot be interrupted. This one is a
+nondeterministic finite automaton, simulated on all paths at once (Thompson, CACM 11(6), 1968). Syntax: ECMA-262, 15.10,
+with the POSIX classes of std::regex; back references are refused, since they cannot be matched in bounded time.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-MOST_STEPS = 10_000  # of an expression, its repetitions written out
-MOST_WORK = 300_000  # steps looked at for all names together: a tenth of a second
+MOST_STEPS = 10_000  # states of an expression, with its repetitions unrolled
+MOST_WORK = 300_000  # states visited for all names: a tenth of a second
 LINE_ENDS = "\n\r\u2028\u2029"
 
 Letters: TypeAlias = Callable[[str], bool]
-"""Whether a class has a letter."""
+"""Whether a character class contains a character."""
 Condition: TypeAlias = Callable[[str, int], bool]
-"""Whether something holds at a place of a name."""
+"""Whether an assertion holds at a position of a name."""
 
 
 @dataclass
 class Step:
-    """One step of an expression: takes a letter, or looks whether something holds, and goes on to any of `ways`."""
+    """A state of the automaton: it consumes a character or checks an assertion, and continues to any of `ways`."""
 
     takes: Letters | None = None
     holds: Condition | None = None
@@ -31,11 +31,11 @@ class Step:
 
 
 Part: TypeAlias = Callable[[list[Step]], None]
-"""Writes a part of an expression at the end of the steps, to go on with what is written next."""
+"""Appends the states of a part of an expression, which continue to those appended next."""
 
 
 class NamePattern:
-    """One expression, to be asked about any number of names. Raises ValueError for what is none."""
+    """A compiled expression. Raises ValueError for an invalid one."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -48,11 +48,11 @@ class NamePattern:
             raise ValueError(f"{text!r} is no regular expression: {error}") from None
 
     def matches(self, name: str) -> bool:
-        """Whether the whole name matches, whatever its case. Raises ValueError where finding out takes too long."""
+        """Return whether the whole name matches, ignoring case. Raises ValueError if that takes too long."""
         return self._ends(self._steps, name, 0, whole=True)
 
     def _ends(self, steps: list[Step], name: str, place: int, whole: bool) -> bool:
-        """Whether the steps lead from a place to the end of the name, or unless `whole` to anywhere."""
+        """Return whether the states match from a position to the end of the name or, unless `whole`, any part."""
         reached = self._reached(steps, [0], name, place)
         for number in range(place, len(name)):
             if not whole and len(steps) - 1 in reached:
@@ -67,7 +67,7 @@ class NamePattern:
         return len(steps) - 1 in reached
 
     def _reached(self, steps: list[Step], begin: list[int], name: str, place: int) -> set[int]:
-        """All steps to which one gets from some without taking a letter."""
+        """Return all states reachable from some without consuming a character."""
         reached: set[int] = set()
         pending = begin
         while pending:
@@ -88,7 +88,7 @@ class NamePattern:
 
 
 def _written(part: Part) -> list[Step]:
-    """The steps of a part; the last one is reached where it has matched."""
+    """Return the states of a part; the last one is the accepting state."""
     steps: list[Step] = []
     part(steps)
     _add(steps, Step())
@@ -188,27 +188,27 @@ def _not(takes: Letters) -> Letters:
 
 
 def _between(first: str, last: str) -> Letters:
-    """Letters of a range, whatever their case."""
+    """Return a class of the characters in a range, ignoring case."""
     if first > last:
         raise ValueError(f"the range {first}-{last} runs backwards")
     return lambda letter: any(first <= each <= last for each in {letter, letter.lower(), letter.upper()})
 
 
 class Parser:
-    """Reads an expression. `ends` says whether steps lead on from a place of a name, for what looks ahead."""
+    """Parses an expression; `ends` matches states from a position of a name, for lookaheads."""
 
     def __init__(self, text: str, ends: Callable[[list[Step], str, int, bool], bool]) -> None:
         self._text, self._place, self._ends = text, 0, ends
 
     def whole(self) -> Part:
-        """All of it. Raises ValueError."""
+        """Parse the whole expression. Raises ValueError."""
         part = self._choice()
         if self._place < len(self._text):
             raise ValueError(f"unbalanced ) at letter {self._place}")
         return part
 
     def _next(self, wanted: str) -> bool:
-        """Whether this comes next, and then it is passed by."""
+        """Skip `wanted` if it comes next, and return whether it does."""
         found = self._text.startswith(wanted, self._place)
         self._place += len(wanted) * found
         return found
@@ -287,7 +287,7 @@ class Parser:
         return condition(lambda name, place: self._ends(steps, name, place, False) == wanted)
 
     def _escaped(self) -> str | Letters:
-        """What stands behind a backslash: a letter, or a class of them."""
+        """Parse what follows a backslash: a character or a class."""
         letter = self._letter()
         if letter.lower() in CLASSES:
             known = CLASSES[letter.lower()]
@@ -302,7 +302,7 @@ class Parser:
         return letter
 
     def _class(self) -> Letters:
-        """What stands in brackets, the first of which has been read."""
+        """Parse a class in brackets, after the opening one."""
         negated, members = self._next("^"), []
         while not self._next("]"):
             first = self._member()

@@ -1,7 +1,7 @@
-"""The objects of a scene as AirSim's clients move them: found by name, placed, scaled, spawned and destroyed.
+"""The objects of a scene for AirSim's clients, which find them by name, move, scale, spawn and destroy them.
 
-An object is a geom of the world body, moved in place: neither the model nor a GL context is made anew. Places are NED,
-of the object's middle. Spawned objects take spare geoms (uavaccel.sim.scene.model); they stand still.
+An object is a geom of the world body, changed in place, so that neither the model nor a GL context is made anew.
+Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene.model); they are static.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _FIELDS = (  # of a geom, all that an object's pose, scale and presence change
 
 
 class SceneObjects:
-    """The objects of one scene. What is refused raises ValueError."""
+    """The objects of a world. Methods raise ValueError for what is not possible."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -66,16 +66,16 @@ class SceneObjects:
         return [int(geom) for geom in np.flatnonzero(still)]
 
     def names(self) -> list[str]:
-        """All objects that are there, sorted."""
+        """Return the names of all objects, sorted."""
         return sorted(name for name, geom in self._geoms.items() if self._is_there(geom))
 
     def geom(self, name: str) -> int | None:
-        """The geom that an object of that name is; None without one."""
+        """Return the geom of the object of that name; None without one."""
         geom = self._geoms.get(name)
         return geom if geom is not None and self._is_there(geom) else None
 
     def name_of(self, geom_name: str) -> str:
-        """What clients call the object whose geom the model calls so: its own name, unless it was spawned."""
+        """Return clients' name of the object with that geom name; they differ for spawned objects."""
         if not geom_name.startswith(SPARE):
             return geom_name
         return next(
@@ -86,7 +86,7 @@ class SceneObjects:
         return bool(self._model.geom_rgba[geom, 3] > 0.0)
 
     def pose(self, name: str) -> Pose | None:
-        """An object's pose, NED; None without one of that name."""
+        """Return an object's pose, NED; None without one of that name."""
         if (geom := self.geom(name)) is None:
             return None
         x, y, z = mujoco_to_ned(self._model.geom_pos[geom]).tolist()
@@ -94,7 +94,7 @@ class SceneObjects:
         return Pose((x, y, z), (w, i, j, k))
 
     def set_pose(self, name: str, pose: Pose) -> bool:
-        """Whether there is one of that name that can be moved: the ground cannot."""
+        """Move an object; returns False without one of that name, and for the ground."""
         geom = self.geom(name)
         if geom is None or self._kinds[geom] == PLANE:
             return False
@@ -103,11 +103,11 @@ class SceneObjects:
         return True
 
     def scale(self, name: str) -> Scale | None:
-        """An object's size as a multiple of its first one."""
+        """Return an object's size relative to its initial one; None without one of that name."""
         return None if (geom := self.geom(name)) is None else self._scales.get(geom, (1.0, 1.0, 1.0))
 
     def set_scale(self, name: str, scale: Scale) -> bool:
-        """Whether there is one of that name that can be scaled: neither the ground nor a mesh can."""
+        """Scale an object; returns False without one of that name, for the ground and for meshes."""
         geom = self.geom(name)
         if geom is None or self._kinds[geom] in (PLANE, MESH):
             return False
@@ -116,7 +116,7 @@ class SceneObjects:
         return True
 
     def spawn(self, name: str, asset: str, pose: Pose, scale: Scale) -> str:
-        """A new object of an asset's form; returns its name, numbered if it is taken (WorldSimApi::spawnObject)."""
+        """Spawn an object; returns its name, with a number if it is taken (WorldSimApi::spawnObject)."""
         if asset not in ASSETS:
             raise ValueError(
                 f"There were no objects with name {asset} found in the Registry; there are {', '.join(ASSETS)}"
@@ -135,7 +135,7 @@ class SceneObjects:
         return name
 
     def destroy(self, name: str) -> bool:
-        """Whether there was one of that name that can go: the ground cannot."""
+        """Destroy an object; returns False without one of that name, and for the ground."""
         geom = self.geom(name)
         if geom is None or self._kinds[geom] == PLANE:
             return False
@@ -148,10 +148,10 @@ class SceneObjects:
         return True
 
     def corners(self, name: str) -> NDArray[np.float64]:
-        """Corners (8, 3) of an object's box, in its own axes turned into NED; raises KeyError."""
+        """Return the corners (8, 3), NED, of an object's oriented box. Raises KeyError."""
         geom = self._geoms[name]
         half, middle = _half_sizes(self._model, geom), mujoco_to_ned(self._model.geom_aabb[geom, :3])
-        if self._kinds[geom] == PLANE:  # whose box has no end below
+        if self._kinds[geom] == PLANE:  # whose box is infinitely deep
             half, middle = (*self._model.geom_size[geom, :2], 0.0), np.zeros(3)
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         pose = self.pose(name) or Pose()
@@ -167,9 +167,8 @@ class SceneObjects:
     def _place(self, geom: int, pose: Pose) -> None:
         self._model.geom_pos[geom] = ned_to_mujoco(pose.position_m)
         self._model.geom_quat[geom] = quaternion_ned_to_mujoco(pose.orientation_wxyz)
-        self._model.geom_sameframe[geom] = (
-            mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        )  # else its turn goes unnoticed
+        # otherwise MuJoCo ignores its rotation
+        self._model.geom_sameframe[geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
     def _resize(self, geom: int, scale: Scale) -> None:
         half = np.array(self._full_size[geom]) * scale
@@ -186,7 +185,7 @@ class SceneObjects:
         self._scales[geom] = scale
 
     def _set_there(self, geom: int, there: bool) -> None:
-        """Seen and touched, or neither."""
+        """Make a geom visible with contacts, or neither."""
         self._model.geom_rgba[geom, 3] = float(there)
         self._model.geom_matid[geom] = self._model.geom_matid[geom] if there else -1
         self._model.geom_contype[geom] = self._model.geom_conaffinity[geom] = int(there)
@@ -202,7 +201,7 @@ def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:
 
 
 def take_over(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
-    """Let the objects of a model that has got more vehicles be as they were: the world's geoms are its first ones."""
+    """Copy all objects into a model with more vehicles; the world's geoms keep their ids, which come first."""
     geoms = np.flatnonzero(old.geom_bodyid == 0)
     for name in _FIELDS:
         getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]

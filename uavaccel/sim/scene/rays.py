@@ -1,4 +1,4 @@
-"""Rays cast into a scene, NED: what they meet first, how far away, and how its surface lies."""
+"""Ray casting in a scene, NED: the first geom hit, its distance and its surface normal."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco
 
 NEAR_END_M = 1e-3
-_GROUPS = np.array([1, 1, 1, 0, 0, 1], np.uint8)  # what depth shows: neither the vehicles' hulls nor looks
+_GROUPS = np.array(
+    [1, 1, 1, 0, 0, 1], np.uint8
+)  # those of depth pictures: neither the vehicles' hulls nor looks
 
 
 class Hits(NamedTuple):
-    """Of n rays: metres (n,), inf where nothing is met; geoms (n,), -1 for none; outward normals (n, 3), NED."""
+    """Hits of n rays: metres (n,), inf for none; geoms (n,), -1 for none; outward normals (n, 3), NED."""
 
     distance_m: NDArray[np.float64]
     geoms: NDArray[np.int32]
@@ -30,8 +32,8 @@ def cast(
     longest_m: float = np.inf,
     exclude: str = "quadrotor",
 ) -> Hits:
-    """Cast rays from a place along unit vectors (n, 3); the body `exclude` is not in their way."""
-    mujoco.mj_kinematics(model, data)  # mj_step leaves the places of the step's beginning
+    """Cast rays from a position along unit vectors (n, 3), through the body `exclude`."""
+    mujoco.mj_kinematics(model, data)  # mj_step leaves the positions of the step's beginning
     count = len(directions)
     geoms, distance_m, normals = np.full(count, -1, np.int32), np.full(count, -1.0), np.zeros((count, 3))
     cutoff = min(longest_m, mujoco.mjMAXVAL)
@@ -55,7 +57,7 @@ def cast(
 
 
 def sees(model: mujoco.MjModel, data: mujoco.MjData, start_m: ArrayLike, end_m: ArrayLike) -> bool:
-    """Whether nothing but the vehicle is between two places, short of what touches the second."""
+    """Return whether only the vehicle is between two positions, except for what touches the second."""
     way = np.asarray(end_m, float) - np.asarray(start_m, float)
     length_m = float(np.linalg.norm(way))
     if length_m <= NEAR_END_M:

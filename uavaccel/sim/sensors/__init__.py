@@ -1,5 +1,4 @@
-"""AirSim's sensors: their parameters by AirSim's names, and what they read of a vehicle's true state.
+"""AirSim's sensors: their settings under AirSim's names, and their readings of a vehicle's true state.
 
-Each reads the state of the tick at which it is asked. Its noise depends on that tick and on a seed, and not on who
-asked how often before.
+A reading is of the present tick. Its noise depends only on that tick and on a seed, not on earlier readings.
 """

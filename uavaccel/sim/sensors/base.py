@@ -19,21 +19,21 @@ from uavaccel.units import NS_PER_S
 
 
 class AirSimKeys(Config):
-    """A mapping with AirSim's keys; others are kept beside."""
+    """Settings with AirSim's PascalCase keys; unknown keys are kept."""
 
     model_config = ConfigDict(extra="allow", alias_generator=to_pascal)
 
 
-Settings: TypeAlias = Any  # each class of sensors takes its own
+Settings: TypeAlias = Any  # an AirSimKeys of its own for each class of sensors
 MakeSensor = Callable[[Settings, int, str], object]
 Made = TypeVar("Made", bound=MakeSensor)
 _sensors: dict[type[AirSimKeys], MakeSensor] = {}
 
 
 def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
-    """Register a class of sensors, made of these settings, the seed of their noise and a name.
+    """Register a class of sensors, whose constructor takes these settings, a noise seed and a name.
 
-    The settings have AirSim's number of the kind as `sensor_type`, and `enabled`.
+    The settings have `sensor_type`, AirSim's number of the kind, and `enabled`.
     """
 
     def register(made: Made) -> Made:
@@ -44,34 +44,37 @@ def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
 
 
 def sensors() -> dict[type[AirSimKeys], MakeSensor]:
-    """All classes of sensors by their settings, in the order of AirSim's numbers."""
+    """Return all classes of sensors by their settings, in the order of AirSim's numbers."""
     for module in pkgutil.iter_modules([str(Path(__file__).parent)], f"{__package__}."):
         importlib.import_module(module.name)
     return dict(sorted(_sensors.items(), key=lambda each: int(each[0].model_fields["sensor_type"].default)))
 
 
 class Truth(NamedTuple):
-    """A vehicle's state, the simulation's tick, seconds since the last reset, and the place of NED's origin."""
+    """Ground truth for a reading: a vehicle's state, physics step, time since the last reset, and NED's origin."""
 
     kinematics: Kinematics
     tick_s: float
     since_reset_s: float
     home: GeoPoint
-    body: str = "quadrotor"  # the vehicle's in the model, which no ray meets
+    body: str = "quadrotor"  # the vehicle's body in the model, through which rays pass
 
     @property
     def time_s(self) -> float:
+        """Simulated time, seconds."""
         return self.kinematics.time_ns / NS_PER_S
 
     @property
     def sample(self) -> int:
-        """The number of the tick since the simulation was made."""
+        """Number of the tick since the simulation was made."""
         return round(self.time_s / self.tick_s)
 
     @property
     def pose(self) -> Pose:
+        """Pose of the vehicle, NED."""
         return Pose(self.kinematics.position_m, self.kinematics.orientation_wxyz)
 
     @property
     def place(self) -> GeoPoint:
+        """Geographic position of the vehicle."""
         return geographic(self.kinematics.position_m, self.home)

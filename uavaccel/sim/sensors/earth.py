@@ -1,4 +1,4 @@
-"""The Earth that AirSim's sensors feel: geographic coordinates on a sphere, standard atmosphere, dipole field.
+"""AirSim's model of the Earth: geographic coordinates on a sphere, standard atmosphere, magnetic dipole.
 
 Source: AirSim v1.8.1, EarthUtils.hpp.
 """
@@ -19,7 +19,7 @@ MEAN_FIELD_GAUSS = 0.312
 
 
 class GeoPoint(NamedTuple):
-    """Degrees, and metres over the sea."""
+    """Latitude and longitude in degrees, altitude in metres above the sea."""
 
     latitude: float
     longitude: float
@@ -27,7 +27,7 @@ class GeoPoint(NamedTuple):
 
 
 class Atmosphere(NamedTuple):
-    """Kelvin, pascals, kg/m³."""
+    """State of the air: kelvin, pascals, kg/m³."""
 
     temperature_k: float
     pressure_pa: float
@@ -35,7 +35,7 @@ class Atmosphere(NamedTuple):
 
 
 def geographic(position_m: Vector, home: GeoPoint) -> GeoPoint:
-    """Where an NED position around `home` is: along the great circle that leaves it (nedToGeodetic)."""
+    """Convert an NED position relative to `home`, along the great circle that leaves it (nedToGeodetic)."""
     north, east, down = position_m
     arc = math.hypot(north, east) / RADIUS_M
     if arc < 1e-12:
@@ -52,7 +52,7 @@ def geographic(position_m: Vector, home: GeoPoint) -> GeoPoint:
 
 
 def local(point: GeoPoint, home: GeoPoint) -> Vector:
-    """The NED position of a point around `home`: the inverse of `geographic`."""
+    """Convert a point to an NED position relative to `home`: the inverse of `geographic`."""
     here, there = math.radians(home.latitude), math.radians(point.latitude)
     turned = math.radians(point.longitude - home.longitude)
     north = math.cos(here) * math.sin(there) - math.sin(here) * math.cos(there) * math.cos(turned)
@@ -64,7 +64,7 @@ def local(point: GeoPoint, home: GeoPoint) -> Vector:
 
 
 def atmosphere(altitude_m: float) -> Atmosphere:
-    """The standard atmosphere, up to 20 km (getStandardTemperature, getStandardPressure)."""
+    """Return the standard atmosphere, up to 20 km (getStandardTemperature, getStandardPressure)."""
     height_km = RADIUS_M * altitude_m / (RADIUS_M + altitude_m) / 1000
     if height_km <= 11:
         temperature = 288.15 - 6.5 * height_km
@@ -76,12 +76,12 @@ def atmosphere(altitude_m: float) -> Atmosphere:
 
 
 def pressure_altitude_m(pressure_pa: float) -> float:
-    """What an altimeter shows (BarometerSimple.hpp)."""
+    """Return the altitude that a barometric altimeter shows (BarometerSimple.hpp)."""
     return float(1 - (pressure_pa / SEA_LEVEL_PA) ** 0.190284) * 145366.45 * 0.3048
 
 
 def magnetic_field_gauss(point: GeoPoint) -> Vector:
-    """North, east and down of the dipole's field (getMagField, whose pole has latitude and colatitude exchanged)."""
+    """Return the dipole's field, NED (getMagField, whose pole has latitude and colatitude exchanged)."""
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
     turned = longitude - POLE_LONGITUDE
     colatitude = math.acos(

@@ -28,7 +28,7 @@ NO_FIX, FIX_2D, FIX_3D = 0, 2, 3
 
 
 class BarometerSettings(AirSimKeys):
-    """Shares of the pressure, seconds, pascals."""
+    """Drift as a share of the pressure, its time constant in seconds, noise in pascals."""
 
     sensor_type: Literal[1] = 1
     enabled: bool = True
@@ -38,7 +38,7 @@ class BarometerSettings(AirSimKeys):
 
 
 class BarometerReading(NamedTuple):
-    """Metres by the altimeter's formula, pascals, and hectopascals at sea level."""
+    """Altitude in metres, pressure in pascals, and pressure at sea level in hectopascals."""
 
     altitude_m: float
     pressure_pa: float
@@ -47,10 +47,10 @@ class BarometerReading(NamedTuple):
 
 @sensor(BarometerSettings)
 class Barometer:
-    """The standard atmosphere's pressure, its drift since the last reset, and white noise.
+    """Reads the standard atmosphere's pressure with a drift since the last reset, and white noise.
 
-    The drift is a Gauss-Markov process as GaussianMarkov.hpp updates it: what it gains is of the order of the step
-    and not of its root, so that of `pressure_factor_sigma` next to nothing comes about.
+    The drift is a Gauss-Markov process as in GaussianMarkov.hpp: its increments scale with the step instead of its
+    square root, so that it stays far below `pressure_factor_sigma`.
     """
 
     def __init__(self, settings: BarometerSettings, seed: int, name: str) -> None:
@@ -60,6 +60,7 @@ class Barometer:
         self._drift = Drift(seed, f"{name} drift", 1, keep, gain)
 
     def read(self, truth: Truth) -> BarometerReading:
+        """Return the reading of the present tick."""
         pressure = atmosphere(truth.place.altitude).pressure_pa
         pressure *= 1.0 + float(self._drift.at(truth.since_reset_s)[0])
         pressure += float(self._white.at(truth.sample)[0]) * self._sigma_pa
@@ -67,7 +68,7 @@ class Barometer:
 
 
 class MagnetometerSettings(AirSimKeys):
-    """Gauss."""
+    """Noise and bias in gauss."""
 
     sensor_type: Literal[4] = 4
     enabled: bool = True
@@ -78,7 +79,7 @@ class MagnetometerSettings(AirSimKeys):
 
 @sensor(MagnetometerSettings)
 class Magnetometer:
-    """The dipole's field where the vehicle is."""
+    """Reads the dipole's field at the vehicle, with a constant bias and white noise."""
 
     def __init__(self, settings: MagnetometerSettings, seed: int, name: str) -> None:
         self._settings = settings
@@ -87,7 +88,7 @@ class Magnetometer:
         self._bias = np.random.default_rng(seeds_of(seed, f"{name} bias")).uniform(-within, within, 3)
 
     def read(self, truth: Truth) -> Vector:
-        """Gauss, FRD."""
+        """Return the field in gauss, FRD."""
         field = (
             np.array(magnetic_field_gauss(truth.place)) @ truth.pose.matrix() * self._settings.scale_factor
         )
@@ -97,7 +98,7 @@ class Magnetometer:
 
 
 class GpsSettings(AirSimKeys):
-    """Metres and seconds."""
+    """Dilutions in metres, times in seconds."""
 
     sensor_type: Literal[3] = 3
     enabled: bool = True
@@ -113,7 +114,7 @@ class GpsSettings(AirSimKeys):
 
 
 class GpsReading(NamedTuple):
-    """Where, how exact in metres, m/s NED, and the kind of fix."""
+    """Position, horizontal and vertical dilution in metres, velocity in m/s NED, and the kind of fix."""
 
     place: GeoPoint
     eph_m: float
@@ -124,15 +125,16 @@ class GpsReading(NamedTuple):
 
 @sensor(GpsSettings)
 class Gps:
-    """The true position some time ago, and dilutions that fall after a reset; AirSim's has no noise.
+    """Reads a delayed true position without noise, and dilutions that fall after a reset.
 
-    What was some time ago is gone by: it is reckoned back from the present velocity and acceleration.
+    The delayed position is extrapolated back from the present velocity and acceleration.
     """
 
     def __init__(self, settings: GpsSettings, seed: int, name: str) -> None:
         self._settings = settings
 
     def read(self, truth: Truth) -> GpsReading:
+        """Return the reading of the present tick."""
         own, kinematics = self._settings, truth.kinematics
         ago_s = min(own.update_latency, truth.since_reset_s)
         acceleration = np.array(kinematics.linear_acceleration_m_s2)

@@ -18,7 +18,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class ImuSettings(AirSimKeys):
-    """Noise in AirSim's units."""
+    """Noise in AirSim's units, time constants in seconds."""
 
     sensor_type: Literal[2] = 2
     enabled: bool = True
@@ -43,7 +43,7 @@ class ImuReading(NamedTuple):
 
 @sensor(ImuSettings)
 class Imu:
-    """Sampled at every tick: white noise and biases that walk at random."""
+    """Reads rate and force at every tick, with white noise and random-walk biases."""
 
     def __init__(self, settings: ImuSettings, seed: int, name: str) -> None:
         self._rate_noise = math.radians(settings.angular_random_walk) / math.sqrt(3600)
@@ -59,6 +59,7 @@ class Imu:
         self._force_bias = Drift(seed, f"{name} force", 3, 1.0, force_walk * step)
 
     def read(self, truth: Truth) -> ImuReading:
+        """Return the reading of the present tick."""
         kinematics = truth.kinematics
         white = self._white.at(truth.sample) / math.sqrt(truth.tick_s)
         rate = np.array(kinematics.angular_velocity_rad_s) + white[:3] * self._rate_noise

@@ -1,4 +1,4 @@
-"""Noise that depends on the time of a reading and a seed, not on the readings before it."""
+"""Noise that depends only on a seed and on the time of a reading, not on earlier readings."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ UPDATES_PER_S = 50  # of a drift: BarometerSimpleParams' update_frequency
 
 
 def seeds_of(seed: int, sensor: str) -> np.random.SeedSequence:
-    """What a sensor's draws come from: its own, by its name."""
+    """Return the seed sequence of a sensor, by its name."""
     return np.random.SeedSequence([seed, zlib.crc32(sensor.encode())])
 
 
 class White:
-    """Independent standard normal numbers for each sample of a sensor."""
+    """White noise: independent standard normal numbers for each sample."""
 
     def __init__(self, seed: int, sensor: str, size: int) -> None:
         self._key = seeds_of(seed, sensor).generate_state(2, np.uint64)
         self._size = size
 
     def at(self, sample: int) -> NDArray[np.float64]:
-        """(size,), of the sample of that number, 0 or more."""
+        """Return the noise (size,) of sample number `sample`, 0 or more."""
         generator = np.random.Generator(np.random.Philox(key=self._key, counter=[0, 0, 0, sample]))
         return generator.standard_normal(self._size)
 
 
 class Drift:
-    """What begins at 0 and in each step keeps `keep` of itself and gains `gain` times a normal number.
+    """A first-order process that begins at 0; each step multiplies it by `keep` and adds `gain` times a normal number.
 
-    The steps are those of AirSim's barometer, UPDATES_PER_S. The process is of its time alone, whoever asked before.
+    It has UPDATES_PER_S steps, as AirSim's barometer.
     """
 
     def __init__(self, seed: int, sensor: str, size: int, keep: float, gain: float) -> None:
@@ -46,7 +46,7 @@ class Drift:
         self._values: list[NDArray[np.float64]] = []  # of this second, once they are asked for
 
     def at(self, time_s: float) -> NDArray[np.float64]:
-        """(size,) at a time, 0 or more."""
+        """Return the value (size,) at a time, 0 s or more."""
         second, update = divmod(math.floor(time_s * UPDATES_PER_S + 1e-6), UPDATES_PER_S)
         if second < self._second:  # a reset, or a saved state was gone back to
             self._begin()
@@ -62,5 +62,5 @@ class Drift:
         return self._values[update].copy()
 
     def _drawn(self) -> NDArray[np.float64]:
-        """(UPDATES_PER_S, size) for the present second."""
+        """Return the normal numbers (UPDATES_PER_S, size) of the present second."""
         return self._white.at(self._second).reshape(UPDATES_PER_S, self._size)

@@ -1,4 +1,4 @@
-"""Distance sensor and LiDAR, by rays.
+"""Distance sensor and LiDAR, by ray casting.
 
 Sources: AirSim v1.8.1, DistanceSimple, LidarSimple, their Params, UnrealDistanceSensor.cpp, UnrealLidarSensor.cpp.
 """
@@ -25,7 +25,7 @@ Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 class _Mounted(AirSimKeys):
-    """A sensor somewhere on the vehicle: metres and degrees, FRD."""
+    """A sensor's mounting on the vehicle: metres and degrees, FRD."""
 
     enabled: bool = True
     x: float = 0.0
@@ -37,10 +37,13 @@ class _Mounted(AirSimKeys):
 
     @property
     def mount(self) -> Pose:
+        """Pose relative to the vehicle, FRD."""
         return Pose((self.x, self.y, self.z), from_degrees(self.roll, self.pitch, self.yaw))
 
 
 class DistanceSettings(_Mounted):
+    """Range and standard deviation of the noise in metres."""
+
     sensor_type: Literal[5] = 5
     min_distance: NotNegative = 0.2
     max_distance: Positive = 40.0
@@ -57,14 +60,14 @@ class DistanceSettings(_Mounted):
 
 @sensor(DistanceSettings)
 class DistanceSensor:
-    """How far the first thing ahead of the sensor is; the largest distance where there is none."""
+    """Reads the distance to the first object ahead, at most the largest distance."""
 
     def __init__(self, settings: DistanceSettings, seed: int, name: str) -> None:
         self.settings = settings
         self._white = White(seed, name, 1)
 
     def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> float:
-        """Metres, with AirSim's noise."""
+        """Return the distance in metres, with AirSim's noise."""
         eye, longest_m = truth.pose.of(self.settings.mount), self.settings.max_distance
         hits = cast(model, data, eye.position_m, eye.matrix()[:, :1].T, longest_m, truth.body)
         true_m = min(float(hits.distance_m[0]), longest_m)
@@ -72,6 +75,8 @@ class DistanceSensor:
 
 
 class LidarSettings(_Mounted):
+    """Channels, rates per second, range in metres and field of view in degrees."""
+
     sensor_type: Literal[6] = 6
     number_of_channels: Annotated[int, Field(ge=1, le=1024)] = 16
     range: Positive = 100.0
@@ -86,7 +91,7 @@ class LidarSettings(_Mounted):
 
 
 class Scan(NamedTuple):
-    """Points (n, 3) in metres, the geoms hit (n,), and the sensor's pose, NED."""
+    """Points (n, 3) in metres, the geoms that were hit (n,), and the sensor's pose, NED."""
 
     points_m: NDArray[np.float64]
     geoms: NDArray[np.int32]
@@ -95,12 +100,13 @@ class Scan(NamedTuple):
 
 @sensor(LidarSettings)
 class Lidar:
-    """The points of one period of the sensor, seen from where the vehicle is when it is asked."""
+    """Reads the points of one period, all from the vehicle's present pose."""
 
     def __init__(self, settings: LidarSettings, seed: int, name: str) -> None:
         self.settings = settings
 
     def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> Scan:
+        """Return the present scan."""
         own, eye = self.settings, truth.pose.of(self.settings.mount)
         scan = int(truth.time_s * own.update_frequency)
         seen = directions(own, scan * 360.0 * own.rotations_per_second / own.update_frequency)
@@ -113,10 +119,10 @@ class Lidar:
 
 
 def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
-    """Unit vectors (n, 3) of a scan's rays in the sensor's frame, channel by channel from the upmost, turning right.
+    """Return unit vectors (n, 3) of a scan's rays in the sensor's frame, by channel from the top, clockwise.
 
-    Each channel takes the same azimuths, from `start_deg` on; rays outside of the horizontal field of view are left
-    out. None where less than half a point falls to a channel (UnrealLidarSensor::getPointCloud).
+    All channels have the same azimuths, from `start_deg` on, without those outside the horizontal field of view. There
+    are none if a channel has less than half a point (UnrealLidarSensor::getPointCloud).
     """
     azimuths_deg = azimuths(settings, start_deg)
     channels_deg = np.linspace(
@@ -128,9 +134,9 @@ def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]
 
 
 def azimuths(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
-    """Degrees (m,) from 0 to 360 of every channel's rays within the horizontal field of view, as they are cast.
+    """Return the azimuths (m,), 0 to 360 degrees, of each channel's rays within the horizontal field of view.
 
-    A field of view whose ends are the same direction is the whole circle (VectorMath::isAngleBetweenAngles).
+    A field of view with equal ends is the full circle (VectorMath::isAngleBetweenAngles).
     """
     period_s = 1.0 / settings.update_frequency
     points = min(_half_up(settings.points_per_second * period_s), MOST_POINTS)
@@ -143,5 +149,5 @@ def azimuths(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
 
 
 def _half_up(count: float) -> int:
-    """The nearest whole number, and of two the larger: FMath::RoundHalfFromZero of what is not negative."""
+    """Round to the nearest integer, halves up: FMath::RoundHalfFromZero for non-negative numbers."""
     return math.floor(count + 0.5)

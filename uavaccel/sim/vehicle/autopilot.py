@@ -1,13 +1,13 @@
-"""SimpleFlight's cascade: position, velocity, angle, rate, mixer, once per tick.
+"""SimpleFlight's cascade of position, velocity, angle and rate controllers and mixer, run once per tick.
 
 Sources: AirSim v1.8.1, simple_flight/firmware: CascadeController, PositionController, VelocityController,
 AngleLevelController, AngleRateController, PidController, OffboardApi (goal timeout), Mixer. All gains are
-proportional but for the vertical velocity's leaky integrator, which starts anew whenever the mode of z changes.
+proportional except for the vertical velocity's leaky integrator, which is reset whenever the mode of z changes.
 
-`goal` holds x, y, z and yaw. In the modes TILT and TILT_RATE its first two are roll and pitch, in MOTORS all four are
-motors; in THROTTLE the third is a throttle. What they mean otherwise is a velocity or a place.
+`goal` holds x, y, z and yaw, as velocities or positions. In the modes TILT and TILT_RATE the first two are roll and
+pitch, in THROTTLE the third is a throttle, in MOTORS all four are motor commands.
 
-Two peculiarities are AirSim's own and kept: velocities are regulated along the *body's* axes, so a tilted drone
+Two peculiarities of AirSim are kept: velocities are regulated along the *body's* axes, so a tilted drone
 climbs; and in `moveByVelocityZ` the height goal takes part in the rotation of the horizontal velocity goal.
 """
 
@@ -22,35 +22,32 @@ from uavaccel.parts import part
 from uavaccel.sim.vehicle.quadrotor import PID_LEVELS, Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z
-TILT, TILT_RATE, MOTORS = (
-    2,
-    3,
-    4,
-)  # modes of x, y alone: roll and pitch, their rates, the motors' own commands
-THROTTLE = 2  # mode of z alone
+TILT, TILT_RATE, MOTORS = 2, 3, 4  # modes of x, y only: roll and pitch, their rates, motor commands
+THROTTLE = 2  # mode of z only
 RATE, ANGLE = 0, 1  # modes of yaw
 UNSET = -1
 POSITION_LEVEL, VELOCITY_LEVEL, ANGLE_LEVEL = range(PID_LEVELS)
 YAW_SLOT = 3 * ANGLE_LEVEL + 2
-NEW = 100  # more than a mode: a controller that has not been updated yet
-IDLE_THROTTLE = 0.1 / 1.5  # what an armed vehicle's motors turn with while nobody flies it (Params.hpp)
+NEW = 100  # added to the mode of a controller that has not been updated yet
+IDLE_THROTTLE = 0.1 / 1.5  # of an armed vehicle without a goal (Params.hpp)
 
 
 @part
 def clip(value: float, limit: float) -> float:
+    """Limit a value to -limit..limit."""
     return min(max(value, -limit), limit)
 
 
 @part
 def shortest_turn(goal_rad: float, angle_rad: float) -> float:
-    """The difference of two angles, within half a turn."""
+    """Return the difference of two angles, within half a turn."""
     turn = goal_rad - angle_rad
     return turn - 2 * math.pi * math.floor((turn + math.pi) / (2 * math.pi))
 
 
 @part
 def hold_position(state: Record) -> None:
-    """Position mode at the present position, yaw rate zero (OffboardApi::update after the goal timeout)."""
+    """Set the goal to the present position, yaw rate 0 (OffboardApi::update after the goal timeout)."""
     state.goal[0], state.goal[1], state.goal[2] = state.position[0], state.position[1], state.position[2]
     state.goal[3] = 0.0
     state.xy_mode, state.z_mode, state.yaw_mode = POSITION, POSITION, RATE
@@ -58,7 +55,7 @@ def hold_position(state: Record) -> None:
 
 @part
 def renew(state: Record) -> None:
-    """Begin anew what belongs to controllers of another mode: AirSim makes new ones (CascadeController.hpp)."""
+    """Reset controllers whose mode has changed: AirSim makes new ones (CascadeController.hpp)."""
     for group in range(4):
         mode = (state.xy_mode, state.xy_mode, state.z_mode, state.yaw_mode)[group]
         if state.pid_mode[group] == mode + NEW:
@@ -72,15 +69,15 @@ def renew(state: Record) -> None:
 
 @part
 def pid_group(slot: int) -> int:
-    """Whose mode a controller goes by: x or roll, y or pitch, z, yaw."""
+    """Return the group whose mode a controller follows: x or roll, y or pitch, z, yaw."""
     return 3 if slot == YAW_SLOT else slot % 3
 
 
 @part
 def correction(parameters: Record, state: Record, level: int, axis: int, error: float) -> float:
-    """What integral and derivative add to a proportional output (PidController.hpp).
+    """Return the integral and derivative terms of a controller (PidController.hpp).
 
-    A new controller's first update sees no time pass. The integral of the vertical velocity is another's, `vertical`.
+    In a new controller's first update no time has passed. The vertical velocity's integral is computed in `vertical`.
     """
     slot = 3 * level + axis
     if state.pid_mode[pid_group(slot)] >= NEW:
@@ -94,7 +91,7 @@ def correction(parameters: Record, state: Record, level: int, axis: int, error: 
 
 @part
 def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
-    """Velocity that the position controller of one axis asks for, in m/s along that world axis."""
+    """Return the output of one axis' position controller, m/s along that world axis."""
     error = state.goal[axis] - state.position[axis]
     output = parameters.position_gain[axis] * error
     if parameters.full_pid != 0:
@@ -104,9 +101,9 @@ def velocity_goal(parameters: Record, state: Record, axis: int) -> float:
 
 @part
 def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float, float]:
-    """Velocity goals along the body's axes, in m/s.
+    """Return the velocity goals along the body's axes, in m/s.
 
-    In velocity mode the whole goal is rotated; a position controller rotates its own axis alone.
+    In velocity mode the whole goal is rotated; a position controller rotates only its own axis.
     """
     goal = state.goal
     gx, gy, gz = world_to_body(state.quaternion, (goal[0], goal[1], goal[2]))
@@ -120,8 +117,8 @@ def body_velocity_goal(parameters: Record, state: Record) -> tuple[float, float,
 
 @part
 def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
-    """Throttle from the vertical velocity error: proportional and leaky integral, each clipped to 1."""
-    if state.z_integral_mode != state.z_mode:  # a new controller: its first update sees no time pass
+    """Return the throttle for a vertical velocity error: proportional and leaky integral terms, clipped to 1."""
+    if state.z_integral_mode != state.z_mode:  # a new controller, in whose first update no time has passed
         state.z_integral_mode = state.z_mode
         state.z_integral = 0.0
     else:
@@ -135,7 +132,7 @@ def vertical(parameters: Record, state: Record, error_m_s: float) -> float:
 
 @part
 def tilt_goal(parameters: Record, state: Record, axis: int, error_m_s: float) -> float:
-    """Velocity controller: rad to tilt by so as to close a velocity error along a body axis, 0 or 1."""
+    """Return the velocity controller's tilt, rad, for a velocity error along body axis 0 or 1."""
     output = parameters.velocity_gain[axis] * error_m_s
     if parameters.full_pid != 0:
         output += correction(parameters, state, VELOCITY_LEVEL, axis, error_m_s)
@@ -144,7 +141,7 @@ def tilt_goal(parameters: Record, state: Record, axis: int, error_m_s: float) ->
 
 @part
 def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) -> float:
-    """Angle controller: rad/s to turn with so as to close an angle error."""
+    """Return the angle controller's rate, rad/s, for an angle error."""
     output = parameters.angle_gain[axis] * error_rad
     if parameters.full_pid != 0:
         output += correction(parameters, state, ANGLE_LEVEL, axis, error_rad)
@@ -153,7 +150,7 @@ def rate_goal(parameters: Record, state: Record, axis: int, error_rad: float) ->
 
 @part
 def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: float, yaw: float) -> None:
-    """Quad-X mixer: shift a command below zero up, scale one above 1 down (Mixer.hpp)."""
+    """Mix for a quad-X: shift commands up if one is below 0, scale them down if one is above 1 (Mixer.hpp)."""
     if throttle < parameters.min_mixed_throttle:
         state.rotor_input[:] = max(throttle, 0.0)
         return
@@ -171,7 +168,7 @@ def mix(parameters: Record, state: Record, throttle: float, roll: float, pitch: 
 
 @part(inline=False)
 def control(parameters: Record, state: Record) -> None:
-    """One update of the firmware at the state's tick: sets the rotors' commands."""
+    """Update the firmware at the state's tick, which sets the rotor commands."""
     if state.tick == state.hover_tick:
         hold_position(state)
     if state.armed == 0:
@@ -227,9 +224,9 @@ def control(parameters: Record, state: Record) -> None:
 
 
 def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:
-    """Give rotors, integrator and height goal the values that a long position hold arrives at.
+    """Set rotors, integrator and height goal to the steady state of a position hold at the state's pose.
 
-    Both are arrays of one record; the state's pose is where it hovers.
+    Both arguments are arrays of one record (1,).
     """
     state, gains = flight[0], parameters_of[0]
     weight = gains["mass_kg"] * gains["gravity_m_s2"]

@@ -1,6 +1,6 @@
-"""When MuJoCo has to step the vehicle, looking for contacts: not while it can touch nothing.
+"""When contact detection can be skipped, since the vehicle cannot reach anything.
 
-Nothing is estimated: no flight within the rotors', the air's and gravity's strongest pull leaves the ball of the reach.
+The bound is strict: no flight under the strongest thrust, drag and gravity leaves the ball that is assumed.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from uavaccel.sim.saved import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
-GUST_M_S = 10.0  # of velocity that a vehicle may gain before it is looked at again
+GUST_M_S = 10.0  # gain of velocity after which the bound is computed again
 MARGIN_M = 0.01
 DENSEST_AIR = 1.5  # kg/m³, kilometres below the sea
-STRONGEST_THRUST = 1.3  # of that at sea level, there
-NEAR_TICKS = 16  # flown with contacts where something is so near that leaving them out is not worth while
+STRONGEST_THRUST = 1.3  # relative to that at sea level, in the densest air
+NEAR_TICKS = 16  # flown with contact detection if less than that is free
 
 Floats = NDArray[np.float64]
 
 
 class Clearance:
-    """The surroundings of a scene's quadrotor: the geoms of the world, wherever they are placed.
+    """Distance of a scene's quadrotor from the static geoms; switches the model's contacts off and on.
 
-    It switches the model's contacts off and on; `data` has to hold the geoms' places.
+    `data` has to hold the geoms' positions.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -37,11 +37,9 @@ class Clearance:
         own = touching & (model.geom_bodyid == body)
         self._radius_m = float((np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound)[own].max())
         self._model = model
-        # views, which MuJoCo makes anew whenever they are asked for
-        self._qpos, self._places = (
-            data.qpos,
-            (model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb),
-        )
+        # views, which MuJoCo makes anew at each access
+        self._qpos = data.qpos
+        self._places = model.geom_type, data.geom_xpos, data.geom_xmat, model.geom_aabb
         self.alone = model.nbody == 2  # the world and the vehicle: nothing else moves
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -53,17 +51,17 @@ class Clearance:
         return touching
 
     def surroundings_changed(self) -> None:
-        """Something was moved, has come or has gone."""
+        """Note that static geoms were moved, added or removed."""
         self._find_surroundings(self._model)
         self.look_anew()
 
     def look_anew(self) -> None:
-        """The vehicle or its surroundings were moved."""
+        """Compute the bound again at the next tick: vehicle or surroundings were moved."""
         self._next_look_tick = 0
         self._model.opt.disableflags = self._with_contacts
 
     def ticks_to_fly(self, tick: int, ticks: int, parameters: Record, state: Record) -> int:
-        """How many of the next `ticks` to fly before this is asked again; contacts are looked for if need be."""
+        """Return how many of the next `ticks` to fly before the next call; switches contact detection."""
         if tick >= self._next_look_tick:
             free_ticks = int(self.free_s(parameters, state) / parameters["tick_s"])
             near = free_ticks < NEAR_TICKS
@@ -73,21 +71,21 @@ class Clearance:
 
     @property
     def left_out(self) -> bool:
-        """Whether contacts are not looked for."""
+        """Whether contact detection is off."""
         return bool(self._model.opt.disableflags != self._with_contacts)
 
     def get_state(self) -> State:
-        """The schedule."""
+        """Return the schedule."""
         return {"next_look_tick": self._next_look_tick, "left_out": self.left_out}
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         self._next_look_tick = int(state["next_look_tick"])
         left_out = bool(state["left_out"])
         self._model.opt.disableflags = self._without_contacts if left_out else self._with_contacts
 
     def free_s(self, parameters: Record, state: Record) -> float:
-        """Seconds of flight, 0 or more, in which nothing can be touched, whatever the autopilot does."""
+        """Return the seconds of flight, 0 or more, in which no contact is possible, whatever the autopilot does."""
         if not self.alone:
             return 0.0
         distance_m = _distance(self._qpos, self._still, *self._places)
@@ -100,7 +98,7 @@ class Clearance:
 
 @part
 def free_s(parameters: Record, state: Record, gap_m: float) -> float:
-    """Seconds of flight, 0 or more, in which a gap to everything is not used up, whatever the autopilot does."""
+    """Return the seconds, 0 or more, in which no flight crosses `gap_m`, whatever the autopilot does."""
     thrust_n, drag_m2, mass_kg = parameters.max_thrust_n, parameters.drag_factor_m2, parameters.mass_kg
     return time_through(
         gap_m, state.velocity, state.wind, thrust_n, drag_m2, mass_kg, parameters.gravity_m_s2
@@ -117,7 +115,7 @@ def time_through(
     mass_kg: float,
     gravity_m_s2: float,
 ) -> float:
-    """The same of fields: numba takes records from Python more slowly than it computes this."""
+    """Compute `free_s` from single fields: passing records from Python to numba takes longer than the computation."""
     speed, wind_speed = length(velocity), length(wind)
     strongest = strongest_acceleration(thrust_n, drag_m2, mass_kg, gravity_m_s2, speed + wind_speed)
     return time_to(gap_m, speed, strongest)
@@ -125,7 +123,7 @@ def time_through(
 
 @part
 def length(vector: Floats) -> float:
-    """Of three numbers."""
+    """Return the Euclidean norm of a vector (3,)."""
     return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
@@ -133,7 +131,7 @@ def length(vector: Floats) -> float:
 def strongest_acceleration(
     thrust_n: float, drag_m2: Floats, mass_kg: float, gravity_m_s2: float, airspeed_m_s: float
 ) -> float:
-    """Metres per second squared that no flight exceeds before it has gained GUST_M_S."""
+    """Return an upper bound of the acceleration, m/s², until the velocity has changed by GUST_M_S."""
     fastest = airspeed_m_s + GUST_M_S
     drag_n = length(drag_m2) * DENSEST_AIR * fastest * fastest
     return (4 * thrust_n * STRONGEST_THRUST + drag_n) / mass_kg + gravity_m_s2
@@ -141,7 +139,7 @@ def strongest_acceleration(
 
 @part
 def time_to(distance_m: float, speed_m_s: float, acceleration_m_s2: float) -> float:
-    """Seconds within which not even the strongest acceleration brings the vehicle so far."""
+    """Return the seconds in which not even that acceleration covers the distance."""
     if not (distance_m > 0.0 and speed_m_s < np.inf and acceleration_m_s2 < np.inf):
         return 0.0
     arrival_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * acceleration_m_s2 * distance_m)
@@ -160,7 +158,7 @@ def _distance(
     orientation: NDArray[np.float64],
     box: NDArray[np.float64],
 ) -> float:
-    """At most the distance, in m, from a point to any of the geoms: to the planes, and to the others' boxes."""
+    """Return a lower bound, m, of the distance from a point to the geoms: to planes, and to the others' boxes."""
     nearest: float = np.inf
     for geom in geoms:
         squared, height = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""What the vehicle touches: told apart by object, kept as AirSim's CollisionInfo tells it."""
+"""A log of a vehicle's contacts by object, with the contents of AirSim's CollisionInfo."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from uavaccel.units import mujoco_to_ned
 
 @dataclass(frozen=True)
 class Contact:
-    """The moment at which an object was touched; metres, NED.
+    """The beginning of a contact with an object; metres, NED.
 
-    `normal` points out of the object, `position_m` is the vehicle's, at `tick`.
+    `normal` points out of the object; `position_m` is that of the vehicle at `tick`.
     """
 
     tick: int
@@ -30,20 +30,20 @@ class Contact:
 
 
 class ContactLog:
-    """Counts touches since the vehicle was last placed, and keeps the first and the latest.
+    """Counts contacts since the vehicle was last placed, and keeps the first and the latest.
 
-    A touch begins when something is touched that was not touched before; what stays in touch is no new one.
+    A contact is counted when it begins; while it lasts, it is not counted again.
     """
 
     def __init__(
         self, data: mujoco.MjData, body: int, model: mujoco.MjModel, name_of: Callable[[int], str]
     ) -> None:
-        """`name_of` names what a geom belongs to; `body` is the vehicle's."""
+        """`body` is the vehicle's; `name_of` returns the name of what a geom belongs to."""
         self._model, self._data, self._body, self._name_of = model, data, body, name_of
         self.clear()
 
     def clear(self) -> None:
-        """Nothing has been touched."""
+        """Forget all contacts."""
         self.count = 0
         self.first: Contact | None = None
         self.latest: Contact | None = None
@@ -51,20 +51,18 @@ class ContactLog:
         self.leave()
 
     def leave(self) -> None:
-        """The vehicle was put elsewhere: whatever it touches there, it touches anew."""
-        self._in_touch: frozenset[int] = frozenset()
+        """Let all present contacts count as new ones: the vehicle was moved."""
+        self._present: frozenset[int] = frozenset()
 
     def look(self, tick: int, position_m: NDArray[np.float64]) -> None:
-        """Contacts have begun or ended: `data.contact` holds those of the pose at `tick`, (3,) NED `position_m`."""
+        """Log the contacts that have begun at `tick`, in `data.contact`; `position_m` (3,) is NED."""
         contacts = _contacts(self._model, self._data, self._body)
-        new = [contact for contact in contacts if contact[0] not in self._in_touch]
-        self._in_touch = frozenset(geom for geom, _ in contacts)
+        new = [contact for contact in contacts if contact[0] not in self._present]
+        self._present = frozenset(geom for geom, _ in contacts)
         if not new:
             return
         geom, contact = min(new, key=lambda found: found[1].dist)  # the deepest
-        outwards = (
-            1.0 if int(contact.geom[0]) == geom else -1.0
-        )  # MuJoCo's points from the first to the second
+        outwards = 1.0 if int(contact.geom[0]) == geom else -1.0  # MuJoCo's normal leaves the first geom
         self.latest = Contact(
             tick,
             self._name_of(geom),
@@ -78,14 +76,14 @@ class ContactLog:
         self._unread = True
 
     def read(self) -> bool:
-        """Whether anything was touched since the last reading; AirSim's flag, which reading sets back."""
+        """Return whether a contact began since the last call: AirSim's flag, which reading clears."""
         unread, self._unread = self._unread, False
         return unread
 
     def get_state(self) -> State:
-        """All of it, as numbers, texts and arrays."""
+        """Return its contents."""
         state: State = {"count": self.count, "unread": self._unread}
-        state["in_touch"] = np.array(sorted(self._in_touch), np.int64)
+        state["in_touch"] = np.array(sorted(self._present), np.int64)
         for name, touch in (("first", self.first), ("latest", self.latest)):
             if touch is not None:
                 numbers = (*touch.position_m, *touch.impact_point_m, *touch.normal, touch.penetration_m)
@@ -94,20 +92,20 @@ class ContactLog:
         return state
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         self.count, self._unread = int(state["count"]), bool(state["unread"])
-        self._in_touch = frozenset(int(geom) for geom in state["in_touch"])
+        self._present = frozenset(int(geom) for geom in state["in_touch"])
         self.first, self.latest = _touch(state, "first"), _touch(state, "latest")
 
 
 def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> tuple[float, int]:
-    """How far, in m, a vehicle's body is inside what it touches in `data.contact`, and the geom; (0, -1) if nothing."""
+    """Return the deepest penetration, m, of a vehicle's body in `data.contact`, and the geom; (0, -1) without any."""
     found = min(_contacts(model, data, vehicle), key=lambda found: found[1].dist, default=None)
     return (0.0, -1) if found is None else (-float(found[1].dist), found[0])
 
 
 def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[tuple[int, mujoco.MjContact]]:
-    """The contacts of a vehicle's body, each with the geom at its other side."""
+    """List the contacts of a vehicle's body, each with the other geom."""
     found = []
     for contact in data.contact[: data.ncon]:
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]

@@ -1,7 +1,7 @@
-"""MuJoCo's Euler step of a lone free body that touches nothing: a twentieth of `mj_step`'s time, and the same bits.
+"""MuJoCo's Euler step of a single free body without contacts, bit for bit, in a twentieth of `mj_step`'s time.
 
-The operations are those of MuJoCo 4.0 in its order, as its wheels for x86-64 are built: with AVX, which adds four
-products by pairs, and without fused multiply-adds. Elsewhere the last bits differ from `mj_step`'s. Sources:
+The operations are those of MuJoCo 4.0, in its order, as its wheels for x86-64 are built: with AVX, which adds four
+products in pairs, and without fused multiply-adds. On other platforms the last bits differ from `mj_step`'s. Sources:
 engine_core_smooth.c (kinematics, comPos, comVel, rne), engine_forward.c (fwdAcceleration, advance),
 engine_util_spatial.c (quat2Mat, inertCom, mulInertVec, crossMotion, crossForce, quatIntegrate).
 
@@ -23,18 +23,19 @@ Triple: TypeAlias = tuple[float, float, float]
 Quad: TypeAlias = tuple[float, float, float, float]
 Array: TypeAlias = NDArray[np.float64]
 
-LEAST = 1e-15  # mjMINVAL: a norm closer to 0, or to 1, is taken for it
+LEAST = 1e-15  # mjMINVAL: a norm this close to 0 or to 1 counts as equal
 HUGE = 1e10  # mjMAXVAL: MuJoCo warns of numbers beyond
 
 
 @part
 def cross(a: Triple, b: Triple) -> Triple:
+    """Return the cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @part
 def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
-    """a by[0] + b by[1] + c by[2]."""
+    """Return a by[0] + b by[1] + c by[2]."""
     return (
         a[0] * by[0] + b[0] * by[1] + c[0] * by[2],
         a[1] * by[0] + b[1] * by[1] + c[1] * by[2],
@@ -44,7 +45,7 @@ def weighted(a: Triple, b: Triple, c: Triple, by: Triple) -> Triple:
 
 @part
 def normalised(w: float, x: float, y: float, z: float) -> Quad:
-    """The quaternion over its norm, unless that is 1 already."""
+    """Return the normalised quaternion."""
     norm = math.sqrt((w * w + x * x) + (y * y + z * z))
     if norm < LEAST:
         return 1.0, 0.0, 0.0, 0.0
@@ -56,7 +57,7 @@ def normalised(w: float, x: float, y: float, z: float) -> Quad:
 
 @part
 def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
-    """The body's axes in the world: the columns of its rotation matrix."""
+    """Return the body's axes in the world, the columns of its rotation matrix."""
     w, x, y, z = q
     a, b = w * w - y * y, x * x - z * z
     return (
@@ -75,7 +76,7 @@ def momentum(
     spin: Triple,
     velocity: Triple,
 ) -> tuple[Triple, Triple]:
-    """The world's spatial inertia, about a point `arm` off the centre of mass, times a motion."""
+    """Return spatial inertia, about a point `arm` from the centre of mass, times a motion."""
     ax, ay, az = axes
     rx = (ax[0] * inertia[0], ax[1] * inertia[0], ax[2] * inertia[0])
     ry = (ay[0] * inertia[1], ay[1] * inertia[1], ay[2] * inertia[1])
@@ -103,7 +104,7 @@ def momentum(
 
 @part
 def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
-    """A torque and a force about a body's axis; mju_dot's order."""
+    """Return the moment of torque and force about a body axis, in mju_dot's order."""
     return ((axis[0] * torque[0] + axis[2] * torque[2]) + (axis[1] * torque[1] + lever[0] * force[0])) + (
         lever[1] * force[1] + lever[2] * force[2]
     )
@@ -113,9 +114,9 @@ def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
 def bias(
     parameters: Record, qpos: Array, qvel: Array, axes: tuple[Triple, Triple, Triple]
 ) -> tuple[Triple, Triple]:
-    """What gravity and the motion itself ask for, as force and torque: mj_rne.
+    """Return the bias force and torque of gravity and motion: mj_rne.
 
-    MuJoCo works about the centre of mass as a mean weighted by masses, the last bit of which is its own.
+    MuJoCo computes the centre of mass as a weighted mean, which may differ from the position in the last bit.
     """
     mass = parameters.mass_kg
     inverse = 1.0 / mass
@@ -148,7 +149,7 @@ def bias(
 
 @part
 def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
-    """The quaternion after a tick at a body rate: the exponential map."""
+    """Return the quaternion after a tick at a body rate, by the exponential map."""
     rate = math.sqrt(x * x + y * y + z * z)
     angle = tick_s * rate
     if angle == 0.0:
@@ -169,19 +170,17 @@ def turn(q: Quad, tick_s: float, x: float, y: float, z: float) -> Quad:
 
 @part(inline=False)
 def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, acceleration: Array) -> bool:
-    """Step pose `qpos` (7,) and velocity `qvel` (6,) under `force` (6,), all in place; gravity comes from `parameters`.
+    """Step pose `qpos` (7,) and velocity `qvel` (6,) in place under `force` (6,) and the gravity of `parameters`.
 
-    `acceleration` (6,) takes what MuJoCo calls qacc. False, with nothing moved, for numbers that MuJoCo warns of:
-    they are `mj_step`'s.
+    `acceleration` (6,) receives MuJoCo's qacc. Returns False, without a step, for numbers of which MuJoCo would warn;
+    they are left to `mj_step`.
     """
     q = normalised(qpos[3], qpos[4], qpos[5], qpos[6])
     pull, twist = bias(parameters, qpos, qvel, body_axes(q))
     inertia, tick_s = parameters.inertia_kg_m2, parameters.tick_s
     total = 0.0
     for axis in range(3):
-        linear = (
-            (0.0 - pull[axis]) + force[axis]
-        ) + 0.0  # the zeros are MuJoCo's, and decide the sign of a 0
+        linear = ((0.0 - pull[axis]) + force[axis]) + 0.0  # MuJoCo's zeros decide the sign of a 0
         angular = ((0.0 - twist[axis]) + force[3 + axis]) + 0.0
         acceleration[axis] = linear * (1.0 / parameters.mass_kg)
         acceleration[3 + axis] = angular * (1.0 / inertia[axis])
@@ -196,7 +195,7 @@ def free_step(parameters: Record, qpos: Array, qvel: Array, force: Array, accele
 
 @part(error_model="numpy")
 def move(qpos: Array, qvel: Array, acceleration: Array, q: Quad, tick_s: float) -> None:
-    """Let velocity (6,) and pose (7,) follow an acceleration (6,) for a tick; `q` is the attitude, normalised."""
+    """Integrate velocity (6,) and pose (7,) over a tick; `q` is the normalised attitude."""
     for axis in range(6):
         qvel[axis] += acceleration[axis] * tick_s
     for axis in range(3):

@@ -1,6 +1,6 @@
-"""The hot loop: autopilot, rotors, drag and MuJoCo's own `mj_step`, without Python and without the GIL.
+"""The hot loop: autopilot, rotors, drag and MuJoCo's own `mj_step`, compiled, without Python and without the GIL.
 
-Where nothing can be touched, `free_step` takes `mj_step`'s place, to the same bits.
+While no contact is possible, `free_step` replaces `mj_step`, bit for bit.
 
 AirSim integrates by velocity Verlet: the pose moves with the mean velocity of the tick, and the velocity it
 reports belongs to the tick's end (FastPhysicsEngine.hpp). MuJoCo's semi-implicit Euler step kicks, then drifts.
@@ -57,7 +57,7 @@ RECORDER_DTYPE = np.dtype([("next_tick", "i8"), ("period", "i8"), ("count", "i8"
 
 
 def mj_step_address() -> int:
-    """Address of `mj_step` in the library that the mujoco package has loaded."""
+    """Return the address of `mj_step` in the library that the mujoco package has loaded."""
     library = next(Path(mujoco.__file__).parent.glob("*mujoco*.[sd][oyl]*"))
     function = ctypes.CDLL(str(library)).mj_step
     return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
@@ -67,7 +67,7 @@ def mj_step_address() -> int:
 def _call_mj_step(
     typing_context: object, address: types.Type, model: types.Type, data: types.Type
 ) -> Intrinsic:
-    """`mj_step(model, data)` through its address: an argument, since numba cannot cache a global pointer."""
+    """Call `mj_step(model, data)` by its address, an argument because numba cannot cache a global pointer."""
 
     def codegen(
         context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
@@ -83,7 +83,7 @@ def _call_mj_step(
 
 @intrinsic
 def _pointer(typing_context: object, address: types.Type) -> Intrinsic:
-    """An address as a pointer, for `carray`."""
+    """Convert an address to a pointer, for `carray`."""
 
     def codegen(
         context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
@@ -99,7 +99,7 @@ pointer: Callable[[int], int] = _pointer
 
 @part
 def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
-    """MuJoCo's pose into the state, NED and FRD (units.py's half turn about x, unrolled)."""
+    """Copy MuJoCo's pose into the state, NED and FRD (units.py's half turn about x, unrolled)."""
     state.position[0], state.position[1], state.position[2] = qpos[0], -qpos[1], -qpos[2]
     state.quaternion[0], state.quaternion[1] = qpos[3], qpos[4]
     state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
@@ -131,9 +131,9 @@ def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: ND
 def feel_contacts(
     parameters: Record, state: Record, contact: NDArray[np.float64], push: NDArray[np.float64]
 ) -> None:
-    """Add to the accelerations, and to the velocity at the tick, what the contacts of the last step pushed with.
+    """Add the contact forces of the last step to the accelerations, and to the velocity at the tick.
 
-    MuJoCo adds it to the next kick itself. Those of the step to come are not known yet; at rest they are the same.
+    MuJoCo adds them to the next kick itself. Those of the coming step are not known yet; at rest they are the same.
     """
     if contact[0] == 0.0 or parameters.contacts_act == 0:
         return
@@ -149,7 +149,7 @@ def feel_contacts(
 
 @part
 def note_contacts(state: Record, contact: NDArray[np.float64]) -> bool:
-    """Whether the contacts have changed in number; the state is still that of the tick which they speak of."""
+    """Return whether the number of contacts has changed; the state is still that of the tick they belong to."""
     if contact[0] == state.contacts:
         return False
     state.contacts, state.contacts_changed, state.contact_tick = contact[0], 1, state.tick
@@ -162,7 +162,7 @@ def note_contacts(state: Record, contact: NDArray[np.float64]) -> bool:
 
 @part
 def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> None:
-    """Append the state to the bounded buffer if its tick is on the recorder's grid."""
+    """Append the state to the bounded buffer if a sample is due at its tick."""
     if state.tick != recorder.next_tick:
         return
     recorder.next_tick += recorder.period
@@ -182,7 +182,7 @@ def record(recorder: Record, samples: NDArray[np.float64], state: Record) -> Non
 
 @part
 def pass_ticks(state: Record, recorder: Record, samples: NDArray[np.float64], ticks: int) -> None:
-    """Record this tick if it is due, and let `ticks` pass."""
+    """Record this tick if a sample is due, and let `ticks` pass."""
     record(recorder, samples, state)
     for _ in range(ticks):
         state.tick += 1
@@ -201,8 +201,8 @@ def after_step(
     push: NDArray[np.float64],
     samples: NDArray[np.float64],
 ) -> bool:
-    """What one vehicle's tick is beside MuJoCo's step; whether its contacts have begun or ended."""
-    # the contact sensor speaks of the pose at which the step began: the tick before
+    """Complete one vehicle's tick after MuJoCo's step; returns whether contacts have begun or ended."""
+    # the contact sensor reports on the pose at the step's beginning: the tick before
     changed = note_contacts(state, contact)
     kick(parameters, state, qvel, force)
     feel_contacts(parameters, state, contact, push)
@@ -218,7 +218,7 @@ def arrive(
     qpos: NDArray[np.float64],
     samples: NDArray[np.float64],
 ) -> None:
-    """The rotors at the tick that ends, then the next one: its pose, the autopilot, the recorder."""
+    """Update the rotors at the tick that ends, then pose, autopilot and recorder at the next one."""
     turn_rotors(parameters, state)
     read_pose(state, qpos)
     state.tick += 1
@@ -226,23 +226,23 @@ def arrive(
     record(recorder, samples, state)
 
 
-HANDLES = 15  # of one vehicle
+HANDLES = 15  # per vehicle
 
 
 class CompiledLoop(Protocol):
-    """Machine code, called through `ctypes(handles, ticks)`."""
+    """A compiled entry point, called through `ctypes(handles, ticks)`."""
 
     def ctypes(self, handles: ctypes._Pointer[ctypes.c_int64], ticks: int) -> int: ...
 
 
 @part(inline=False)
 def views(handles: NDArray[np.int64], first: int) -> tuple[Record, ...]:
-    """What the entry points work on. `handles` are int64 addresses from `first` on, but for a count of rows.
+    """Return the arrays behind `handles`, int64 addresses from index `first` on, one of which is a count of rows.
 
     In order: mj_step, model, data; qpos, qvel, qfrc_applied, contact sensor, qfrc_constraint; parameters, flight,
-    recorder, samples, their rows; and for `fly_free` alone qacc_warmstart and a copy of MuJoCo's time. Records come as
-    arrays of one: numba returns no records.
-    Plain addresses, since numba's own dispatch of a dozen arrays costs more than three ticks of flight.
+    recorder, samples, their number of rows; and only for `fly_free` qacc_warmstart and a copy of MuJoCo's time. Records
+    are arrays of one, since numba returns no records. Plain addresses are used since numba's own dispatch of a dozen
+    arrays costs more than three ticks of flight.
     """
     return (
         carray(pointer(handles[first + 3]), 7, np.float64),
@@ -259,7 +259,7 @@ def views(handles: NDArray[np.int64], first: int) -> tuple[Record, ...]:
 
 @part
 def steps_without_mujoco(handles: NDArray[np.int64], ticks: int) -> int:
-    """How many of `ticks` were flown where nothing is touched; `handles` as views'."""
+    """Fly up to `ticks` ticks without contacts and return how many; `handles` as in `views`."""
     qpos, qvel, force, _, _, of_parameters, of_flight, of_recorder, samples = views(handles, 0)
     parameters, state, recorder = of_parameters[0], of_flight[0], of_recorder[0]
     acceleration = carray(pointer(handles[13]), 6, np.float64)
@@ -275,7 +275,7 @@ def steps_without_mujoco(handles: NDArray[np.int64], ticks: int) -> int:
 
 @part
 def after_step_of_all(handles: NDArray[np.int64]) -> bool:
-    """`after_step` of every vehicle; `handles` as fly_all's."""
+    """Do `after_step` for every vehicle; `handles` as in `fly_all`."""
     changed = False
     for vehicle in range(handles[0]):
         seen = views(handles, 1 + HANDLES * vehicle)
@@ -285,24 +285,24 @@ def after_step_of_all(handles: NDArray[np.int64]) -> bool:
 
 
 class EntryPoints(NamedTuple):
-    """Machine code, called through `.ctypes(handles, ticks)`, without the GIL."""
+    """The compiled entry points, called through `.ctypes(handles, ticks)`, which release the GIL."""
 
     fly: CompiledLoop
     """Fly up to `ticks` ticks; returns how many: fewer where contacts begin or end."""
     fly_free: CompiledLoop
-    """`fly` where nothing can be touched, without MuJoCo; fewer where numbers come up that it would warn of."""
+    """Fly without MuJoCo while no contact is possible; returns fewer ticks at numbers of which it would warn."""
     fly_all: CompiledLoop
-    """`fly` for several vehicles of one model: `handles` are their count, and then those of each."""
+    """Fly several vehicles of one model: `handles` are their count, followed by those of each."""
     stand_still: CompiledLoop
-    """Let `ticks` ticks pass without moving; the recorder takes this tick, if it is due, and goes on."""
+    """Let `ticks` ticks pass without moving, this one included in the recording if a sample is due."""
     look: CompiledLoop
-    """Read MuJoCo's pose and compute the next kick, after either was changed from outside."""
+    """Read MuJoCo's pose and compute the next kick, after a change from outside."""
 
 
 def _compile(sources: int) -> EntryPoints:
-    """The entry points, from numba's cache if they are there.
+    """Compile the entry points, or load them from numba's cache.
 
-    numba looks for changes in this file alone; that they close over `sources` makes it see those in the others.
+    numba only notices changes of this file; closing over `sources` makes it notice those of the others.
     """
     entry_point = cfunc(types.int64(types.CPointer(types.int64), types.int64), cache=True)
 
@@ -345,7 +345,7 @@ def _compile(sources: int) -> EntryPoints:
 
 
 def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
-    """The files of ours that a module's code may come from: all that it imports, and what that imports."""
+    """Collect the package's files that a module imports, directly or indirectly."""
     file = Path(sys.modules[module].__file__ or "")
     if file.name == "__init__.py" or module in found:  # packages hold no code of the loop's
         return found
@@ -359,7 +359,7 @@ def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
 
 
 def sources(module: str) -> int:
-    """A number that changes with the code that a module takes from other files of ours; never 0."""
+    """Return a checksum, never 0, of the package's code that a module depends on."""
     files = _reached(module, {})
     return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
 

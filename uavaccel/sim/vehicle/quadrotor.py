@@ -1,8 +1,8 @@
-"""AirSim's generic quad-X: parameters, the state of its flight, and the forces on it.
+"""AirSim's generic quad-X: its parameters, its flight state, and the forces on it, in NED and FRD.
 
-Everything is NED and FRD. Sources: AirSim v1.8.1 MultiRotorParams.hpp (setupFrameGenericQuad), RotorParams.hpp,
-RotorActuator.hpp, MultiRotorPhysicsBody.hpp (drag faces), FastPhysicsEngine.hpp, EarthUtils.hpp (atmosphere),
-SimpleFlight's Params.hpp (gains and limits). Mass and inertia come from the MJCF model.
+Mass and inertia come from the MJCF model. Sources: AirSim v1.8.1 MultiRotorParams.hpp (setupFrameGenericQuad),
+RotorParams.hpp, RotorActuator.hpp, MultiRotorPhysicsBody.hpp (drag faces), FastPhysicsEngine.hpp, EarthUtils.hpp
+(atmosphere), SimpleFlight's Params.hpp (gains and limits).
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def parameters(
     inertia: NDArray[np.float64],
     contacts_act: bool = True,
 ) -> NDArray[np.void]:
-    """One record (1,) of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
+    """Make a record (1,) of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
     record = np.zeros(1, PARAMETERS_DTYPE)
     record["tick_s"] = tick_s
     record["hover_after_ticks"] = hover_after_ticks
@@ -138,9 +138,9 @@ def parameters(
 
 @njit(cache=True)
 def air_density(altitude_m: float) -> float:
-    """Kilograms per cubic metre in the standard atmosphere's two lowest layers (EarthUtils.hpp).
+    """Return the air density, kg/m³, in the standard atmosphere's two lowest layers (EarthUtils.hpp).
 
-    The upper one, of one temperature from 11 to 20 km, goes on for ever: thin air, but never none.
+    The isothermal upper layer, from 11 to 20 km, is extrapolated above, so that the density is never 0.
     """
     height_km = 6378.137 * (altitude_m / 1000.0) / (6378.137 + altitude_m / 1000.0)
     if height_km > 11.0:
@@ -151,7 +151,7 @@ def air_density(altitude_m: float) -> float:
 
 @part
 def density_ratio(parameters: Record, z_m: float) -> float:
-    """Density at NED height `z_m` over that at sea level, which thrust and torque are proportional to."""
+    """Return the air density at NED `z_m` relative to sea level, to which thrust and torque are proportional."""
     return air_density(parameters.ground_altitude_m - z_m) / parameters.sea_density_kg_m3
 
 
@@ -175,9 +175,9 @@ def world_to_body(q: NDArray[np.float64], vector: tuple[float, float, float]) ->
 
 @part
 def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) -> float:
-    """Newtons along one body axis on whichever of the two opposite faces meets the air.
+    """Return the drag, N, along one body axis on the face that meets the air.
 
-    A face's centre lies on its own axis: turning adds nothing along its normal, and its drag no torque.
+    A face's centre lies on its axis, so that rotation adds no velocity along its normal, and its drag no torque.
     """
     if abs(speed) > min_speed:
         return -factor_m2 * density * speed * abs(speed)
@@ -188,7 +188,7 @@ def face_drag(factor_m2: float, density: float, speed: float, min_speed: float) 
 def accelerate(
     parameters: Record, state: Record, velocity: tuple[float, float, float], rate: tuple[float, float, float]
 ) -> None:
-    """Set the accelerations from rotors, drag and gravity at the state's pose.
+    """Set the accelerations due to rotors, drag and gravity at the state's pose.
 
     `velocity` (world) and `rate` (body) are those half a tick later: AirSim evaluates drag and the gyroscopic
     term at the step's mean velocity (FastPhysicsEngine.hpp, getNextKinematicsNoCollision).
@@ -227,7 +227,7 @@ def accelerate(
 
 @part(inline=False)
 def turn_rotors(parameters: Record, state: Record) -> None:
-    """One tick of the rotors' lag: the output follows the lagged command one tick later (RotorActuator.hpp)."""
+    """Advance the rotors' lag by a tick: the output follows the lagged command a tick later (RotorActuator.hpp)."""
     keep = parameters.rotor_keep
     for rotor in range(ROTORS):
         state.rotor_output[rotor] = state.rotor_lagged[rotor]

@@ -1,4 +1,4 @@
-"""The recorder inside the hot loop: a bounded buffer of samples on exact ticks."""
+"""The recorder of the hot loop: a bounded buffer of samples at exact ticks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAMPLE_CAPACITY = 1 << 16
 
 
 class Samples:
-    """Rows (n, 14): tick, position, wxyz, velocity, body rate; the hot loop writes them."""
+    """Rows (n, 14) that the hot loop writes: tick, position, wxyz, velocity, body rate."""
 
     def __init__(self, period_ticks: int, capacity: int | None = None) -> None:
         self.record = np.zeros(1, hotloop.RECORDER_DTYPE)
@@ -23,11 +23,12 @@ class Samples:
 
     @property
     def active(self) -> bool:
+        """Whether it records."""
         return int(self.record["next_tick"][0]) != NEVER
 
     @property
     def dropped(self) -> int:
-        """Samples that found the buffer full."""
+        """Number of samples for which the buffer had no room."""
         return int(self.record["dropped"][0])
 
     def start(self, tick: int) -> None:
@@ -36,23 +37,25 @@ class Samples:
         self.record["next_tick"] = tick
 
     def stop(self) -> None:
+        """Stop recording; the rows stay."""
         self.record["next_tick"] = NEVER
 
     def rows(self) -> NDArray[np.float64]:
-        """Copy of what was recorded."""
+        """Return a copy of the recorded rows."""
         return self.buffer[: int(self.record["count"][0])].copy()
 
     def take(self) -> NDArray[np.float64]:
-        """The rows, and room for as many anew; the grid goes on."""
+        """Return the rows and empty the buffer; recording continues."""
         rows = self.rows()
         self.record["count"] = 0
         return rows
 
     def get_state(self) -> State:
+        """Return its contents."""
         return of_record(self.record) | {"rows": self.rows()}
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         into_record(self.record, state)
         rows = np.asarray(state["rows"], float).reshape(-1, hotloop.SAMPLE_COLUMNS)
         self.buffer[: len(rows)] = rows

@@ -1,7 +1,7 @@
-"""Where a vehicle stands: at the height at which what it touches bears it, at rest from its first tick on.
+"""Placing a vehicle on the ground or an object, at the height where contact forces carry it and it stays at rest.
 
-AirSim locks a vehicle to the ground that it stands on (FastPhysicsEngine.hpp): its velocity and its accelerations are 0
-until its rotors lift it. MuJoCo's contacts give way a little before they bear anything.
+AirSim locks a vehicle to the ground on which it stands (FastPhysicsEngine.hpp): velocity and accelerations are 0 until
+the rotors lift it. MuJoCo's contacts are soft: they carry a vehicle only after some penetration.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from uavaccel.sim.vehicle.clearance import PLANE
 from uavaccel.sim.vehicle.collisions import deepest_contact
 from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
 
-GIVE_M = 1e-3  # more than contacts give way under a vehicle, and less than anybody would call a fall
+GIVE_M = 1e-3  # more than contacts give under a vehicle, and less than a noticeable fall
 HALVINGS = 60
 
 
 def stand(vehicle: Vehicle) -> None:
-    """Set a level, idle vehicle on what it touches, if it touches anything; all others stay as they are.
+    """Place a level, idle vehicle on what it touches, if anything; other vehicles stay as they are.
 
-    A frame of its own begins where it stands.
+    If the vehicle has its own frame, its origin moves with it.
     """
     (x, y, z), attitude = vehicle.place_m, vehicle.start.orientation_wxyz
 
@@ -37,7 +37,7 @@ def stand(vehicle: Vehicle) -> None:
         middle = (low + high) / 2
         low, high = (middle, high) if borne(middle) else (low, middle)
     if stands:
-        borne(low)  # whose push is the one to be felt
+        borne(low)  # leaves the contact forces of that height
     into_physics(vehicle.model, vehicle.data, before)
     if stands:
         vehicle.set_pose((x, y, low), attitude)
@@ -47,7 +47,7 @@ def stand(vehicle: Vehicle) -> None:
 
 
 def on_the_ground(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:
-    """The place, or where that is in the ground the one on it, to which AirSim's collisions push a vehicle out."""
+    """Return the position or, if it is in the ground, the one on it, to which AirSim's collisions push a vehicle."""
     x, y, z = position_m
     highest_m = min(z, 0.0)
     depth_m, geom = depth(vehicle, (x, y, highest_m), attitude)
@@ -57,7 +57,7 @@ def on_the_ground(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) ->
 
 
 def depth(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
-    """How far in m a vehicle would be inside what it would touch there, and the geom; (0, -1) for nothing."""
+    """Return the penetration, m, that a vehicle would have at a pose, and the geom; (0, -1) without any."""
     before = of_physics(vehicle.model, vehicle.data)
     vehicle.set_pose(position_m, attitude)
     mujoco.mj_kinematics(vehicle.model, vehicle.data)

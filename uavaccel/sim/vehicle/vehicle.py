@@ -1,6 +1,6 @@
-"""One quadrotor of a world: its part of MuJoCo's arrays, its flight's record, and what it touches.
+"""A quadrotor of a world: its views of MuJoCo's arrays, its flight state, and its contacts.
 
-Its poses and goals are in its own frame: NED, in metres from `origin_m`, a place of the world (NedTransform.cpp).
+Its poses and goals are in its own frame: NED, in metres from `origin_m`, a point of the world (NedTransform.cpp).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
-UNCOUNTED = -1.0  # contacts: some, which the hot loop has not seen yet
+UNCOUNTED = -1.0  # contacts exist, but the hot loop has not counted them yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
@@ -50,7 +50,7 @@ PID_LEVEL = {
 
 @dataclass(frozen=True)
 class Start:
-    """Where a vehicle begins, NED in the world: in a settled hover, or where `idle` with its rotors idling."""
+    """A vehicle's start, NED in the world: in a settled hover or, if `idle`, with its rotors idling."""
 
     position_m: Vector
     orientation_wxyz: Quaternion = LEVEL
@@ -58,7 +58,7 @@ class Start:
 
 
 class AddedVehicle(NamedTuple):
-    """A vehicle that is to be added; `origin_m` is where its own frame begins, NED in the world."""
+    """A vehicle to be added; `origin_m` is the origin of its own frame, NED in the world."""
 
     name: str
     start: Start
@@ -66,7 +66,7 @@ class AddedVehicle(NamedTuple):
 
 
 class Vehicle:
-    """A quadrotor flown by SimpleFlight's cascade. `prefix` is that of its names in the MJCF model."""
+    """A quadrotor flown by SimpleFlight's cascade; `prefix` begins its names in the MJCF model."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Vehicle:
         self._time_s = np.zeros(1)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
-        """Fly in this model, the one before being gone; `name_of` names what a geom belongs to."""
+        """Fly in this model instead of any previous one; `name_of` returns the name of what a geom belongs to."""
         body = model.body(self.prefix + BODY)
         if not self.parameters["mass_kg"]:
             inertia, ticks = model.body_inertia[body.id], self.profile.hover_after_ticks
@@ -114,7 +114,7 @@ class Vehicle:
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
-        """What the hot loop works on, in the order of hotloop.views."""
+        """Return the addresses that the hot loop works on, in the order of hotloop.views."""
         arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]
@@ -131,52 +131,53 @@ class Vehicle:
 
     @property
     def state(self) -> Record:
-        """The flight's state (quadrotor.FLIGHT_DTYPE), its places in the world's frame."""
+        """The flight's state (quadrotor.FLIGHT_DTYPE), with positions in the world's frame."""
         return self._flight[0]
 
     @property
     def tick(self) -> int:
+        """Physics steps since the last reset."""
         return int(self.field["tick"][0])
 
     @property
     def collision_tick(self) -> int | None:
-        """Tick of the first touch since the last reset."""
+        """Tick of the first contact since the last reset; None without one."""
         tick = int(self.field["collision_tick"][0])
         return None if tick == NEVER else tick
 
     @property
     def place_m(self) -> Vector:
-        """Where MuJoCo has it, NED in the world."""
+        """Its position in MuJoCo, NED in the world."""
         x, y, z = mujoco_to_ned(self.qpos[:3]).tolist()
         return x, y, z
 
     @property
     def landed(self) -> bool:
-        """Whether the vehicle rests on, or against, something."""
+        """Whether the vehicle is in contact with something and at rest."""
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
 
     @property
     def rises(self) -> bool:
-        """Whether MuJoCo's latest forces lift it, or hold it."""
+        """Whether the latest forces in MuJoCo accelerate it upwards, or not at all."""
         return bool(self._gained[2] >= 0.0)
 
     def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
-        """The state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
+        """Return the state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
         n = tuple(self._kinematics.tolist())
         time_ns = origin_ns + self.tick * self.profile.tick_ns
         place_m = n[0:3] if in_world else self.local(n[0:3])
         return Kinematics(time_ns, place_m, n[3:7], n[7:10], n[10:13], n[13:16], n[16:19])
 
     def local(self, place_m: Vector) -> Vector:
-        """A place of the world in the vehicle's own frame."""
+        """Convert a position in the world to the vehicle's own frame."""
         if self.origin_m is HERE:
             return place_m
         x, y, z = (a - b for a, b in zip(place_m, self.origin_m, strict=True))
         return x, y, z
 
     def in_world(self, place_m: Vector) -> Vector:
-        """The inverse of `local`."""
+        """Convert a position in the vehicle's own frame to the world: the inverse of `local`."""
         if self.origin_m is HERE:
             return place_m
         x, y, z = (a + b for a, b in zip(place_m, self.origin_m, strict=True))
@@ -185,7 +186,7 @@ class Vehicle:
     # --- goals ------------------------------------------------------------------------------------
 
     def set_goal(self, goal: Goal) -> None:
-        """Set what the autopilot is to reach from the next tick on."""
+        """Set the autopilot's goal from the next tick on."""
         field, values = self.field, goal.values
         if self.origin_m is not HERE:
             held = (goal.xy_mode, goal.xy_mode, goal.z_mode)
@@ -199,26 +200,26 @@ class Vehicle:
         field["yaw_mode"][0] = goal.yaw_mode
 
     def hold_from(self, tick: int | None) -> None:
-        """Position hold sets in at `tick`; None: not at all."""
+        """Let position hold begin at `tick`; None: never."""
         self.field["hover_tick"][0] = NEVER if tick is None else tick
 
     def set_gains(self, level: str, kp: Vector, ki: Vector, kd: Vector) -> None:
-        """A level of the cascade, "position", "velocity", "angle" or "rate": gains of its three axes.
+        """Set the gains of three axes of a level of the cascade: "position", "velocity", "angle" or "rate".
 
-        The controllers start anew (Params::gains_changed). AirSim's rate controllers take kp alone.
+        The controllers are reset (Params::gains_changed). As in AirSim, rate controllers use only `kp`.
         """
         parameters = self.parameters
         parameters[f"{level}_gain"] = kp
         if level in PID_LEVEL:
             slots = slice(3 * PID_LEVEL[level], 3 * PID_LEVEL[level] + 3)
             parameters["integral_gain"][slots], parameters["derivative_gain"][slots] = ki, kd
-        if level == "velocity":  # its vertical integrator leaks, and is one of its own
+        if level == "velocity":  # its vertical axis has a leaky integrator of its own
             parameters["z_integral_gain"], parameters["integral_gain"][slots.stop - 1] = ki[2], 0.0
         parameters["full_pid"] = parameters["integral_gain"].any() or parameters["derivative_gain"].any()
         self.field["z_integral_mode"][0] = self.field["pid_mode"][0] = autopilot.UNSET
 
     def restore_gains(self) -> None:
-        """Params.hpp's gains."""
+        """Restore the gains of AirSim's Params.hpp."""
         for name, gains in self._default_gains.items():
             self.parameters[name] = gains[0]
 
@@ -229,7 +230,7 @@ class Vehicle:
     # --- places -----------------------------------------------------------------------------------
 
     def begin(self, start: Start) -> None:
-        """Tick 0, at rest: in a settled position hold, or idle."""
+        """Go to tick 0 at a start, at rest: in a settled position hold, or idle."""
         wind = self.state["wind"].copy()
         for name in FLIGHT_DTYPE.names or ():
             self.state[name] = 0
@@ -249,13 +250,13 @@ class Vehicle:
         self.look()
 
     def clear_contacts(self) -> None:
-        """Nothing has been touched."""
+        """Forget all contacts."""
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.contact_log.clear()
 
     def stand(self) -> None:
-        """`look`, with MuJoCo's latest push in the accelerations; the touch itself is the first tick's to find."""
+        """Do `look` with MuJoCo's latest contact forces in the accelerations; the next tick logs the contact."""
         self.look()
         parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
         hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
@@ -268,19 +269,19 @@ class Vehicle:
         velocity_m_s: Vector = HERE,
         rate: Vector = HERE,
     ) -> None:
-        """Write a state into MuJoCo's: NED in the world, rad/s in the body's frame."""
+        """Set pose and velocity in MuJoCo: NED in the world, and rad/s in the body's frame."""
         self.set_pose(position_m, orientation_wxyz)
         self.qvel[:3], self.qvel[3:] = ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate)
         self._force[:] = self._warm_start[:] = 0.0
         self.look()
 
     def set_pose(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
-        """MuJoCo's pose alone."""
+        """Set only MuJoCo's pose."""
         self.qpos[:3] = ned_to_mujoco(position_m)
         self.qpos[3:7] = quaternion_ned_to_mujoco(orientation_wxyz)
 
     def move(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
-        """Somewhere else, as fast as it is: what it touches there is a new touch."""
+        """Move to a pose at the same velocity; contacts there count as new ones."""
         self.set_pose(position_m, orientation_wxyz)
         self._warm_start[:] = 0.0
         self.state["contacts"] = self.state["contacts_changed"] = 0
@@ -288,10 +289,10 @@ class Vehicle:
         self.look()
 
     def set_velocity(self, velocity_m_s: Vector, rate_rad_s: Vector) -> None:
-        """NED m/s and body rad/s at this tick: MuJoCo's own are those of half a tick before (hotloop)."""
+        """Set NED m/s and body rad/s at this tick; MuJoCo's own are half a tick older (hotloop)."""
         goal = np.concatenate([ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate_rad_s)])
         self.qvel[:] = goal
-        for _ in range(3):  # drag depends on the velocity, a little
+        for _ in range(3):  # a fixed-point iteration, since drag depends on the velocity
             self.look()
             state, half = self.state, 0.5 * self.profile.tick_s
             gained = [ned_to_mujoco(state[name]) for name in ("acceleration", "angular_acceleration")]
@@ -299,48 +300,48 @@ class Vehicle:
         self.look()
 
     def carry(self) -> State:
-        """What of the flight is in the model, to be taken over into the next."""
+        """Return the part of the flight's state that is in the model, for `take_over` into the next one."""
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
         return {name: array.copy() for name, array in arrays.items()} | {
             "touches": self.contact_log.get_state()
         }
 
     def take_over(self, carried: SavedState) -> None:
-        """The inverse of `carry`; what stands still keeps its geoms' numbers where vehicles are added behind it."""
+        """Restore what `carry` returned; static geoms keep their ids, since vehicles are added behind them."""
         for name in ("qpos", "qvel", "_force", "_push"):
             getattr(self, name)[:] = carried[name]
         self.contact_log.set_state(carried["touches"])
 
     def look(self) -> None:
-        """Read MuJoCo's pose and velocity, after they were changed from outside."""
+        """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
         hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
 
     def fly(self, ticks: int) -> int:
-        """hotloop's `fly`, for a vehicle that is alone in its world."""
+        """Fly up to `ticks` ticks, for a vehicle alone in its world; returns how many (hotloop's `fly`)."""
         return int(hotloop.ENTRY_POINTS.fly.ctypes(self._handles_pointer, ticks))
 
     def fly_free(self, ticks: int) -> int:
-        """The same where it touches nothing, and can touch nothing, for so long."""
+        """Fly as `fly` does, faster, while no contact is possible for that long."""
         self._time_s[0] = self.data.time
         flown = int(hotloop.ENTRY_POINTS.fly_free.ctypes(self._handles_pointer, ticks))
         self.data.time = self._time_s[0]
         return flown if flown == ticks else flown + self.fly(ticks - flown)
 
     def stand_still(self, ticks: int) -> int:
-        """Let ticks pass."""
+        """Let ticks pass without moving."""
         return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
 
     # --- saving -----------------------------------------------------------------------------------
 
     def get_state(self) -> State:
-        """Its record, its touches, its gains; the pose is MuJoCo's."""
+        """Return flight state, contacts and gains; the pose is part of MuJoCo's state."""
         state = prefixed("flight", of_record(self._flight)) | prefixed(
             "touches", self.contact_log.get_state()
         )
         return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave."""
+        """Restore what `get_state` returned."""
         into_record(self._flight, without_prefix("flight", state))
         self.contact_log.set_state(without_prefix("touches", state))
         for name, gains in without_prefix("gains", state).items():
@@ -354,10 +355,11 @@ def set_airframe(
     mass_ratio: float,
     thrust_ratio: float,
 ) -> None:
-    """Set, in place, mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
+    """Set mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
 
-    Both records (1,) are of quadrotor.PARAMETERS_DTYPE. The gains of the autopilot stay: it does not know. What MuJoCo
-    derives from the mass for contacts stays too, since in the lane the first touch ends a game.
+    Both records (1,) are of quadrotor.PARAMETERS_DTYPE; `parameters` and the model change in place. The autopilot keeps
+    its gains. So does MuJoCo what it derives from the mass for contacts, since in the lane the first contact ends a
+    game.
     """
     for name in ("mass_kg", "inertia_kg_m2"):
         parameters[name] = mass_ratio * own[name]
