@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavaccel.vision.exposure import AutoExposure
+from uavaccel.vision.perturb import AutoExposure
 
 S = 1_000_000_000
 

@@ -27,7 +27,7 @@ from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:  # a task can be made without what flies it
-    from uavaccel.envs.flight_client import FlightClient, FlightSample
+    from uavaccel.envs.camera_client import FlightClient, FlightSample
     from uavaccel.envs.observer import Observer
     from uavaccel.wire.client import Client
     from uavaccel.wire.session import Session
@@ -221,7 +221,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
 
     def _connect(self, client: Client, start_ns: int) -> FlightClient:
         """Wrap the client of a game that began at `start_ns` of its wall clock."""
-        from uavaccel.envs.flight_client import FlightClient
+        from uavaccel.envs.camera_client import FlightClient
 
         self._start_ns = start_ns
         self._stopwatches = [Stopwatch(client.transport.clock)]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.flight_client import FlightSample
+from uavaccel.envs.camera_client import FlightSample
 from uavaccel.envs.task import Task
 from uavaccel.kinematics import Kinematics
 from uavaccel.vision.image_noise import ImageNoise

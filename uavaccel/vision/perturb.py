@@ -1,7 +1,7 @@
-"""A MODEL of how a renderer under time pressure corrupts images; off by default, since MuJoCo corrupts none.
+"""MODELS of a game engine's effects on images: corruption under time pressure, and auto-exposure; both off by default.
 
-The kinds are those that the paper observed in Unreal's pipeline (section III-A); their magnitudes are this
-project's own choice. Every figure that depends on this model has to say so.
+The kinds of corruption are those that the paper observed in Unreal's pipeline (section III-A); magnitudes are this
+project's own choice, and MuJoCo corrupts no images. Every figure that depends on these models has to say so.
 """
 
 from dataclasses import dataclass
@@ -10,10 +10,15 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.units import NS_PER_S
+from uavaccel.vision.guard import mean_brightness
+
 Image = NDArray[np.uint8]
 
 NOISY_PIXELS = 0.05  # share of the pixels hit by salt and pepper
 DARKER, BRIGHTER = (0.4, 0.8), (1.25, 2.0)  # ranges of the brightness gain
+UP_STOPS_PER_S, DOWN_STOPS_PER_S = 3.0, 1.0
+LARGEST_STOPS = 2.0  # of exposure, either way
 CHANNEL_ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
@@ -99,3 +104,30 @@ _PERTURB = {
     PerturbationKind.COLOURS: _colours,
     PerturbationKind.EMPTY: _empty,
 }
+
+
+class AutoExposure:
+    """A gain that slowly follows the brightness, which the paper switched off in Unreal.
+
+    It adapts each image's mean brightness towards that of the first, which stays unchanged. Unreal changes the exposure
+    by a limited number of stops per second of running time (by default 3 up, 1 down), and not while the game is paused.
+    That is wall time: at ClockSpeed k only 1/k of it passes in the same flight, so that images of the same place
+    differ.
+    """
+
+    def __init__(self) -> None:
+        self.stops = 0.0
+        self._target: float | None = None
+        self._last_ns = 0
+
+    def expose(self, image: Image, ran_ns: int) -> Image:
+        """Return a copy of a gray or colour image, exposed after a total running wall time of `ran_ns`."""
+        brightness = max(mean_brightness(image), 1.0)
+        if self._target is None:
+            self._target, self._last_ns = brightness, ran_ns
+        wanted = float(np.clip(np.log2(self._target / brightness), -LARGEST_STOPS, LARGEST_STOPS))
+        passed_s = (ran_ns - self._last_ns) / NS_PER_S
+        step = np.clip(wanted - self.stops, -DOWN_STOPS_PER_S * passed_s, UP_STOPS_PER_S * passed_s)
+        self.stops, self._last_ns = self.stops + float(step), ran_ns
+        exposed: NDArray[np.float64] = np.clip(np.round(image * 2.0**self.stops), 0, 255)
+        return exposed.astype(np.uint8)

@@ -7,21 +7,19 @@ effect (OffboardApi.hpp).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.tasks import FlightTask, MoveByManual, state_of, task_of
+from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
 from uavaccel.sim.saved import SavedState, State, number_or_none, optional
 from uavaccel.sim.vehicle.goal import IDLE, STICKS, VALID, Goal, Sticks, stick_goal
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.units import NS_PER_S
-
-if TYPE_CHECKING:
-    from uavaccel.sim.simulation import Simulation
 
 OTHERS_LOG_LENGTH = 64  # of vehicles whose log is not recorded
 LONGEST_TICKS = 1 << 40  # of a command whose end is not known
@@ -38,10 +36,24 @@ class RunningCommand:
     goal_tick: int | None = None  # at which the task last set a goal
 
 
+class PilotedSimulation(Protocol):
+    """The part of a Simulation that its pilots use."""
+
+    profile: Profile
+    time0_ns: int
+    failure: str | None
+
+    def begin_recording(self, pilot: Pilot) -> None:
+        """Restart the recording if this is the first command of the game."""
+
+    def note(self, event: str, wall_ns: int) -> None:
+        """Add an event to the trace if it is enabled."""
+
+
 class Pilot:
     """Flies one vehicle of a simulation; only the one that `leads` keeps its whole command log."""
 
-    def __init__(self, simulation: Simulation, vehicle: Vehicle, leads: bool) -> None:
+    def __init__(self, simulation: PilotedSimulation, vehicle: Vehicle, leads: bool) -> None:
         self._simulation, self.vehicle, self._leads = simulation, vehicle, leads
         self._profile = simulation.profile
         self.api_control = False

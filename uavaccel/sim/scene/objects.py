@@ -7,7 +7,7 @@ Positions are NED, of the object's centre. Spawned objects use spare geoms (uava
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -17,9 +17,6 @@ from uavaccel.sim.lane.scene import LOOKS_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
-
-if TYPE_CHECKING:
-    from uavaccel.sim.world import World
 
 Scale = tuple[float, float, float]
 
@@ -45,10 +42,19 @@ _FIELDS = (  # of a geom, all that an object's pose, scale and presence change
 )
 
 
+class SceneWorld(Protocol):
+    """The part of a World that its objects use; its model may be replaced."""
+
+    model: mujoco.MjModel
+
+    def surroundings_changed(self) -> None:
+        """Note that objects were moved, added or removed, or look different."""
+
+
 class SceneObjects:
     """The objects of a world. Methods raise ValueError for what is not possible."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SceneWorld) -> None:
         self._world = world
         named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))

@@ -14,9 +14,8 @@ from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.vision.dvs import PRESETS, make_sensor
 from uavaccel.vision.event_counter import EventCounter
-from uavaccel.vision.exposure import AutoExposure
 from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.perturb import PerturbationSettings
+from uavaccel.vision.perturb import AutoExposure, PerturbationSettings
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
 

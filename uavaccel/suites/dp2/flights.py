@@ -17,8 +17,7 @@ from uavaccel.suites.dp2.event_client import Arrays, EventClient
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
-from uavaccel.vision.exposure import AutoExposure
-from uavaccel.vision.perturb import PerturbationSettings, share_at
+from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, share_at
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Session
 

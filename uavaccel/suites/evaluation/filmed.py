@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.decisions import Decisions
-from uavaccel.envs.flight_client import FlightSample
+from uavaccel.envs.camera_client import FlightSample
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.values import Frame, Info
 from uavaccel.kinematics import Quaternion, Vector
