@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import AnyMoment, Count, NotNegative, Positive, Task, distance, position_option
@@ -20,6 +19,7 @@ class GatesTask(Task):
     """Observations "state": vectors to the next two gates, attitude, velocity and body rate (16,); m, m/s, rad/s."""
 
     scene: ClassVar[str] = "lane"
+    flat_state: ClassVar[bool] = True
     reset_options: ClassVar[tuple[str, ...]] = ("gates_m",)
     speed_m_s: Positive = 3.0
     """Speed of a command at full deflection, m/s."""
@@ -53,10 +53,6 @@ class GatesTask(Task):
         coming = [*_gate(gates, passed), *_gate(gates, passed + 1)]
         ways_m = [there - here for there, here in zip(coming, (*state.position_m,) * 2, strict=True)]
         return [*ways_m, *super().fields(state, course)[3:]]
-
-    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        features: NDArray[np.float32] = super().features(state, course)[0]
-        return features
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         passed, start, end = now.course["passed"], before.position_m, now.position_m

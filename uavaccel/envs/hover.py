@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import AnyMoment, Count, Moment, Positive, Task, distance, position_option
@@ -17,6 +16,7 @@ from uavaccel.kinematics import Kinematics
 class HoverTask(Task):
     """Observations: the vector to the waypoint, attitude, velocity and body rate (13,); m, m/s and rad/s."""
 
+    flat_state: ClassVar[bool] = True
     reset_options: ClassVar[tuple[str, ...]] = ("waypoint_m",)
     observation: Literal["state"] = "state"
     """What the agent observes: the state as numbers."""
@@ -39,10 +39,6 @@ class HoverTask(Task):
         """List the vector to the waypoint, and the state without its position."""
         way_m = [there - here for there, here in zip(course["waypoint_m"], state.position_m, strict=True)]
         return [*way_m, *super().fields(state, course)[3:]]
-
-    def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        features: NDArray[np.float32] = super().features(state, course)[0]
-        return features
 
     def advance(self, before: AnyMoment, now: AnyMoment) -> Course:
         there = distance_m(now) <= self.radius_m

@@ -98,6 +98,8 @@ class Task(Config):
     scene: ClassVar[str] = "blocks"
     reset_options: ClassVar[tuple[str, ...]] = ()
     """Keys that `reset(options=...)` accepts."""
+    flat_state: ClassVar[bool] = False
+    """Whether a frame of observation "state" is a vector (n,), not a row (1, n)."""
     sees_start: ClassVar[bool] = True
     """Whether the first observation shows the start; otherwise its frames are blank."""
 
@@ -249,7 +251,8 @@ class Task(Config):
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
         """Make a frame of observation "state"."""
-        return np.array(self.fields(state, course), np.float32)[None]
+        features = np.array(self.fields(state, course), np.float32)
+        return features if self.flat_state else features[None]
 
     # --- actions: by default a velocity ---------------------------------------------------------------
 
