@@ -122,6 +122,10 @@ SAMPLED = {
     if isinstance(each, Condition)
 }
 """Conditions that can be sampled, by their field of `Ranges`."""
+for _name, _condition in SAMPLED.items():
+    _unit = f", {_condition.unit}" if _condition.unit else ""
+    Ranges.model_fields[_name].description = f"Range of task.{_condition.key}{_unit}; None: not sampled."
+Ranges.model_rebuild(force=True)
 NOT_SAMPLED = (
     Condition("scenery", "difficulty.scenery"),
     Condition("sensor", "dvs_preset"),

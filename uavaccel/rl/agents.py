@@ -76,7 +76,7 @@ def trained_keys(name: str) -> dict[str, object]:
 
 
 def is_baseline(name: str) -> bool:
-    """Whether the agent is a baseline, which was never trained."""
+    """Return whether the agent is a baseline, which was never trained."""
     return name == STRAIGHT or name.startswith(OFFSET)
 
 

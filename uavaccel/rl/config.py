@@ -158,7 +158,7 @@ class DqnOptions(Config):
 
     @classmethod
     def of(cls, config: LearnerConfig) -> DqnOptions:
-        """The options of a configuration. Raises UserError for an unknown key or a value out of range."""
+        """Return the options of a configuration. Raises UserError for an unknown key or a value out of range."""
         return validate(cls, config.options, f"options of {config.algorithm}")
 
     def exploration_rate(self, remaining: float) -> float:

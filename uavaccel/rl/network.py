@@ -55,7 +55,7 @@ def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Te
 
 
 def turned_actions(headings_deg: Sequence[float]) -> list[int]:
-    """The mirror image of each action: the index of the opposite heading."""
+    """Return the mirror image of each action: the index of the opposite heading."""
     headings = list(headings_deg)
     return [headings.index(-heading) for heading in headings]
 

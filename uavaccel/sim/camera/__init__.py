@@ -1,1 +1,1 @@
-"""Cameras drawn off-screen: the OpenGL context, what a camera sees, the front camera, and cameras mounted anywhere."""
+"""Off-screen cameras: OpenGL contexts, a camera's view, the front camera, and cameras with any pose."""

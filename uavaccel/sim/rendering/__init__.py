@@ -1,1 +1,1 @@
-"""One renderer for many simulations: a process that owns the only GL context, and cameras that ask it for pictures."""
+"""One renderer for many simulations: a process with the only GL context, and cameras that request pictures from it."""

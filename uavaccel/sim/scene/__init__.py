@@ -1,1 +1,1 @@
-"""A scene of MuJoCo's: its model, what may be put where in it, the objects that clients move, rays cast into it."""
+"""A MuJoCo scene: its model, limits of positions, the objects that clients move, and ray casting."""

@@ -1,1 +1,1 @@
-"""One quadrotor: its airframe, its autopilot, the loop that steps both, and what it stands on and runs into."""
+"""A quadrotor: airframe, autopilot, the loop that steps both, and its contacts with the surroundings."""
