@@ -216,7 +216,7 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
     running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it asked for waits, and comes when it reads."""
-    monkeypatch.setattr("uavaccel.wire.connection.READ_FIRST_BYTES", 1 << 16)
+    monkeypatch.setattr("uavaccel.wire.clients.READ_FIRST_BYTES", 1 << 16)
     made = 0
     reply = bytes(1 << 20)
 

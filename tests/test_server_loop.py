@@ -19,8 +19,7 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.clients import IDLE_LIMIT_NS
-from uavaccel.wire.connection import Answer, Connection
+from uavaccel.wire.clients import IDLE_LIMIT_NS, Answer, Connection
 from uavaccel.wire.server import TURN_NS, Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.transport import SocketTransport

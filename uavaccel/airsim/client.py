@@ -1,29 +1,63 @@
-"""AirSim's clients: connection, control of vehicle and clock, recording. Cameras, sensors and world lie beside.
+"""AirSim's clients: every call of a vehicle, of the world around it, and of a multirotor.
 
-Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airsim/client.py.
+Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airsim/client.py. A camera's name may
+also be its number, as in AirSim's scripts; `external` selects a camera that no vehicle carries. Poses of objects are in
+the world's frame. An empty sensor name selects the first sensor of its kind.
 """
 
-# ruff: noqa: N802  the names are AirSim's
+# ruff: noqa: N802, N815  the names are AirSim's
 
 from __future__ import annotations
 
+import logging
+import math
 import sys
+from collections.abc import Mapping, Sequence
+from typing import Annotated
 
-from uavaccel.airsim.calls import remote
-from uavaccel.airsim.camera_calls import CameraCalls
-from uavaccel.airsim.connection import Connection, connect
-from uavaccel.airsim.multirotor_calls import MultirotorCalls
-from uavaccel.airsim.sensor_calls import SensorCalls
-from uavaccel.airsim.types import CollisionInfo, EnvironmentState, GeoPoint, KinematicsState, Pose, Vector3r
-from uavaccel.airsim.world_calls import WorldCalls
+from uavaccel.airsim.calls import CameraName, Mirrored, of_a_camera, remote
+from uavaccel.airsim.connection import Connection, Future, connect
+from uavaccel.airsim.types import (
+    AngleLevelControllerGains,
+    AngleRateControllerGains,
+    BarometerData,
+    CameraInfo,
+    CollisionInfo,
+    DetectionInfo,
+    DistanceSensorData,
+    DrivetrainType,
+    EnvironmentState,
+    GeoPoint,
+    GpsData,
+    ImageRequest,
+    ImageResponse,
+    ImuData,
+    KinematicsState,
+    LidarData,
+    MagnetometerData,
+    MeshPositionVertexBuffersResponse,
+    MultirotorState,
+    Pose,
+    PositionControllerGains,
+    Quaternionr,
+    RCData,
+    RotorStates,
+    Vector3r,
+    VelocityControllerGains,
+    YawMode,
+)
 
 __all__ = ["CarClient", "MultirotorClient", "VehicleClient"]
 
 LOOPBACK, PORT = "127.0.0.1", 41451
 CLIENT_VERSION = MIN_SERVER_VERSION = 1
+RED = (1.0, 0.0, 0.0, 1.0)
+FOR_EVER = 3e38  # seconds
+TURN_FREELY = DrivetrainType.MaxDegreeOfFreedom
+NO_TURN = YawMode()
 
 
-class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
+class VehicleClient:
     """The calls that every vehicle has. Any number of threads may use a client.
 
     `timeout_value` is how many seconds an answer may take. Raises ConnectionError if nobody listens there; calls raise
@@ -152,9 +186,632 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
     @remote
     def isRecording(self) -> bool: ...
 
+    # --- objects ----------------------------------------------------------------------------------
 
-class MultirotorClient(VehicleClient, MultirotorCalls):
-    """The calls of a multirotor."""
+    @remote
+    def simListSceneObjects(self, name_regex: str = ".*") -> list[str]:
+        """Names of the objects that the regular expression matches."""
+
+    @remote
+    def simGetObjectPose(self, object_name: str) -> Pose:
+        """NaN where there is no such object."""
+
+    @remote
+    def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool: ...
+
+    @remote
+    def simGetObjectScale(self, object_name: str) -> Vector3r: ...
+
+    @remote
+    def simSetObjectScale(self, object_name: str, scale_vector: Vector3r) -> bool: ...
+
+    @remote
+    def simSpawnObject(
+        self,
+        object_name: str,
+        asset_name: str,
+        pose: Pose,
+        scale: Vector3r,
+        physics_enabled: bool = False,
+        is_blueprint: bool = False,
+    ) -> str:
+        """Returns the name that the object was given."""
+
+    @remote
+    def simDestroyObject(self, object_name: str) -> bool: ...
+
+    @remote
+    def simListAssets(self) -> list[str]: ...
+
+    @remote
+    def simLoadLevel(self, level_name: str) -> bool: ...
+
+    @remote
+    def simSetSegmentationObjectID(self, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
+        """IDs are 0 to 255; returns whether an object was found."""
+
+    @remote
+    def simGetSegmentationObjectID(self, mesh_name: str) -> int:
+        """-1 where there is no such object."""
+
+    @remote
+    def simSwapTextures(
+        self, tags: str, tex_id: int = 0, component_id: int = 0, material_id: int = 0
+    ) -> list[str]: ...
+
+    @remote
+    def simSetObjectMaterial(self, object_name: str, material_name: str, component_id: int = 0) -> bool: ...
+
+    @remote
+    def simSetObjectMaterialFromTexture(
+        self, object_name: str, texture_path: str, component_id: int = 0
+    ) -> bool: ...
+
+    @remote
+    def simSetLightIntensity(self, light_name: str, intensity: float) -> bool: ...
+
+    @remote
+    def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]: ...
+
+    # --- sky and weather ------------------------------------------------------------------------
+
+    @remote
+    def simSetTimeOfDay(
+        self,
+        is_enabled: bool,
+        start_datetime: str = "",
+        is_start_datetime_dst: bool = False,
+        celestial_clock_speed: float = 1,
+        update_interval_secs: float = 60,
+        move_sun: bool = True,
+    ) -> None: ...
+
+    @remote
+    def simEnableWeather(self, enable: bool) -> None: ...
+
+    @remote
+    def simSetWeatherParameter(self, param: int, val: float) -> None:
+        """A WeatherParameter, and 0 to 1."""
+
+    # --- geometry -------------------------------------------------------------------------------
+
+    @remote
+    def simTestLineOfSightToPoint(self, point: GeoPoint, vehicle_name: str = "") -> bool: ...
+
+    @remote
+    def simTestLineOfSightBetweenPoints(self, point1: GeoPoint, point2: GeoPoint) -> bool: ...
+
+    @remote
+    def simGetWorldExtents(self) -> list[GeoPoint]:
+        """Two opposite corners."""
+
+    @remote
+    def simCreateVoxelGrid(self, position: Vector3r, x: int, y: int, z: int, res: float, of: str) -> bool: ...
+
+    # --- display --------------------------------------------------------------------------------
+
+    @remote
+    def simRunConsoleCommand(self, command: str) -> bool: ...
+
+    @remote
+    def simPrintLogMessage(self, message: str, message_param: str = "", severity: int = 0) -> None: ...
+
+    @remote
+    def simSetTraceLine(
+        self, color_rgba: Sequence[float], thickness: float = 1.0, vehicle_name: str = ""
+    ) -> None: ...
+
+    @remote
+    def simFlushPersistentMarkers(self) -> None: ...
+
+    @remote
+    def simPlotPoints(
+        self,
+        points: Sequence[Vector3r],
+        color_rgba: Sequence[float] = RED,
+        size: float = 10.0,
+        duration: float = -1.0,
+        is_persistent: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simPlotLineStrip(
+        self,
+        points: Sequence[Vector3r],
+        color_rgba: Sequence[float] = RED,
+        thickness: float = 5.0,
+        duration: float = -1.0,
+        is_persistent: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simPlotLineList(
+        self,
+        points: Sequence[Vector3r],
+        color_rgba: Sequence[float] = RED,
+        thickness: float = 5.0,
+        duration: float = -1.0,
+        is_persistent: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simPlotArrows(
+        self,
+        points_start: Sequence[Vector3r],
+        points_end: Sequence[Vector3r],
+        color_rgba: Sequence[float] = RED,
+        thickness: float = 5.0,
+        arrow_size: float = 2.0,
+        duration: float = -1.0,
+        is_persistent: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simPlotStrings(
+        self,
+        strings: Sequence[str],
+        positions: Sequence[Vector3r],
+        scale: float = 5,
+        color_rgba: Sequence[float] = RED,
+        duration: float = -1.0,
+    ) -> None: ...
+
+    @remote
+    def simPlotTransforms(
+        self,
+        poses: Sequence[Pose],
+        scale: float = 5.0,
+        thickness: float = 5.0,
+        duration: float = -1.0,
+        is_persistent: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simPlotTransformsWithNames(
+        self,
+        poses: Sequence[Pose],
+        names: Sequence[str],
+        tf_scale: float = 5.0,
+        tf_thickness: float = 5.0,
+        text_scale: float = 10.0,
+        text_color_rgba: Sequence[float] = RED,
+        duration: float = -1.0,
+    ) -> None: ...
+
+    # --- images -----------------------------------------------------------------------------------
+
+    @remote
+    def simGetImages(
+        self,
+        requests: Annotated[Sequence[ImageRequest], list],
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> list[ImageResponse]:
+        """Images of one moment, in the order of the requests."""
+
+    def simGetImage(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> bytes | None:
+        """One image as PNG, or None if there is none."""
+        image = self.client.call("simGetImage", str(camera_name), image_type, vehicle_name, external)
+        return None if image in ("", "\0", b"", b"\0") else image
+
+    @remote
+    def simGetCameraInfo(
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> CameraInfo: ...
+
+    @remote
+    def simSetCameraPose(
+        self, camera_name: CameraName, pose: Pose, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """The pose in the frame of the vehicle."""
+
+    def simSetCameraOrientation(
+        self, camera_name: str | int, orientation: Quaternionr, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """Of AirSim before 1.6: turn a camera in the frame of the vehicle, and leave it where it is there."""
+        nowhere = Vector3r(math.nan, math.nan, math.nan)
+        self.simSetCameraPose(camera_name, Pose(nowhere, orientation), vehicle_name, external)
+
+    @remote
+    def simSetCameraFov(
+        self, camera_name: CameraName, fov_degrees: float, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """The horizontal field of view in degrees."""
+
+    @remote
+    def simGetDistortionParams(
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> list[float]: ...
+
+    def simSetDistortionParams(
+        self,
+        camera_name: str | int,
+        distortion_params: Mapping[str, float],
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None:
+        """Any of K1, K2, K3, P1 and P2."""
+        for name, value in distortion_params.items():
+            self.simSetDistortionParam(camera_name, name, value, vehicle_name, external)
+
+    @remote
+    def simSetDistortionParam(
+        self,
+        camera_name: CameraName,
+        param_name: str,
+        value: float,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None: ...
+
+    # --- detections -------------------------------------------------------------------------------
+
+    @remote
+    def simAddDetectionFilterMeshName(
+        self,
+        camera_name: str | int,
+        image_type: int,
+        mesh_name: str,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None:
+        """Detect objects of this name, which may end in an asterisk."""
+
+    @remote
+    def simSetDetectionFilterRadius(
+        self,
+        camera_name: str | int,
+        image_type: int,
+        radius_cm: float,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simClearDetectionMeshNames(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> None: ...
+
+    @remote
+    def simGetDetections(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> list[DetectionInfo]: ...
+
+    # --- lenses: a server without Unreal's lenses refuses these ------------------------------------
+
+    simGetPresetLensSettings = of_a_camera("simGetPresetLensSettings")
+    simGetLensSettings = of_a_camera("simGetLensSettings")
+    simSetPresetLensSettings = of_a_camera("simSetPresetLensSettings", "preset_lens_settings")
+    simGetPresetFilmbackSettings = of_a_camera("simGetPresetFilmbackSettings")
+    simSetPresetFilmbackSettings = of_a_camera("simSetPresetFilmbackSettings", "preset_filmback_settings")
+    simGetFilmbackSettings = of_a_camera("simGetFilmbackSettings")
+    simSetFilmbackSettings = of_a_camera("simSetFilmbackSettings", "sensor_width", "sensor_height")
+    simGetFocalLength = of_a_camera("simGetFocalLength")
+    simSetFocalLength = of_a_camera("simSetFocalLength", "focal_length")
+    simEnableManualFocus = of_a_camera("simEnableManualFocus", "enable")
+    simGetFocusDistance = of_a_camera("simGetFocusDistance")
+    simSetFocusDistance = of_a_camera("simSetFocusDistance", "focus_distance")
+    simGetFocusAperture = of_a_camera("simGetFocusAperture")
+    simSetFocusAperture = of_a_camera("simSetFocusAperture", "focus_aperture")
+    simEnableFocusPlane = of_a_camera("simEnableFocusPlane", "enable")
+    simGetCurrentFieldOfView = of_a_camera("simGetCurrentFieldOfView")
+
+    # --- sensors ------------------------------------------------------------------------------------
+
+    @remote
+    def getImuData(self, imu_name: str = "", vehicle_name: str = "") -> ImuData: ...
+
+    @remote
+    def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData: ...
+
+    @remote
+    def getMagnetometerData(
+        self, magnetometer_name: str = "", vehicle_name: str = ""
+    ) -> MagnetometerData: ...
+
+    @remote
+    def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData: ...
+
+    @remote
+    def getDistanceSensorData(
+        self, distance_sensor_name: str = "", vehicle_name: str = ""
+    ) -> DistanceSensorData: ...
+
+    @remote
+    def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
+
+    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> object:
+        logging.warning("simGetLidarSegmentation API is deprecated, use getLidarData() API instead")
+        return self.getLidarData(lidar_name, vehicle_name).segmentation
+
+
+class MultirotorClient(VehicleClient):
+    """The calls of a multirotor.
+
+    Every command returns a `Future` at once; its `join` waits until the command has ended. Speeds are in metres per
+    second, durations and time-outs in simulated seconds, and angles in radians, except those of YawMode and
+    rotateToYaw. In the commands that set an attitude, a positive pitch raises the nose and a positive yaw turns it to
+    the left; on the wire both signs are the opposite ones.
+    """
+
+    # --- take-off and landing ---------------------------------------------------------------------
+
+    @remote
+    def takeoffAsync(self, timeout_sec: float = 20, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def landAsync(self, timeout_sec: float = 60, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def goHomeAsync(self, timeout_sec: float = FOR_EVER, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def hoverAsync(self, vehicle_name: str = "") -> Future: ...
+
+    # --- velocities -----------------------------------------------------------------------------
+
+    @remote
+    def moveByVelocityAsync(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityZAsync(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityBodyFrameAsync(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityZBodyFrameAsync(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByManualAsync(
+        self,
+        vx_max: float,
+        vy_max: float,
+        z_min: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    # --- places ---------------------------------------------------------------------------------
+
+    @remote
+    def moveToPositionAsync(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveOnPathAsync(
+        self,
+        path: Sequence[Vector3r],
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveToZAsync(
+        self,
+        z: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveToGPSAsync(
+        self,
+        latitude: float,
+        longitude: float,
+        altitude: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def rotateToYawAsync(
+        self, yaw: float, timeout_sec: float = FOR_EVER, margin: float = 5, vehicle_name: str = ""
+    ) -> Future:
+        """Degrees."""
+
+    @remote
+    def rotateByYawRateAsync(self, yaw_rate: float, duration: float, vehicle_name: str = "") -> Future:
+        """Degrees per second."""
+
+    # --- attitude, rates, motors ----------------------------------------------------------------
+
+    @remote
+    def moveByRollPitchYawZAsync(
+        self, roll: float, pitch: Mirrored, yaw: Mirrored, z: float, duration: float, vehicle_name: str = ""
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawThrottleAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawrateThrottleAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawrateZAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
+        z: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByAngleRatesZAsync(
+        self,
+        roll_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
+        z: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByAngleRatesThrottleAsync(
+        self,
+        roll_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByMotorPWMsAsync(
+        self,
+        front_right_pwm: float,
+        rear_left_pwm: float,
+        front_left_pwm: float,
+        rear_right_pwm: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future:
+        """0 to 1."""
+
+    def moveByAngleZAsync(
+        self, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = ""
+    ) -> Future:
+        logging.warning("moveByAngleZAsync API is deprecated, use moveByRollPitchYawZAsync() API instead")
+        return self.moveByRollPitchYawZAsync(roll, pitch, yaw, z, duration, vehicle_name)
+
+    def moveByAngleThrottleAsync(
+        self,
+        pitch: float,
+        roll: float,
+        throttle: float,
+        yaw_rate: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future:
+        logging.warning(
+            "moveByAngleThrottleAsync API is deprecated, use moveByRollPitchYawrateThrottleAsync() API instead"
+        )
+        return self.moveByRollPitchYawrateThrottleAsync(
+            roll, pitch, yaw_rate, throttle, duration, vehicle_name
+        )
+
+    def moveByRC(self, rcdata: RCData | None = None, vehicle_name: str = "") -> None:
+        """Sticks for a vehicle that moveByManual flies."""
+        self.client.call("moveByRC", RCData() if rcdata is None else rcdata, vehicle_name)
+
+    # --- gains ----------------------------------------------------------------------------------
+
+    def setAngleRateControllerGains(
+        self, angle_rate_gains: AngleRateControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = angle_rate_gains or AngleRateControllerGains()
+        self.client.call("setAngleRateControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setAngleLevelControllerGains(
+        self, angle_level_gains: AngleLevelControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = angle_level_gains or AngleLevelControllerGains()
+        self.client.call("setAngleLevelControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setVelocityControllerGains(
+        self, velocity_gains: VelocityControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = velocity_gains or VelocityControllerGains()
+        self.client.call("setVelocityControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setPositionControllerGains(
+        self, position_gains: PositionControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = position_gains or PositionControllerGains()
+        self.client.call("setPositionControllerGains", *gains.to_lists(), vehicle_name)
+
+    # --- state ----------------------------------------------------------------------------------
+
+    @remote
+    def getMultirotorState(self, vehicle_name: str = "") -> MultirotorState: ...
+
+    @remote
+    def getRotorStates(self, vehicle_name: str = "") -> RotorStates: ...
 
 
 class CarClient(VehicleClient):

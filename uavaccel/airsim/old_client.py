@@ -13,18 +13,24 @@ from collections.abc import Callable, Sequence
 from typing import ParamSpec
 
 from uavaccel.airsim import client, utils
+from uavaccel.airsim.client import FOR_EVER, NO_TURN, TURN_FREELY
 from uavaccel.airsim.connection import Future
-from uavaccel.airsim.multirotor_calls import NO_TURN, TURN_FREELY
-from uavaccel.airsim.poses import GeoPoint
 from uavaccel.airsim.types import *
-from uavaccel.airsim.types import CameraInfo, CollisionInfo, ImageType, Pose, RCData, YawMode
+from uavaccel.airsim.types import (
+    CameraInfo,
+    CollisionInfo,
+    GeoPoint,
+    ImageType,
+    Pose,
+    Quaternionr,
+    RCData,
+    Vector3r,
+    YawMode,
+)
 from uavaccel.airsim.utils import *
-from uavaccel.airsim.vectors import Quaternionr, Vector3r
 
 AirSimImageType = ImageType
 
-
-FOR_EVER = 3e38  # seconds
 Arguments = ParamSpec("Arguments")
 
 

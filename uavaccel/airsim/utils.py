@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.airsim.pfm import read_pfm, write_pfm
-from uavaccel.airsim.types import ImageResponse
-from uavaccel.airsim.vectors import Quaternionr
+from uavaccel.airsim.types import ImageResponse, Quaternionr
 
 __all__ = [
     "get_pfm_array",

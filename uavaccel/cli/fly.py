@@ -11,9 +11,8 @@ from pathlib import Path
 import typer
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary
+from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import Flown, check, fly
-from uavaccel.fly.settings_file import found_settings
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from uavaccel.errors import UserError
 from uavaccel.fly.modules import Exchanged, client_modules
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.tracebacks import hide_frames_everywhere
+from uavaccel.fly.script import hide_frames_everywhere
 from uavaccel.parent import end_with_parent
 
 if TYPE_CHECKING:

@@ -18,6 +18,9 @@ SUMMARY = "flight.json"
 DIFFERENCE = "difference.txt"  # in it, how a flight differs from its reference; not there where it does not
 HEEDED = "interrupted"  # in the temporary folder: the script has got an interruption
 SCRATCH = "uavaccel-fly-"  # then the number of the process to which a temporary folder belongs
+NAME = "settings.json"
+AIRSIM = Path("Documents", "AirSim", NAME)  # in one's home
+_KEYS = {"SettingsVersion", "SimMode", "Vehicles", "ClockSpeed", "SeeDocsAt"}
 
 
 class FlightSummary(TypedDict, total=False):
@@ -80,3 +83,18 @@ class FlightOptions:
             if "Path" in str(field.type) and values[field.name] is not None:
                 values[field.name] = Path(values[field.name])
         return cls(**values | {"arguments": tuple(values["arguments"])})
+
+
+def found_settings(script: Path) -> Path | None:
+    """The file that AirSim would have read: the script's own before the user's. None if there is none."""
+    places = (script.absolute().parent / NAME, Path.home() / AIRSIM)
+    return next((path for path in places if _is_airsims(path)), None)
+
+
+def _is_airsims(path: Path) -> bool:
+    """Whether it is there and has one of AirSim's keys: other programs call their settings so too."""
+    try:
+        mapping = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(mapping, dict) and bool(_KEYS & mapping.keys())

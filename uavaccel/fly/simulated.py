@@ -17,9 +17,8 @@ from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import FlightOver, Outcome, run_script
+from uavaccel.fly.script import FlightOver, Outcome, hide_frames_everywhere, run_script
 from uavaccel.fly.threads import ThreadKinds
-from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.turns import LOOK_NS, Turns
 from uavaccel.units import NS_PER_S
 

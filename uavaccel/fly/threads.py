@@ -13,8 +13,7 @@ from functools import partial
 from types import ModuleType
 from typing import Self, TypeVar
 
-from uavaccel.fly.script import FlightOver
-from uavaccel.fly.tracebacks import hide_ours
+from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
 
 Class = TypeVar("Class", bound=type)

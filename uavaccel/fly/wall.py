@@ -30,9 +30,8 @@ from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import FlightOver, Outcome, run_script
+from uavaccel.fly.script import FlightOver, Outcome, hide_frames_everywhere, run_script
 from uavaccel.fly.sent import as_sent
-from uavaccel.fly.tracebacks import hide_frames_everywhere
 from uavaccel.fly.trajectory import write_trajectory
 from uavaccel.fly.watch import Watch
 from uavaccel.units import NS_PER_S

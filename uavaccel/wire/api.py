@@ -14,23 +14,20 @@ from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.attitude_api import AttitudeApi
-from uavaccel.wire.calls import BoundCall, CallContext, Calls, WireCall
+from uavaccel.wire.calls import BoundCall, CallContext, Calls, Steps, WireCall
 from uavaccel.wire.camera_api import CameraApi
 from uavaccel.wire.detection_api import DetectionApi
 from uavaccel.wire.flight_api import FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import ImageApi
-from uavaccel.wire.notices import Notices
+from uavaccel.wire.notices import Notices, Refusals
 from uavaccel.wire.object_api import ObjectApi
 from uavaccel.wire.recorder import Recorder
-from uavaccel.wire.recording_api import RecordingApi
-from uavaccel.wire.refusals import Refusals
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
-from uavaccel.wire.simulator_api import SimulatorApi
-from uavaccel.wire.steps import Steps
+from uavaccel.wire.simulator_api import RecordingApi, SimulatorApi
 from uavaccel.wire.vehicle_api import VehicleApi
 from uavaccel.wire.vehicles import populate
 from uavaccel.wire.world_api import WorldApi

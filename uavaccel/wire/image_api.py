@@ -20,12 +20,11 @@ from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Truthy, VehicleName, whole
-from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.calls import Calls, Steps, call
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import Pixels, png
 from uavaccel.wire.pictures import Scene, known_type
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.steps import Steps
 
 MOST_IMAGES = 64  # of one call
 OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here

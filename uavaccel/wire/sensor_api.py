@@ -15,7 +15,7 @@ from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName
 from uavaccel.wire.calls import CallContext, Calls, call
-from uavaccel.wire.sensors import Sensors
+from uavaccel.wire.settings import Sensors
 
 
 class SensorApi(Calls, title="Sensors"):

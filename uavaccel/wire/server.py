@@ -15,10 +15,8 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.clients import Clients
-from uavaccel.wire.connection import Answer, Connection
-from uavaccel.wire.held import MAX_ANSWER_BYTES
-from uavaccel.wire.steps import Steps
+from uavaccel.wire.calls import Steps
+from uavaccel.wire.clients import MAX_ANSWER_BYTES, Answer, Clients, Connection
 from uavaccel.wire.turns import Costs, Turns
 
 IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good

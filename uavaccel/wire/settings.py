@@ -6,11 +6,11 @@ Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that con
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, Union
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -22,16 +22,58 @@ from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
 from uavaccel.sim.sensors.airsim_keys import AirSimKeys
 from uavaccel.sim.sensors.earth import GeoPoint
+from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
+from uavaccel.sim.sensors.inertial import ImuSettings
+from uavaccel.sim.sensors.registry import sensors
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
-from uavaccel.wire.sensors import SensorSettings
 
+SENSORS = sensors()
+if TYPE_CHECKING:
+    SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
+else:
+    SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
+Kind = TypeVar("Kind")
+DEFAULTS: dict[str, SensorSettings] = {
+    "imu": ImuSettings(),
+    "magnetometer": MagnetometerSettings(),
+    "gps": GpsSettings(),
+    "barometer": BarometerSettings(),
+}
 COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
 PORT = 41451
 LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
+
+
+class Sensors:
+    """A vehicle's sensors by name; `seed` is that of their noise."""
+
+    def __init__(
+        self,
+        given: Mapping[str, SensorSettings] | None,
+        defaults: Mapping[str, SensorSettings] | None,
+        seed: int,
+    ) -> None:
+        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
+        self._sensors = {
+            name: SENSORS[type(settings)](settings, seed, name)
+            for name, settings in chosen.items()
+            if settings.enabled
+        }
+
+    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
+        """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
+        if not isinstance(name, str):
+            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
+        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
+        found = next(iter(known.values()), None) if name == "" else known.get(name)
+        if found is None:
+            there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
+            raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
+        return found
 
 
 class Wind(AirSimKeys):

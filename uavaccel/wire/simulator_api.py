@@ -3,6 +3,8 @@
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 """
 
+# ruff: noqa: N815  the names are AirSim's
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -10,7 +12,7 @@ from typing import Annotated
 
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire.arguments import number
-from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.calls import Calls, WithoutEffect, call
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.latency import Channel
 
@@ -84,3 +86,28 @@ class SimulatorApi(Calls, title="Connection and time"):
     def continue_for_frames(self, frames: Annotated[float, frame_count]) -> DeferredReply:
         """Unreal draws 60 of them per second of wall time, if it keeps up."""
         return self.continue_for_time(frames / FRAMES_PER_S)
+
+
+class RecordingApi(Calls, title="Recording, drawing, messages"):
+    @call("startRecording")
+    def start(self) -> None:
+        self.context.recorder.start(self.wall_ns)
+
+    @call("stopRecording")
+    def stop(self) -> None:
+        self.context.recorder.stop()
+
+    @call("isRecording")
+    def is_recording(self) -> bool:
+        return self.simulation.world.recording
+
+    simPrintLogMessage = WithoutEffect()
+    simSetTraceLine = WithoutEffect()
+    simFlushPersistentMarkers = WithoutEffect()
+    simPlotPoints = WithoutEffect()
+    simPlotLineStrip = WithoutEffect()
+    simPlotLineList = WithoutEffect()
+    simPlotArrows = WithoutEffect()
+    simPlotStrings = WithoutEffect()
+    simPlotTransforms = WithoutEffect()
+    simPlotTransformsWithNames = WithoutEffect()
