@@ -196,7 +196,7 @@ def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() 
     ]
     at_once = wire.call("simGetImages", asked, "", False)
     steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
-    while wire.api.go_on(steps, "simGetImages", []):
+    while wire.api.advance(steps, "simGetImages", []):
         wire.fly(0.01)
     for one, other in zip(steps.made, at_once, strict=True):
         assert one["time_stamp"] == other["time_stamp"] < EPOCH_NS + wire.simulation.time_ns

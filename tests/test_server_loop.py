@@ -60,7 +60,7 @@ def connected(server: Server) -> tuple[Connection, socket.socket]:
 def take_in(server: Server, connection: Connection) -> None:
     """Let the server read what a client has sent, once that has come: a busy kernel takes a moment."""
     assert select.select([connection.socket], [], [], 60)[0]
-    server._read(connection)
+    server._serve_socket(connection, selectors.EVENT_READ)
 
 
 def read(server: Server, connection: Connection) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
-from uavaccel.fly.runs import Flown, check, fly
+from uavaccel.fly.runs import FlightResult, check, fly
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset
@@ -148,7 +148,7 @@ def _difference_text(folder: Path, first: Path, clock_speed: float) -> str:
     return f", at most {metres:.3f} m from {clock_speed:g}x at equal times"
 
 
-def _say_how_it_went(flown: Flown) -> None:
+def _say_how_it_went(flown: FlightResult) -> None:
     if flown.summary is None:
         return
     summary = flown.summary

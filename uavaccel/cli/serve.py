@@ -49,7 +49,7 @@ def serve(options: ServeOptions) -> None:
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
-    api.refusals.tell = lambda line: say(f"warning: {line}")
+    api.refusals.say = lambda line: say(f"warning: {line}")
     report = Report(server)
     with stopped_by_signals(server):
         greet(server, options, settings)

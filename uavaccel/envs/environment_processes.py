@@ -7,11 +7,11 @@ import os
 import select
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from typing import TypedDict
 
+from uavaccel.child import single_core_drawing, start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.batch_memory import Size
 from uavaccel.envs.values import Answer
@@ -97,11 +97,10 @@ class EnvironmentProcesses:
                 renderer = {"number": slot, "count": service.cameras, **descriptors}
             places.append({"slot": slot, "connection": connection, "renderer": renderer})
         told: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
-        return subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.envs.environment_process", json.dumps(told)],
+        return start_python(
+            *("-m", "uavaccel.envs.environment_process", json.dumps(told)),
+            environment=single_core_drawing(),
             pass_fds=sorted(inherited),
-            env={"LP_NUM_THREADS": "0", **os.environ},  # in software, each draws on its own core
-            start_new_session=True,  # Ctrl-C is for the process that flies the batch
         )
 
     def ask(self, slot: int, method: str, *arguments: object) -> None:

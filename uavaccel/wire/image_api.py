@@ -20,7 +20,7 @@ from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Truthy, VehicleName, whole
-from uavaccel.wire.calls import Calls, Steps, call
+from uavaccel.wire.calls import Calls, PartialResult, call
 from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
 from uavaccel.wire.image_files import Pixels, png
 from uavaccel.wire.pictures import Scene, known_type
@@ -71,14 +71,14 @@ class ImageApi(Calls, title="Cameras and images"):
         requests: Annotated[list[object], image_requests],
         vehicle: VehicleName = "",
         external: Truthy = False,
-    ) -> list[dict[str, object]] | Steps:
+    ) -> list[dict[str, object]] | PartialResult:
         """All of one moment; what cannot be drawn is said in its response alone."""
         cameras = self.scenery.cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
             return [self._response(request, self.scenery.truth(vehicle)) for request in asked]
         scene, kinematics = self.scenery.pictures.kept(), self.scenery.truth(vehicle)
-        return Steps(self._response(request, kinematics, scene) for request in asked)
+        return PartialResult(self._response(request, kinematics, scene) for request in asked)
 
     @call("simGetImage", "image")
     def get_image(

@@ -1,4 +1,7 @@
-"""What a server says on its terminal about calls that have less effect than their callers may think: each once."""
+"""Tells the server's user, once each, about calls that were refused or have less effect than in AirSim.
+
+AirSim's `join` swallows the error of a command, so that a script can end well although nothing ever flew.
+"""
 
 from __future__ import annotations
 
@@ -10,40 +13,40 @@ LONGEST = 300  # characters of a text
 
 
 class Notices:
-    """Lines that are said once. `say` shows a line."""
+    """Lines that are shown once each by `say`."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
         self._said: set[str] = set()
 
     def once(self, line: str) -> None:
-        """Say it, unless it was said before."""
+        """Show a line, unless it was shown before."""
         if line not in self._said:
             self._said.add(line)
             self.say(line)
 
 
 class Refusals:
-    """By method and reason, how often a call was refused; `tell` gets a line the first time."""
+    """Counts refused calls by method and reason; `say` shows a line at the first of each."""
 
     def __init__(self) -> None:
-        self.tell: Callable[[str], None] = lambda line: None
+        self.say: Callable[[str], None] = lambda line: None
         self._count: Counter[tuple[str, str]] = Counter()
 
     def add(self, method: str, reason: str) -> None:
-        """The method, whose name may be a client's invention, was refused for this reason."""
+        """Count a refusal; the method's name may be any text that a client sent."""
         key = printable(method), printable(reason)
         if key not in self._count and len(self._count) >= MOST:
             key = "other calls", "were refused"
         self._count[key] += 1
         if self._count[key] == 1:
-            self.tell(" ".join(key))
+            self.say(" ".join(key))
 
     def lines(self) -> list[str]:
-        """What was refused, and how often, most often first."""
+        """One line per kind of refusal with its count, the most frequent first."""
         return [f"{count} x {method} {reason}" for (method, reason), count in self._count.most_common()]
 
 
 def printable(text: str) -> str:
-    """A client's text on one line, without what would steer a terminal."""
+    """A client's text on one line, without control characters."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST])
