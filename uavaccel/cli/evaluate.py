@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uavaccel.cli.run import RunRequest, configure, console, run_experiment
+from uavaccel.cli.run import RunRequest, configure, run_experiment
+from uavaccel.cli.terminal import console
 from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
@@ -25,7 +26,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
     if other is not None:
         from uavaccel.suites.evaluation.summary import compare
 
-        console.print(compare(run.rows(), other), markup=False)
+        console.print(compare(run.rows(), other))
     if films:
         film_extremes(run)
 
@@ -89,4 +90,4 @@ def film_extremes(run: RunDirectory) -> None:
             write_video(film, run.file(f"films/{name}.mp4")),
             write_contact_sheet(film, run.file(f"films/{name}.png")),
         ):
-            console.print(str(path), markup=False)
+            console.print(str(path))

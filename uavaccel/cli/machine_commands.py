@@ -1,6 +1,6 @@
-"""What measures this machine or looks at it: calibrate, advise, bench, doctor.
+"""The commands that measure or examine this machine: calibrate, advise, bench, doctor.
 
-Thin shells over plain functions, which are imported when a command runs.
+Each calls a plain function, which it imports when it runs.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def advise(
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
 ) -> None:
     """Say how fast ADSC may fly within an error, and what TCSC would gain."""
-    from uavaccel.cli.advise import AdviceRequest, show_advice
+    from uavaccel.cli.advise import show_advice
 
-    show_advice(AdviceRequest(t_move, error, rounds, latency, profile))
+    show_advice(t_move, error, rounds, latency, profile)
 
 
 def bench(

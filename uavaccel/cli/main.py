@@ -19,7 +19,7 @@ from uavaccel.cli.airsim_commands import fly, serve
 from uavaccel.cli.experiment_commands import evaluate, run, train
 from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
 from uavaccel.cli.result_commands import export, report, view
-from uavaccel.cli.starter_commands import init, schema
+from uavaccel.cli.starter import init, schema
 from uavaccel.errors import mistake_of
 
 COMMANDS: list[Callable[..., None]] = [

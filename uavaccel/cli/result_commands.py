@@ -1,7 +1,4 @@
-"""What looks at what was flown or learnt: report, view, export.
-
-Thin shells over plain functions, which are imported when a command runs.
-"""
+"""The commands on finished runs and policies: report, view, export. They import what they need when they run."""
 
 from __future__ import annotations
 
@@ -18,9 +15,19 @@ def report(
 
     Several trainings are also drawn side by side, in the first one's folder; so are several evaluations.
     """
-    from uavaccel.cli.report import report_runs
+    from uavaccel.cli.run import report_run
+    from uavaccel.cli.terminal import console
+    from uavaccel.records import RunDirectory
+    from uavaccel.suites.registry import suite_of
 
-    report_runs(run_dirs)
+    by_suite: dict[str, list[RunDirectory]] = {}
+    for run_dir in run_dirs:
+        run = RunDirectory(run_dir)
+        report_run(run)
+        by_suite.setdefault(str(run.config()["suite"]), []).append(run)
+    for runs in by_suite.values():
+        for path in suite_of(runs[0]).compare(runs) if len(runs) > 1 else ():
+            console.print(str(path))
 
 
 def view(
@@ -59,6 +66,23 @@ def export(
     parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
 ) -> None:
     """Write a policy as ONNX, or a run as tables."""
-    from uavaccel.cli.export import export as export_source
+    from uavaccel.cli.terminal import console
+    from uavaccel.errors import UsageError
+    from uavaccel.records import RunDirectory
+    from uavaccel.suites.tables import write_tables
 
-    export_source(source, onnx, csv, parquet)
+    folders = [(folder, kind) for folder, kind in ((csv, "csv"), (parquet, "parquet")) if folder is not None]
+    if onnx is not None:
+        from uavaccel.rl.agents import policy_folder
+        from uavaccel.rl.onnx_file import write_onnx
+        from uavaccel.rl.policy import load_policy
+
+        about = write_onnx(load_policy(policy_folder(source)), onnx)
+        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
+    elif not folders:
+        raise UsageError(
+            "export: say what to write: --onnx FILE of a policy, --csv or --parquet FOLDER of a run"
+        )
+    for folder, kind in folders:
+        for path in write_tables(RunDirectory(source), folder, kind):
+            console.print(str(path))

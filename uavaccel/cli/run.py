@@ -17,9 +17,9 @@ from rich import table as rich_table
 from rich.console import Console
 
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.paths import check_out
+from uavaccel.cli.checks import check_out
 from uavaccel.cli.progress import Progress
-from uavaccel.cli.resume import folders_own, going_on
+from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.draw.document import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
@@ -36,7 +36,44 @@ from uavaccel.suites.suite import AnySuite, Case, configuration
 
 TABLE_WIDTH = 170  # where nobody looks at a terminal
 
-console = Console(highlight=False, soft_wrap=True)
+
+def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple[AnySuite, dict[str, Plain]]:
+    """Suite and YAML of the run in `out`, of the suite of that name if one is given.
+
+    Raises UsageError where nothing says what to fly, UserError where the folder holds no such run: none is begun.
+    """
+    if not resume or out is None:
+        raise UsageError(
+            "name an experiment, as in `uavaccel run dp1`, or a run's folder: --out FOLDER --resume"
+        )
+    if not (out / "config.yaml").is_file():
+        raise UserError(
+            f"--out {out}: no run to go on with: no config.yaml in it; name an experiment to begin one"
+        )
+    run = RunDirectory(out)
+    suite = suite_of(run)
+    if suite_name not in (None, suite.name):
+        raise UserError(
+            f"--out {out}: is a run of {suite.name}, not of {suite_name}; go on with `uavaccel run`"
+        )
+    return suite, run.config()
+
+
+def going_on(run: RunDirectory, config: Experiment, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+    """Lines about a run that is gone on with: from where, and what has changed since it was begun."""
+    yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
+    manifest = run.manifest()
+    before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
+    changed = [
+        f"{name} {before[name]} then, {version} now"
+        for name, version in now.get("versions", {}).items()
+        if name in before and before[name] != version
+    ]
+    if changed:
+        yield f"warning: flown so far with other versions: {'; '.join(changed)}"
+    first, commit = (each.get("git") or {} for each in (manifest, now))
+    if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
+        yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
 
 
 @dataclass(frozen=True)
@@ -69,7 +106,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
-    console.print(plan(suite, config, cases, request.jobs, out), markup=False)
+    console.print(plan(suite, config, cases, request.jobs, out))
     alone = sum(case.timing == "wall" for case in cases)
     if alone and (request.jobs > 1 or request.engine != LOKY):
         console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
@@ -80,7 +117,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         run = begin_run(suite, config, out, manifest, request.resume)
         if "resumed" in run.manifest():
             for line in going_on(run, config, len(cases), manifest):
-                console.print(line, markup=False)
+                console.print(line)
         fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
@@ -234,8 +271,8 @@ def report_run(run: RunDirectory) -> Summary:
             f"in {len(lost)} of {len(cells)} cells"
         )
     for path in sorted((run.path / "figures").glob("*.png")):
-        console.print(str(path), markup=False)
-    console.print(f"report: {run.path / 'report.html'}", markup=False)
+        console.print(str(path))
+    console.print(f"report: {run.path / 'report.html'}")
     return summary
 
 

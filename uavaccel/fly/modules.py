@@ -22,7 +22,12 @@ from uavaccel.units import NS_PER_S
 
 CLIENTS = ("airsim", "cosysairsim")
 OLD_CLIENT = "AirSimClient"  # the client's one module before AirSim 1.2
-PARTS = ("client", "types", "utils", "pfm")
+PARTS = {
+    "client": "client",
+    "types": "types",
+    "utils": "utils",
+    "pfm": "utils",
+}  # AirSim's submodules, and ours
 _HOME = "uavaccel.airsim"
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OWN = str(Path(__file__).parents[1])
@@ -35,7 +40,7 @@ def client_modules() -> Modules:
     """AirSim's client and its helper modules, under the names by which scripts import them."""
     homes = {OLD_CLIENT: f"{_HOME}.old_client"}
     for name in CLIENTS:
-        homes |= {name: _HOME} | {f"{name}.{part}": f"{_HOME}.{part}" for part in PARTS}
+        homes |= {name: _HOME} | {f"{name}.{part}": f"{_HOME}.{home}" for part, home in PARTS.items()}
     found: dict[str, Callable[[], ModuleType]] = {
         name: lambda home=home: import_module(home)  # type: ignore[misc]
         for name, home in homes.items()

@@ -37,7 +37,7 @@ PATIENCE_NS = (
 
 
 class SimulatedFlight:
-    """Runs a script on a simulated clock; the same script and options give the same messages and trajectory, to the byte.
+    """Runs a script on a simulated clock. Equal scripts and options give equal messages and trajectories, to the byte.
 
     `options.until_s` bounds wall time times ClockSpeed: the call, sleep or reading of the clock that reaches it raises
     FlightOver. The simulation is made when a client connects.

@@ -13,15 +13,12 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.attitude_api import AttitudeApi
 from uavaccel.wire.calls import BoundCall, CallContext, Calls, PartialResult, WireCall
-from uavaccel.wire.camera_api import CameraApi
-from uavaccel.wire.detection_api import DetectionApi
-from uavaccel.wire.flight_api import FlightApi
+from uavaccel.wire.flight_api import AttitudeApi, FlightApi
 from uavaccel.wire.game_api import GameApi
-from uavaccel.wire.image_api import ImageApi
+from uavaccel.wire.image_api import CameraApi, ImageApi
 from uavaccel.wire.notices import Notices, Refusals
-from uavaccel.wire.object_api import ObjectApi
+from uavaccel.wire.object_api import DetectionApi, ObjectApi
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery

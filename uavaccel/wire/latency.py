@@ -125,7 +125,7 @@ ZERO_LATENCY = LatencyConfig()
 
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
-    """The shipped model of a profile: measured by `uavaccel calibrate`; AirSim's fitted by experiments/fit_airsim.py."""
+    """The shipped model of a profile: `uavaccel calibrate` measured it; experiments/fit_airsim.py fitted AirSim's."""
     return read_latency(experiment(SHIPPED[profile]))
 
 

@@ -10,6 +10,7 @@ import math
 from enum import IntEnum
 from typing import TypeAlias
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire.cameras import MountedAs
 from uavaccel.wire.segmentation import Segmentation, colours
+
+Pixels = NDArray[np.uint8] | NDArray[np.float32]
 
 
 class ImageType(IntEnum):
@@ -185,3 +188,17 @@ def pixel_rays(lens: Lens, rows: range) -> NDArray[np.float64]:
 
 def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image[..., None], 3, axis=2)
+
+
+def encoded(suffix: str, image: Pixels) -> bytes:
+    """The bytes of an image file of blue, green, red pixels: ".png" or ".ppm". Raises ValueError."""
+    done, data = cv2.imencode(suffix, image)
+    if not done:
+        raise ValueError("the image could not be compressed")
+    return data.tobytes()
+
+
+def pfm(numbers: NDArray[np.float32]) -> bytes:
+    """A portable float map: one number per pixel, little endian, the bottom row first."""
+    height, width = numbers.shape
+    return f"Pf\n{width} {height}\n-1.0\n".encode() + numbers[::-1].astype("<f4").tobytes()

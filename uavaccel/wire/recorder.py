@@ -19,8 +19,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
-from uavaccel.wire.image_files import image_file
-from uavaccel.wire.pictures import known_type
+from uavaccel.wire.pictures import encoded, known_type, pfm
 from uavaccel.wire.scenery import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
@@ -151,9 +150,13 @@ class Recorder:
         stamp = types.stamp(self._simulation.time_of(tick))
         names = []
         for wanted in self._settings.cameras:
-            suffix, content = image_file(self._scenery, wanted)
-            camera = self._scenery.cameras().named(wanted.camera_name).name
-            parts = (self._vehicle, camera, str(wanted.image_type), str(stamp))
+            camera, pictures = self._scenery.cameras().named(wanted.camera_name), self._scenery.pictures
+            suffix = ".pfm" if wanted.pixels_as_float else ".png" if wanted.compress else ".ppm"
+            if wanted.pixels_as_float:
+                content = pfm(pictures.floats(camera, wanted.image_type))
+            else:
+                content = encoded(suffix, pictures.bgr(camera, wanted.image_type))
+            parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)
             names.append(name)

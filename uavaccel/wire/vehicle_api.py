@@ -16,8 +16,8 @@ from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
-from uavaccel.wire.attitude_api import stick_map
 from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.flight_api import stick_map
 from uavaccel.wire.vehicles import free_place, put_at, standing
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond them a tick's drag or turn is no small change
