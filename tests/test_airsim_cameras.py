@@ -106,7 +106,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     np.testing.assert_allclose(
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9
     )
-    assert wire.api.settings.passed_over() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
+    assert wire.api.settings.without_effect() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
 
 
 def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import msgpack
 import pytest
@@ -16,7 +17,7 @@ import pytest
 from uavaccel import airsim
 from uavaccel.airsim import client as client_module
 from uavaccel.airsim import old_client, types
-from uavaccel.airsim.connection import Future, connect_with, plain
+from uavaccel.airsim.connection import Future, plain
 
 TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
 DEFAULTS = {"RED": [1.0, 0.0, 0.0, 1.0], "FREE": 0, "STILL": {"is_rate": True, "yaw_or_rate": 0.0}}
@@ -83,7 +84,7 @@ class Recorder:
 @pytest.fixture
 def recorder() -> Iterator[Recorder]:
     made = Recorder()
-    with connect_with(lambda host, port, timeout_s: made):
+    with patch("uavaccel.airsim.connection._connect", lambda host, port, timeout_s: made):
         yield made
 
 

@@ -10,12 +10,12 @@ import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from uavaccel.airsim import LandedState, MultirotorClient
-from uavaccel.airsim.connection import connect_with
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -59,7 +59,7 @@ def flight_in() -> Iterator[FlightMaker]:
 
 
 def client_of(flight: SimulatedFlight) -> MultirotorClient:
-    with connect_with(lambda host, port, timeout_s: flight):
+    with patch("uavaccel.airsim.connection._connect", lambda host, port, timeout_s: flight):
         return MultirotorClient()
 
 

@@ -110,7 +110,7 @@ def test_calls_that_nobody_knows_are_named_once_and_listed_at_the_end() -> None:
     assert len(lines) == 4
 
 
-def test_settings_are_read_and_what_is_passed_over_is_named(tmp_path: Path) -> None:
+def test_settings_are_read_and_what_is_without_effect_is_named(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text('{"ClockSpeed": 3, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with serving("--settings", str(path)) as process:

@@ -58,9 +58,9 @@ NO_TURN = YawMode()
 
 
 class VehicleClient:
-    """The calls that every vehicle has. Any number of threads may use a client.
+    """The calls of every vehicle. Any number of threads may share a client.
 
-    `timeout_value` is how many seconds an answer may take. Raises ConnectionError if nobody listens there; calls raise
+    An answer may take `timeout_value` seconds. Raises ConnectionError if no server listens at the address; calls raise
     RpcError with the server's text.
     """
 
@@ -85,7 +85,7 @@ class VehicleClient:
     def getMinRequiredClientVersion(self) -> int: ...
 
     def confirmConnection(self) -> None:
-        """Ping the server, and print whether the versions fit."""
+        """Ping the server, and print whether the versions match."""
         print("Connected!" if self.ping() else "Ping returned false!")
         server, client = self.getServerVersion(), self.getClientVersion()
         min_server, min_client = self.getMinRequiredServerVersion(), self.getMinRequiredClientVersion()
@@ -98,17 +98,17 @@ class VehicleClient:
 
     @remote
     def getSettingsString(self) -> str:
-        """settings.json, as it holds."""
+        """The server's settings.json as it is in effect."""
 
     # --- control ----------------------------------------------------------------------------------
 
     @remote
     def reset(self) -> None:
-        """Every vehicle to its start; API control and arming have to be asked for again."""
+        """Reset every vehicle to its start; API control and arming have to be requested again."""
 
     @remote
     def enableApiControl(self, is_enabled: bool, vehicle_name: str = "") -> None:
-        """Without API control commands have no effect."""
+        """Take or release API control; without it commands have no effect."""
 
     @remote
     def isApiControlEnabled(self, vehicle_name: str = "") -> bool: ...
@@ -118,7 +118,7 @@ class VehicleClient:
 
     @remote
     def cancelLastTask(self, vehicle_name: str = "") -> None:
-        """End the running command."""
+        """Cancel the running command."""
 
     @remote
     def simAddVehicle(
@@ -138,11 +138,11 @@ class VehicleClient:
 
     @remote
     def simContinueForTime(self, seconds: float) -> None:
-        """Run for `seconds` of wall time, so times ClockSpeed of simulated time, then pause."""
+        """Run for `seconds` of wall time, which is ClockSpeed times as much simulated time, then pause."""
 
     @remote
     def simContinueForFrames(self, frames: int) -> None:
-        """Run for so many rendered frames, then pause."""
+        """Run for this number of rendered frames, then pause."""
 
     # --- state ------------------------------------------------------------------------------------
 
@@ -151,14 +151,14 @@ class VehicleClient:
 
     @remote
     def simGetCollisionInfo(self, vehicle_name: str = "") -> CollisionInfo:
-        """What was touched; reading it sets has_collided back."""
+        """The last collision; reading it resets has_collided."""
 
     @remote
     def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
 
     @remote
     def simSetVehiclePose(self, pose: Pose, ignore_collision: bool, vehicle_name: str = "") -> None:
-        """NaN leaves a part of the pose as it is."""
+        """Put the vehicle at a pose; parts of it that are NaN stay as they are."""
 
     @remote
     def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState: ...
@@ -173,7 +173,7 @@ class VehicleClient:
 
     @remote
     def simSetWind(self, wind: Vector3r) -> None:
-        """Metres per second, NED."""
+        """Set the wind in metres per second, NED."""
 
     # --- recording --------------------------------------------------------------------------------
 
@@ -190,11 +190,11 @@ class VehicleClient:
 
     @remote
     def simListSceneObjects(self, name_regex: str = ".*") -> list[str]:
-        """Names of the objects that the regular expression matches."""
+        """The names of the objects that match the regular expression."""
 
     @remote
     def simGetObjectPose(self, object_name: str) -> Pose:
-        """NaN where there is no such object."""
+        """The pose of an object; NaN if there is no such object."""
 
     @remote
     def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool: ...
@@ -215,7 +215,7 @@ class VehicleClient:
         physics_enabled: bool = False,
         is_blueprint: bool = False,
     ) -> str:
-        """Returns the name that the object was given."""
+        """Add an object, and return the name that it was given."""
 
     @remote
     def simDestroyObject(self, object_name: str) -> bool: ...
@@ -228,11 +228,11 @@ class VehicleClient:
 
     @remote
     def simSetSegmentationObjectID(self, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-        """IDs are 0 to 255; returns whether an object was found."""
+        """Set the ID, 0 to 255, of the objects of this name; returns whether there are any."""
 
     @remote
     def simGetSegmentationObjectID(self, mesh_name: str) -> int:
-        """-1 where there is no such object."""
+        """The segmentation ID of an object; -1 if there is no such object."""
 
     @remote
     def simSwapTextures(
@@ -271,7 +271,7 @@ class VehicleClient:
 
     @remote
     def simSetWeatherParameter(self, param: int, val: float) -> None:
-        """A WeatherParameter, and 0 to 1."""
+        """Set a WeatherParameter to a value from 0 to 1."""
 
     # --- geometry -------------------------------------------------------------------------------
 
@@ -283,7 +283,7 @@ class VehicleClient:
 
     @remote
     def simGetWorldExtents(self) -> list[GeoPoint]:
-        """Two opposite corners."""
+        """Two opposite corners of the world."""
 
     @remote
     def simCreateVoxelGrid(self, position: Vector3r, x: int, y: int, z: int, res: float, of: str) -> bool: ...
@@ -387,12 +387,12 @@ class VehicleClient:
         vehicle_name: str = "",
         external: bool = False,
     ) -> list[ImageResponse]:
-        """Images of one moment, in the order of the requests."""
+        """Take images of one moment, returned in the order of the requests."""
 
     def simGetImage(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
     ) -> bytes | None:
-        """One image as PNG, or None if there is none."""
+        """Take one image as PNG; None if there is none."""
         image = self.client.call("simGetImage", str(camera_name), image_type, vehicle_name, external)
         return None if image in ("", "\0", b"", b"\0") else image
 
@@ -405,12 +405,12 @@ class VehicleClient:
     def simSetCameraPose(
         self, camera_name: CameraName, pose: Pose, vehicle_name: str = "", external: bool = False
     ) -> None:
-        """The pose in the frame of the vehicle."""
+        """Set a camera's pose in the vehicle's frame."""
 
     def simSetCameraOrientation(
         self, camera_name: str | int, orientation: Quaternionr, vehicle_name: str = "", external: bool = False
     ) -> None:
-        """Of AirSim before 1.6: turn a camera in the frame of the vehicle, and leave it where it is there."""
+        """Turn a camera in the vehicle's frame without moving it, as in AirSim before 1.6."""
         nowhere = Vector3r(math.nan, math.nan, math.nan)
         self.simSetCameraPose(camera_name, Pose(nowhere, orientation), vehicle_name, external)
 
@@ -418,7 +418,7 @@ class VehicleClient:
     def simSetCameraFov(
         self, camera_name: CameraName, fov_degrees: float, vehicle_name: str = "", external: bool = False
     ) -> None:
-        """The horizontal field of view in degrees."""
+        """Set the horizontal field of view in degrees."""
 
     @remote
     def simGetDistortionParams(
@@ -432,7 +432,7 @@ class VehicleClient:
         vehicle_name: str = "",
         external: bool = False,
     ) -> None:
-        """Any of K1, K2, K3, P1 and P2."""
+        """Set any of K1, K2, K3, P1 and P2."""
         for name, value in distortion_params.items():
             self.simSetDistortionParam(camera_name, name, value, vehicle_name, external)
 
@@ -457,7 +457,7 @@ class VehicleClient:
         vehicle_name: str = "",
         external: bool = False,
     ) -> None:
-        """Detect objects of this name, which may end in an asterisk."""
+        """Detect the objects of this name, which may contain asterisks."""
 
     @remote
     def simSetDetectionFilterRadius(
@@ -673,11 +673,11 @@ class MultirotorClient(VehicleClient):
     def rotateToYawAsync(
         self, yaw: float, timeout_sec: float = FOR_EVER, margin: float = 5, vehicle_name: str = ""
     ) -> Future:
-        """Degrees."""
+        """Turn to a yaw in degrees."""
 
     @remote
     def rotateByYawRateAsync(self, yaw_rate: float, duration: float, vehicle_name: str = "") -> Future:
-        """Degrees per second."""
+        """Turn at a rate in degrees per second."""
 
     # --- attitude, rates, motors ----------------------------------------------------------------
 
@@ -751,7 +751,7 @@ class MultirotorClient(VehicleClient):
         duration: float,
         vehicle_name: str = "",
     ) -> Future:
-        """0 to 1."""
+        """Set the motors' PWM values, from 0 to 1."""
 
     def moveByAngleZAsync(
         self, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = ""
@@ -776,7 +776,7 @@ class MultirotorClient(VehicleClient):
         )
 
     def moveByRC(self, rcdata: RCData | None = None, vehicle_name: str = "") -> None:
-        """Sticks for a vehicle that moveByManual flies."""
+        """Set the sticks of the remote control by which moveByManual flies."""
         self.client.call("moveByRC", RCData() if rcdata is None else rcdata, vehicle_name)
 
     # --- gains ----------------------------------------------------------------------------------
@@ -815,7 +815,7 @@ class MultirotorClient(VehicleClient):
 
 
 class CarClient(VehicleClient):
-    """For scripts that import it. Raises NotImplementedError: no car drives here."""
+    """A name for scripts that import it. Raises NotImplementedError: there is no car here."""
 
     def __init__(self, *arguments: object, **options: object) -> None:
         raise NotImplementedError("uavaccel simulates multirotors; there is no car")

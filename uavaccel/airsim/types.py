@@ -1,7 +1,8 @@
-"""AirSim's types, by its names: what the wire carries as maps of their fields.
+"""AirSim's types under AirSim's names; the wire carries them as maps of their fields.
 
-Units are SI, positions NED, times nanoseconds; YawMode alone has degrees. Source of names, fields, defaults and the
-order of arguments: AirSim v1.8.1, PythonClient/airsim/types.py.
+Units are SI, positions NED, times in nanoseconds; YawMode alone is in degrees. Vectors in sensors' reports are in the
+frame of the body, or of the sensor where that is stated. Sources of names, fields, defaults and the order of arguments:
+AirSim v1.8.1, PythonClient/airsim/types.py; of the gains: simple_flight/Params.hpp.
 """
 
 # ruff: noqa: N802  the names are AirSim's
@@ -26,18 +27,18 @@ Number = float | np.floating | np.integer
 
 
 class MsgpackMixin:
-    """An object whose attributes are the fields of a map on the wire."""
+    """Base of AirSim's types: an object whose attributes are the fields of a map on the wire."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}> " + pformat(vars(self), indent=4, width=1)
 
     def to_msgpack(self, *args: object, **options: object) -> dict[str, object]:
-        """The fields, nested objects as objects."""
+        """The object's fields; nested objects stay objects."""
         return self.__dict__
 
     @classmethod
     def from_msgpack(cls, encoded: Mapping[str, Received]) -> Self:
-        """The object of a map; fields that the type does not have are kept, missing ones have their defaults."""
+        """Make an object from a map: unknown fields are kept, missing ones get their defaults."""
         self = cls.__new__(cls)
         fields = vars(self)
         nested: dict[str, type[MsgpackMixin] | None] = _fields(cls)  # type: ignore[arg-type]
@@ -51,7 +52,7 @@ class MsgpackMixin:
 
 @cache
 def _fields(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin] | None]:
-    """The fields of a type, and the types of those that are objects of AirSim's types themselves."""
+    """The fields of a type, with the type of those that are of AirSim's types themselves."""
     return {
         key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()
     }
@@ -141,7 +142,7 @@ class Quaternionr(MsgpackMixin):
         return Quaternionr(*(mine - its for mine, its in zip(self, other, strict=True)))
 
     def __mul__(self, other: Quaternionr) -> Quaternionr:
-        """Hamilton's product."""
+        """The Hamilton product."""
         _alike(other, "*", self)
         (x, y, z, w), (a, b, c, d) = self, other
         return Quaternionr(
@@ -170,7 +171,7 @@ class Quaternionr(MsgpackMixin):
         return (self.inverse() * other - other.inverse() * self) / 2
 
     def rotate(self, other: Quaternionr) -> Quaternionr:
-        """This one turned by `other`. Raises ValueError unless that has length 1."""
+        """This quaternion rotated by `other`. Raises ValueError unless `other` has length 1."""
         _alike(other, "rotate", self)
         if not math.isclose(other.get_length(), 1.0, rel_tol=1e-6):
             raise ValueError("length of the other Quaternionr must be 1")
@@ -240,7 +241,7 @@ class Pose(MsgpackMixin):
 
 @dataclass(repr=False, eq=False)
 class GeoPoint(MsgpackMixin):
-    """Degrees, and metres above the sea."""
+    """A place on the Earth: degrees, and metres above sea level."""
 
     latitude: float = 0.0
     longitude: float = 0.0
@@ -258,10 +259,10 @@ class PIDGains:
 
 
 class _Gains:
-    """Gains of three axes, in the order of the fields."""
+    """Base of the gains of three axes, in the order of the fields."""
 
     def to_lists(self) -> tuple[list[float], list[float], list[float]]:
-        """kp, ki and kd of the three axes."""
+        """The lists kp, ki and kd, each with the three axes."""
         kp, ki, kd = zip(*(gains.to_list() for gains in vars(self).values()), strict=True)
         return list(kp), list(ki), list(kd)
 
@@ -303,7 +304,7 @@ class GnssFixType(MsgpackMixin):
 
 @dataclass(repr=False, eq=False)
 class RotorStates(MsgpackMixin):
-    """Per rotor a map: thrust in N, torque_scaler in N m, speed in rad/s."""
+    """A map for each rotor: thrust in N, torque_scaler in N m, speed in rad/s."""
 
     timestamp: int = 0
     rotors: list[dict[str, float]] = field(default_factory=list)
@@ -329,7 +330,7 @@ class ImuData(MsgpackMixin):
 
 @dataclass(repr=False, eq=False)
 class BarometerData(MsgpackMixin):
-    """Altitude in m, pressure in Pa, the sea's pressure (qnh) in hPa."""
+    """Altitude in m, pressure in Pa, pressure at sea level (qnh) in hPa."""
 
     time_stamp: int = 0
     altitude: float = 0.0
@@ -339,7 +340,7 @@ class BarometerData(MsgpackMixin):
 
 @dataclass(repr=False, eq=False)
 class MagnetometerData(MsgpackMixin):
-    """The field in gauss, in the body's frame."""
+    """The magnetic field in gauss, in the body's frame."""
 
     time_stamp: int = 0
     magnetic_field_body: Vector3r = field(default_factory=Vector3r)
@@ -373,7 +374,7 @@ class DistanceSensorData(MsgpackMixin):
 
 
 class ImageType:
-    """Kinds of images."""
+    """AirSim's types of image."""
 
     Scene = 0
     DepthPlanar = 1
@@ -389,7 +390,7 @@ class ImageType:
 
 
 class DrivetrainType:
-    """Whether the nose has to point where the vehicle flies."""
+    """Whether the nose has to point in the direction of flight."""
 
     MaxDegreeOfFreedom = 0
     ForwardOnly = 1

@@ -18,7 +18,7 @@ from uavaccel.airsim.types import ImageResponse, Quaternionr
 
 
 def read_pfm(file: str | Path) -> tuple[NDArray[np.floating], float]:
-    """The rows in the file's order, (height, width) or (height, width, 3), and the scale. Raises ValueError."""
+    """Read a portable float map: rows in the file's order, (height, width[, 3]), and the scale. Raises ValueError."""
     data = Path(file).read_bytes()
     header = re.match(rb"(PF|Pf)\s+(\d+)\s+(\d+)\s+(\S+)\s", data)
     if header is None:
@@ -30,7 +30,7 @@ def read_pfm(file: str | Path) -> tuple[NDArray[np.floating], float]:
 
 
 def write_pfm(file: str | Path, image: NDArray[np.generic], scale: float = 1) -> None:
-    """Write float32 pixels, H x W, H x W x 1 or H x W x 3, in the array's order. Raises ValueError."""
+    """Write a portable float map of float32 pixels, H x W[ x 1 or 3], in the array's order. Raises ValueError."""
     if image.dtype.name != "float32":
         raise ValueError(f"image must be float32, not {image.dtype.name}")
     colour = image.ndim == 3 and image.shape[2] == 3
@@ -44,27 +44,27 @@ def write_pfm(file: str | Path, image: NDArray[np.generic], scale: float = 1) ->
 
 
 def string_to_uint8_array(bstr: bytes) -> NDArray[np.uint8]:
-    """The bytes as numbers, in an array of its own."""
+    """The bytes as an array of numbers, which is a copy."""
     return np.frombuffer(bstr, np.uint8).copy()
 
 
 def string_to_float_array(bstr: bytes) -> NDArray[np.float32]:
-    """The bytes as single-precision numbers, in an array of its own."""
+    """The bytes as an array of single-precision numbers, which is a copy."""
     return np.frombuffer(bstr, np.float32).copy()
 
 
 def list_to_2d_float_array(flst: ArrayLike, width: int, height: int) -> NDArray[np.float32]:
-    """(height, width) of a row-major list."""
+    """The array (height, width) of a row-major list."""
     return np.reshape(np.asarray(flst, np.float32), (height, width))
 
 
 def get_pfm_array(response: ImageResponse) -> NDArray[np.float32]:
-    """The floats of an image, (height, width)."""
+    """The array (height, width) of a float image."""
     return list_to_2d_float_array(response.image_data_float, response.width, response.height)
 
 
 def get_public_fields(obj: object) -> list[str]:
-    """Names of an object's attributes that are neither private nor functions."""
+    """The names of an object's attributes that are neither private nor functions."""
     return [
         name
         for name, value in inspect.getmembers(obj)
@@ -86,7 +86,7 @@ def write_file(filename: str | Path, bstr: bytes) -> None:
 
 
 def write_png(filename: str | Path, image: NDArray[np.integer | np.floating]) -> None:
-    """Write an array (height, width, channels), blue first."""
+    """Write an array (height, width, channels), blue first, as PNG."""
     import cv2
 
     if not cv2.imwrite(str(filename), image):

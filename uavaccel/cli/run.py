@@ -59,7 +59,7 @@ def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple
     return suite, run.config()
 
 
-def going_on(run: RunDirectory, config: Experiment, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+def going_on(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
     """Lines about a run that is gone on with: from where, and what has changed since it was begun."""
     yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
     manifest = run.manifest()
@@ -116,7 +116,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         manifest = manifest_of(suite, config)
         run = begin_run(suite, config, out, manifest, request.resume)
         if "resumed" in run.manifest():
-            for line in going_on(run, config, len(cases), manifest):
+            for line in going_on(run, len(cases), manifest):
                 console.print(line)
         fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)

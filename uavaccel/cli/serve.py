@@ -136,8 +136,8 @@ def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
-    if passed_over := settings.passed_over():
-        say(f"{options.settings}: without meaning here: {', '.join(passed_over)}")
+    if without_effect := settings.without_effect():
+        say(f"{options.settings}: without meaning here: {', '.join(without_effect)}")
 
 
 def waiting(server: Server) -> str:

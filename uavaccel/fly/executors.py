@@ -1,8 +1,8 @@
-"""Python's own pools of threads, event loops and scheduler, on a simulated clock.
+"""Python's thread pools, event loops and scheduler on a simulated clock.
 
-`concurrent.futures` and `asyncio` make threads, locks and queues by the modules `threading`, `queue` and `time` that
-they have imported. Here they find others, which give a script what takes turns (uavaccel.fly.threads), and everybody
-else, such as a library that has pools of its own, Python's.
+`concurrent.futures` and `asyncio` make threads, locks and queues through the modules `threading`, `queue` and `time`
+that they have imported. These are replaced by modules that give a script objects that take turns (uavaccel.fly.threads)
+and everyone else, such as a library with its own pools, Python's.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     import asyncio
 
 FREE_TURNS = (
-    100  # of a loop while the clock stands; each one more looks at the clock, so that one that polls ends
+    100  # iterations of a loop while the clock stands; each further one reads the clock, so that polling ends
 )
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
 class SimulatedSelector:
-    """What an event loop waits in. `look` lets as much time pass as a look at the clock does.
+    """The selector in which an event loop waits; `look` charges what reading the clock costs.
 
-    What sockets and pipes bring is there when the machine brings it: it is waited for where nothing else can go on.
+    Data on sockets and pipes arrive in the machine's time: they are waited for when nothing else can continue.
     """
 
     def __init__(self, selector: selectors.BaseSelector, turns: Turns, look: Callable[[], object]) -> None:
@@ -71,7 +71,7 @@ class SimulatedSelector:
 def loops_taking_turns(
     module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]
 ) -> None:
-    """Let event loops of asyncio.selector_events that a script makes live on its clock."""
+    """Put the event loops of asyncio.selector_events that a script makes on its clock."""
     original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
 
     def init(self: asyncio.BaseEventLoop, selector: selectors.BaseSelector | None = None) -> None:
@@ -84,7 +84,7 @@ def loops_taking_turns(
 
 
 def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
-    """Let pools, event loops and schedulers that a script makes take turns.
+    """Let the pools, event loops and schedulers that a script makes take turns.
 
     `clock` is the script's module `time`.
     """
@@ -119,7 +119,7 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
-    """A copy of a module some of whose names mean `own` for a script."""
+    """A copy of a module in which some names mean `own` for a script's calls."""
 
     def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
@@ -131,14 +131,14 @@ def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], tu
 
 
 def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
-    """A pool, or an event loop, whose worker a flight's end reaches has nothing to log."""
+    """Keep a pool or an event loop from logging the end of the flight, which reaches its workers as an exception."""
     logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
     logger.addFilter(_is_no_end)
     patches.undo(lambda: logger.removeFilter(_is_no_end))
 
 
 def _is_no_end(record: logging.LogRecord) -> bool:
-    """Whether a logger's record is of anything but a flight's end."""
+    """Whether a log record is about anything but the end of the flight."""
     return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
 
 
@@ -147,7 +147,7 @@ def _of_a_script(turns: Turns) -> bool:
 
 
 def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
-    """Processes compute in the machine's time: their futures are waited for in it."""
+    """Wait for the futures of processes in the machine's time, in which they compute."""
     condition = threading.Condition
 
     class Future(concurrent.futures.Future[object]):
@@ -159,7 +159,7 @@ def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
 
 
 def _thread_pool(original: type, turns: Turns) -> type:
-    """multiprocessing's ThreadPool, which for a script is ours."""
+    """multiprocessing's ThreadPool, which is ours when a script makes it."""
 
     def new(cls: type, *arguments: object, **options: object) -> object:
         if not _of_a_script(turns):
@@ -173,7 +173,7 @@ def _thread_pool(original: type, turns: Turns) -> type:
 
 
 def end_pools() -> None:
-    """What Python does to executors that nobody has shut down, before it waits for threads: it lets them finish."""
+    """Let executors finish that nobody has shut down, as Python does at its end."""
     if (pools := sys.modules.get("concurrent.futures.thread")) is not None:
         pools._python_exit()
         vars(pools)["_shutdown"] = False

@@ -1,6 +1,6 @@
-"""Stand-ins for what reads keys, where it is not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
+"""Stand-ins for modules that read keys, if they are not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
 
-No key is ever pressed. Who waits for one gets Enter after a moment, as `airsim.wait_key` and `input` do here.
+No key is ever pressed. A call that waits for one returns Enter after a moment, like `airsim.wait_key` and `input` here.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from types import ModuleType
 from uavaccel.fly.modules import called_by_a_script
 
 ROOTS = ("keyboard", "pynput", "pygame", "msvcrt")
-KEY_S = 0.1  # of the script's time, until who waits for a key gets it
+KEY_S = 0.1  # seconds of the script's clock after which a call that waits for a key returns
 Sleep = Callable[[float], object]
 Now = Callable[[], float]
 PARTS = {
     "pygame": ("display", "event", "joystick", "key", "locals", "mouse", "time"),
     "pynput": ("keyboard", "mouse"),
 }
-"""Modules of theirs that are there without being imported."""
+"""Their submodules that are available without being imported."""
 CONSTANTS = (
     *(f"K_{key}" for key in string.ascii_lowercase + string.digits),
     *(
@@ -34,7 +34,7 @@ CONSTANTS = (
     *("QUIT", "KEYDOWN", "KEYUP", "MOUSEBUTTONDOWN", "MOUSEBUTTONUP", "MOUSEMOTION", "JOYAXISMOTION"),
     *("JOYBUTTONDOWN", "JOYBUTTONUP", "RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
 )
-"""What `from pygame.locals import *` brings."""
+"""The names that `from pygame.locals import *` imports."""
 
 
 class _OfNothing(type):
@@ -45,7 +45,7 @@ class _OfNothing(type):
 
 
 class Nothing(metaclass=_OfNothing):
-    """Whatever else a script asks such a module for: it can be called, read, drawn on, and does nothing."""
+    """Any other object of such a module: it can be called, indexed and drawn on, and does nothing."""
 
     def __init__(self, *arguments: object, **options: object) -> None:
         pass
@@ -86,7 +86,7 @@ class Nothing(metaclass=_OfNothing):
 
 
 class Silent(ModuleType):
-    """A module whose other names mean nothing; its constants, in capitals, are numbers of their own."""
+    """A module whose unknown names are `Nothing`, except constants in capitals, which are distinct numbers."""
 
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
@@ -100,13 +100,13 @@ class Silent(ModuleType):
 
 
 class Clock:
-    """pygame.time.Clock: `tick` waits until a frame of so many per second is over."""
+    """pygame.time.Clock: `tick` waits for the end of a frame."""
 
     def __init__(self, sleep: Sleep, now_s: Now) -> None:
         self._sleep, self._now_s, self._ticked_s = sleep, now_s, now_s()
 
     def tick(self, framerate: float = 0) -> int:
-        """Milliseconds since the last one."""
+        """Wait until 1 / `framerate` seconds after the last tick; returns the milliseconds since then."""
         over_s = self._ticked_s + (1 / framerate if framerate else 0.0)
         self._sleep(max(0.0, over_s - self._now_s()))
         before_s, self._ticked_s = self._ticked_s, self._now_s()
@@ -120,7 +120,7 @@ class Clock:
 
 @contextmanager
 def key_modules(sleep: Sleep, now_s: Now) -> Iterator[None]:
-    """Let scripts' imports that find nothing else find them, on the script's clock."""
+    """Let a script's imports find the stand-ins, on the script's clock, if there is no other such module."""
     finder = _Finder(sleep, now_s)
     sys.meta_path.append(finder)
     try:
@@ -132,7 +132,7 @@ def key_modules(sleep: Sleep, now_s: Now) -> Iterator[None]:
 
 
 class _Finder(Loader, MetaPathFinder):
-    """For scripts alone: a library that looks whether there is one may go on without."""
+    """Finds stand-ins for scripts only: a library may try an import and manage without it."""
 
     def __init__(self, sleep: Sleep, now_s: Now) -> None:
         self._clock = sleep, now_s
@@ -160,7 +160,7 @@ class _Finder(Loader, MetaPathFinder):
 
 
 def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
-    """What of a module is more than nothing."""
+    """The names of a module that do something."""
 
     def read(value: object) -> Callable[..., object]:
         return lambda *arguments, **options: (sleep(KEY_S), value)[1]
@@ -189,5 +189,5 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
 
 
 def _number_of(name: str) -> int:
-    """The same in every process, and hardly another constant's."""
+    """A constant's number: the same in every process, and very likely distinct."""
     return 256 + zlib.crc32(name.encode()) % (1 << 30)

@@ -1,4 +1,4 @@
-"""A script run as `python script.py` runs it: its name, arguments, folder and tracebacks."""
+"""Runs a script as `python script.py` does: with its name, arguments, folder and tracebacks."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ INTERRUPTED = 130  # exit status
 
 
 def hide_ours(error: BaseException | None) -> None:
-    """Take this package's frames, such as those of its import hook, out of an exception and what it came from.
+    """Remove this package's frames, such as its import hook's, from an exception and its causes.
 
-    The first frame stays: that of whoever shows it.
+    The first frame stays: it belongs to whoever prints the exception.
     """
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
@@ -34,7 +34,7 @@ def hide_ours(error: BaseException | None) -> None:
 
 
 def hide_frames(trace: TracebackType | None) -> None:
-    """Take them out of a traceback, behind its first frame."""
+    """Remove this package's frames from a traceback, except its first frame."""
     while trace is not None:
         while trace.tb_next is not None and trace.tb_next.tb_frame.f_code.co_filename.startswith(_OURS):
             trace.tb_next = trace.tb_next.tb_next
@@ -42,7 +42,7 @@ def hide_frames(trace: TracebackType | None) -> None:
 
 
 def hide_frames_everywhere(patches: Patches) -> None:
-    """Let what a script prints of an exception itself, or logs, be without them too; a UserError is its line alone."""
+    """Remove them from tracebacks that the script itself prints or logs, too; of a UserError only its line is left."""
     kind = traceback.TracebackException
     original: Callable[..., None] = kind.__init__
 
@@ -62,9 +62,9 @@ def hide_frames_everywhere(patches: Patches) -> None:
 
 
 class FlightOver(BaseException):
-    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
+    """Ends the script at the end of its flight; a BaseException, which its `except Exception` does not catch.
 
-    Raised by every call from then on. A script that catches even this for ever ends its process.
+    Every call raises it from then on. The process of a script that catches it again and again is ended.
     """
 
     MOST = 1000
@@ -82,13 +82,13 @@ class FlightOver(BaseException):
 
 
 def unraisable(event: sys.UnraisableHookArgs) -> None:
-    """sys.unraisablehook: an end that reaches a destructor is no news."""
+    """A sys.unraisablehook that ignores the end of the flight in destructors."""
     if not isinstance(event.exc_value, FlightOver):
         sys.__unraisablehook__(event)
 
 
 class Outcome(NamedTuple):
-    """How a script ended: exit status, whether of itself, and the machine's wall time that it took."""
+    """How a script ended: its exit status, whether it finished by itself, and the machine's wall time that it took."""
 
     status: int
     finished: bool
@@ -96,9 +96,9 @@ class Outcome(NamedTuple):
 
 
 def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> Outcome:
-    """Run the file as `__main__`, and `outlive` what it has started. What it raises is shown as its own traceback.
+    """Run the file as `__main__`, then call `outlive` to wait for its threads; prints the tracebacks of exceptions.
 
-    Raises UserError where it cannot be read, or is no Python.
+    Raises UserError if the file cannot be read or is not Python.
     """
     code, clock = compiled(path), MonotonicClock()
     begun_ns = clock.now_ns()
@@ -133,7 +133,7 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
 
 
 def compiled(path: Path) -> CodeType:
-    """The script's code. Raises UserError."""
+    """Compile the script. Raises UserError if it cannot be read or is not Python."""
     try:
         source = path.read_bytes()
     except OSError as error:
@@ -146,7 +146,7 @@ def compiled(path: Path) -> CodeType:
 
 
 def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
-    """The trace from the script's first frame on."""
+    """The traceback from the script's first frame on."""
     first = trace
     while first is not None and first.tb_frame.f_code.co_filename != file:
         first = first.tb_next
@@ -161,7 +161,7 @@ def _status_of(end: SystemExit) -> int:
 
 
 def flush_output() -> None:
-    """Let nothing that the script printed come after what is printed about it."""
+    """Flush what the script has printed before anything is printed about it."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

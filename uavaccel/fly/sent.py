@@ -1,4 +1,4 @@
-"""Arguments as they would arrive at a server, and answers at a client, for calls that no wire carries."""
+"""Converts arguments and answers of in-process calls to what the wire would make of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
 
 def as_sent(value: object) -> object:
-    """AirSim's types as maps, NumPy's numbers as numbers, tuples as lists. Raises TypeError as packing would."""
+    """An argument as a server would receive it: plain maps, lists and numbers. Raises TypeError as packing would."""
     if type(value) in _AS_THEY_ARE:
         return value
     if isinstance(value, Mapping):
@@ -25,7 +25,7 @@ def as_sent(value: object) -> object:
 
 
 def as_received(value: object) -> object:
-    """Arrays of an answer, or of the maps in it, as lists of single precision: what a wire makes of them."""
+    """An answer as a client would receive it: arrays become lists of single precision."""
     if isinstance(value, np.ndarray):
         return value.astype(np.float32).ravel().tolist()
     if isinstance(value, list):

@@ -71,7 +71,7 @@ def script_environment(
     at the end of the block, and the finder of the client's modules.
     """
     clock = in_scripts["time"]
-    sleep, now_s = clock.sleep, clock.monotonic
+    sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
     with ExitStack() as stack:
         patches = stack.enter_context(Patches())
         _supply_old_interfaces(patches, sleep)

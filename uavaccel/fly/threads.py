@@ -1,6 +1,6 @@
 """Stand-ins for `threading` and `queue` whose threads take turns on a simulated clock (uavaccel.fly.turns).
 
-Only one thread of a script ever runs, so locks are plain flags.
+Only one thread of a script runs at a time, so that locks are plain flags.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Class = TypeVar("Class", bound=type)
 
 
 def bound(kind: Class, turns: Turns) -> Class:
-    """A class whose objects wait by `turns`."""
+    """A subclass whose objects wait through `turns`."""
     return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
 
 
@@ -117,20 +117,12 @@ class Condition:
         self.release()
 
 
-class Event:
+class Event(threading.Event):
     turns: Turns
 
     def __init__(self) -> None:
-        self._flag = False
-
-    def is_set(self) -> bool:
-        return self._flag
-
-    def set(self) -> None:
-        self._flag = True
-
-    def clear(self) -> None:
-        self._flag = False
+        super().__init__()
+        self._cond = bound(Condition, self.turns)()
 
     def wait(self, timeout: float | None = None) -> bool:
         return self.turns.until(self.is_set, timeout)
@@ -169,7 +161,7 @@ class Barrier(threading.Barrier):
 
 
 class Thread(threading.Thread):
-    """A thread that runs in its turns. The process does not wait for it; the flight does, unless it is a daemon."""
+    """A thread that runs in turns. Not the process but the flight waits for its end, unless it is a daemon."""
 
     turns: Turns
     running: list[Thread]
@@ -257,7 +249,7 @@ class PriorityQueue(Queue, queue.PriorityQueue[object]):  # type: ignore[type-va
 
 
 class ThreadKinds:
-    """The stand-ins, by the name of the module and their own, and the script's threads that run."""
+    """The stand-ins by module and name, bound to one flight, and the script's running threads."""
 
     def __init__(self, turns: Turns) -> None:
         self.running: list[Thread] = []
@@ -274,12 +266,12 @@ class ThreadKinds:
         }
 
     def modules(self) -> dict[str, ModuleType]:
-        """`threading` and `queue` for a script."""
+        """The modules `threading` and `queue` for a script."""
         return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
 
 
 def changed(module: ModuleType, names: Mapping[str, object]) -> ModuleType:
-    """A copy of a module in which some names are others."""
+    """A copy of a module with some of its names replaced."""
     copy = ModuleType(module.__name__, module.__doc__)
     vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
     vars(copy).update(names)

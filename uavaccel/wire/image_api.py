@@ -1,4 +1,4 @@
-"""AirSim's calls about images, and our own for one bare picture.
+"""AirSim's calls about cameras and images, and our own for one raw image.
 
 Image, pose and time stamp belong to the same tick: a picture is of the moment at which the call is handled.
 Sources: AirSim v1.8.1, ImageCaptureBase.hpp, RpcLibAdaptorsBase.hpp, WorldSimApi. Formats: airsim's clients expect
@@ -33,9 +33,9 @@ from uavaccel.wire.rpc import Received
 NEAR_CM = 10.0  # GNearClippingPlane
 NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
 MOST_IMAGES = 64  # of one call
-OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here
-AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
-PIXELS_AT_ONCE = 1 << 18  # and so of more pixels
+OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not available here
+AT_ONCE = 4  # of more images each is drawn by itself, and the server serves other clients in between
+PIXELS_AT_ONCE = 1 << 18  # the same for pixels
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
 
@@ -44,7 +44,7 @@ class CameraApi(Calls, title="Cameras and images"):
     def info(
         self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
     ) -> dict[str, object]:
-        """Pose NED, degrees, and the projection of NED centimetres from the camera."""
+        """Return the pose in NED, the field of view in degrees, and the projection of NED centimetres."""
         mounted = self._named(camera_name, vehicle, external)
         kinematics, lens = self.scenery.truth(vehicle), mounted.lens(SCENE)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
@@ -56,7 +56,7 @@ class CameraApi(Calls, title="Cameras and images"):
     def set_pose(
         self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """Relative to the vehicle, FRD; NaN leaves a part as it is."""
+        """Set the pose relative to the vehicle, FRD; parts that are NaN stay as they are."""
         mounted = self._named(camera_name, vehicle, external)
         position, orientation = pose
         keep = [any(map(math.isnan, part)) for part in (position, orientation)]
@@ -69,7 +69,7 @@ class CameraApi(Calls, title="Cameras and images"):
     def set_fov(
         self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """From the left to the right edge, of all types of image."""
+        """Set the horizontal field of view of all types of image."""
         mounted = self._named(camera_name, vehicle, external)
         if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
             raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
@@ -79,7 +79,7 @@ class CameraApi(Calls, title="Cameras and images"):
     def distortion(
         self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
     ) -> list[float]:
-        """K1, K2, K3, P1, P2."""
+        """Return K1, K2, K3, P1, P2."""
         return list(self._named(camera_name, vehicle, external).distortion.values())
 
     @call("simSetDistortionParam")
@@ -91,7 +91,7 @@ class CameraApi(Calls, title="Cameras and images"):
         vehicle: VehicleName = "",
         external: Truthy = False,
     ) -> None:
-        """Kept and told; pictures stay undistorted."""
+        """Keep a parameter, which can be read again; pictures stay undistorted."""
         known = self._named(camera_name, vehicle, external).distortion
         if not isinstance(param_name, str) or param_name not in known:
             raise ValueError(f"no distortion parameter {param_name!r}; there are {', '.join(known)}")
@@ -120,10 +120,10 @@ class CameraApi(Calls, title="Cameras and images"):
 
 
 def projection(lens: Lens) -> NDArray[np.float64]:
-    """AirSim's proj_mat (4, 4): columns north, east and down of the camera's frame, and one.
+    """AirSim's proj_mat (4, 4), for homogeneous north, east, down in the camera's frame.
 
-    The quotients by the fourth row are the picture's, from -1 to 1, of what is opposite: AirSim turns north into the
-    south that Unreal's matrix takes for ahead (PIPCamera.cpp, getProjectionMatrix).
+    Divided by the fourth row they give picture coordinates from -1 to 1, of the point on the opposite side: AirSim
+    turns north into the south that Unreal's matrix takes for ahead (PIPCamera.cpp, getProjectionMatrix).
     """
     half = math.tan(math.radians(lens.fov_deg) / 2)
     across, up = max(1.0, lens.height / lens.width), max(1.0, lens.width / lens.height)
@@ -134,7 +134,7 @@ def projection(lens: Lens) -> NDArray[np.float64]:
 
 
 class ImageRequest(NamedTuple):
-    """What is asked for, by the name that the client gave the camera."""
+    """One requested image; `camera_name` is the client's name for the camera."""
 
     camera: MountedAs
     camera_name: str
@@ -144,7 +144,7 @@ class ImageRequest(NamedTuple):
 
 
 def image_requests(value: object, name: str) -> list[object]:
-    """A list that is not too long."""
+    """A list of at most MOST_IMAGES requests."""
     if not isinstance(value, list) or len(value) > MOST_IMAGES:
         raise ValueError(f"{name} must be a list of at most {MOST_IMAGES} ImageRequest")
     return value
@@ -153,9 +153,9 @@ def image_requests(value: object, name: str) -> list[object]:
 class ImageApi(Calls, title="Cameras and images"):
     @call("uavaccelImage", "image", leaves_state=True)
     def raw_image(self, kind: object) -> dict[str, object]:
-        """One picture of this moment at AirSim's default size, as bytes, with its shape and NumPy type.
+        """Return the present picture at AirSim's default size as bytes, with its shape and NumPy type.
 
-        Gray or segmentation (H, W), colour (H, W, 3), or depth.
+        Gray, segmentation and depth have the shape (H, W), colour (H, W, 3).
         """
         if kind not in PICTURES:
             raise ValueError(f"no picture {str(kind)!r}; there are {', '.join(PICTURES)}")
@@ -172,7 +172,7 @@ class ImageApi(Calls, title="Cameras and images"):
         vehicle: VehicleName = "",
         external: Truthy = False,
     ) -> list[dict[str, object]] | PartialResult:
-        """All of one moment; what cannot be drawn is said in its response alone."""
+        """Return images of one moment; the response of one that cannot be drawn says why."""
         cameras = self.scenery.cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
@@ -184,7 +184,7 @@ class ImageApi(Calls, title="Cameras and images"):
     def get_image(
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
-        """One PNG."""
+        """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
         return encoded(".png", self.scenery.pictures.bgr(mounted, image_type))
 
@@ -214,7 +214,7 @@ class ImageApi(Calls, title="Cameras and images"):
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
-        """The picture; or an empty one, and why."""
+        """The picture and an empty text; or an empty picture and the reason."""
         try:
             known_type(request.image_type)
         except ValueError as error:
@@ -232,7 +232,7 @@ def _pixels(request: ImageRequest) -> int:
 
 
 def image_request(value: object, cameras: Cameras) -> ImageRequest:
-    """An ImageRequest of the wire, whose type need not be known. Raises ValueError."""
+    """The wire's ImageRequest; its type of image is not checked. Raises ValueError."""
     if not isinstance(value, Mapping):
         raise ValueError("an ImageRequest must be a map")
     name = str(value.get("camera_name", ""))
@@ -242,7 +242,7 @@ def image_request(value: object, cameras: Cameras) -> ImageRequest:
 
 
 def lane_layout(lane: object) -> LaneLayout:
-    """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
+    """The lane layout for a seed, a seed with a difficulty, or a mapping of obstacles. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")
     seed = lane["seed"] if isinstance(lane, Mapping) else lane

@@ -1,6 +1,7 @@
-"""AirSim's calls about a scene's objects: found, moved, scaled, spawned, destroyed, given segmentation IDs.
+"""AirSim's calls about a scene's objects: poses, scales, spawning, segmentation IDs, and detection by cameras.
 
-Source: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts).
+Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComponent.cpp. An object is detected if a
+ray from the camera meets it at one of the points of its bounding box.
 """
 
 # ruff: noqa: N815  the names are AirSim's
@@ -32,21 +33,21 @@ NAN = math.nan
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
 NO_EDITOR = "there is no Unreal engine"
 DEFAULT_RADIUS_M = 200.0
-MOST_NAMES = 256  # that a camera looks for
-INSIDE = 0.98  # of the way from a box's middle: rays to the very edge may pass it
+MOST_NAMES = 256  # patterns per filter
+INSIDE = 0.98  # of the way from a box's centre to its corners: rays to the very edge may miss it
 
 
 class ObjectApi(Calls, title="Objects"):
-    """Poses are the world's."""
+    """Calls about objects; poses are in the world's frame."""
 
     @call("simListSceneObjects")
     def listed(self, name_regex: ObjectName = ".*") -> list[str]:
-        """Objects and vehicles."""
+        """List the objects and vehicles whose names match."""
         return self.scenery.named_like(name_regex)
 
     @call("simGetObjectPose")
     def pose(self, object_name: ObjectName, ned: object = True) -> dict[str, dict[str, float]]:
-        """Of an object or a vehicle; not a number for what is not there. Always NED."""
+        """Return the pose of an object or a vehicle, always NED; NaN if there is none of that name."""
         for vehicle in self.simulation.world.vehicles:
             if object_name == vehicle.name:
                 return types.pose_map(vehicle.kinematics(in_world=True))
@@ -54,19 +55,19 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simSetObjectPose")
     def set_pose(self, object_name: ObjectName, pose: AnyPose, teleport: object = True) -> bool:
-        """It is put there at once, whatever is on the way."""
+        """Teleport an object or a vehicle; returns whether there is one."""
         for pilot in self.simulation.pilots:
             if object_name == pilot.vehicle.name:
                 local = pose._replace(position_m=pilot.vehicle.local(pose.position_m))
                 self.simulation.world.teleport(pilot.vehicle, *put_at(pilot, local))
                 return True
         if self.scenery.objects.geom(object_name) is None:
-            return False  # as AirSim: its pose, not a number, may be what is set
+            return False  # as in AirSim, even for a pose that is NaN
         return self.scenery.objects.set_pose(object_name, finite(pose))
 
     @call("simGetObjectScale")
     def scale(self, object_name: ObjectName) -> dict[str, float]:
-        """0 for what is not there."""
+        """Return the scale of an object; 0 if there is none of that name."""
         return types.vector_map(self.scenery.objects.scale(object_name) or (0.0, 0.0, 0.0))
 
     @call("simSetObjectScale")
@@ -83,7 +84,7 @@ class ObjectApi(Calls, title="Objects"):
         physics_enabled: Truthy = False,
         is_blueprint: object = False,
     ) -> str:
-        """Returns the name that it has got."""
+        """Add an object, and return the name that it was given."""
         name = self.scenery.objects.spawn(object_name, asset_name, pose, scale)
         self.scenery.segmentation.spawned(name)
         if physics_enabled:
@@ -100,7 +101,7 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simLoadLevel")
     def load_level(self, level_name: object) -> bool:
-        """True for the scene that is there. Raises ValueError for another."""
+        """Return True for the present scene. Raises ValueError for any other."""
         scene = self.simulation.world.scene
         if level_name != scene:
             raise ValueError(
@@ -117,10 +118,10 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simGetSegmentationObjectID")
     def segmentation_id(self, mesh_name: ObjectName) -> int:
-        """-1 for what is not there."""
+        """Return the segmentation ID of an object; -1 if there is none of that name."""
         return self.scenery.segmentation.id(self.scenery.named(mesh_name))
 
-    simSwapTextures = WithoutEffect([])  # of the objects whose textures were swapped
+    simSwapTextures = WithoutEffect([])  # the names of the objects whose textures were swapped
     simSetObjectMaterial = WithoutEffect(refused=NO_EDITOR)
     simSetObjectMaterialFromTexture = WithoutEffect(refused=NO_EDITOR)
     simGetMeshPositionVertexBuffers = WithoutEffect(refused=NO_EDITOR)
@@ -129,7 +130,7 @@ class ObjectApi(Calls, title="Objects"):
 
 @dataclass
 class Filter:
-    """What one camera looks for: names, with * and ?, within a radius."""
+    """The objects that one camera detects: name patterns with * and ?, within a radius."""
 
     patterns: list[str] = field(default_factory=list)
     radius_m: float = DEFAULT_RADIUS_M
@@ -231,7 +232,7 @@ class DetectionApi(Calls, title="Objects"):
 
 
 def picture_box(corners: NDArray[np.float64], lens: Lens) -> tuple[list[float], list[float]] | None:
-    """First and last pixel of a box, given by corners (8, 3) in the camera's frame; None out of the picture."""
+    """The first and last pixel of a box with corners (8, 3) in the camera's frame; None outside of the picture."""
     ahead = corners[corners[:, 0] > 1e-3]
     if not len(ahead):
         return None

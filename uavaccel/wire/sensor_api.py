@@ -1,4 +1,4 @@
-"""AirSim's calls about sensors. Each reads the tick of the call, so that its stamp is that of the state.
+"""AirSim's calls about sensors. Each reads the state of the call's tick, so that their time stamps agree.
 
 Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (names and error texts).
 """
@@ -19,14 +19,14 @@ from uavaccel.wire.settings import Sensors
 
 
 class SensorApi(Calls, title="Sensors"):
-    """An empty name is the first sensor of its kind."""
+    """Calls about sensors; an empty name selects the first sensor of its kind."""
 
     def __init__(self, context: CallContext) -> None:
         super().__init__(context)
         self._sensors: dict[int, Sensors] = {}
 
     def _of(self, vehicle: str) -> Sensors:
-        """A vehicle's sensors; their noise is its own."""
+        """A vehicle's sensors, whose noise is independent of other vehicles'."""
         number, settings = self.scenery.number_of(vehicle), self.scenery.settings
         if number not in self._sensors:
             given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)
@@ -70,7 +70,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getMagnetometerData")
     def magnetometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """AirSim never fills the covariance."""
+        """Return the field in the body's frame; AirSim never fills the covariance."""
         field = self._of(vehicle).named(Magnetometer, "magnetometer", name).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
@@ -80,7 +80,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getGpsData")
     def gps(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """`time_utc` is in microseconds."""
+        """Return the position fix; `time_utc` is in microseconds."""
         reading = self._of(vehicle).named(Gps, "gps", name).read(self._truth(vehicle))
         gnss = {
             "geo_point": types.geo_map(reading.place),
@@ -106,7 +106,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getLidarData")
     def lidar(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """x, y, z of all points in one list; a single 0 stands for none, as in AirSim."""
+        """Return x, y, z of all points in one list; a single 0 stands for no points, as in AirSim."""
         sensor = self._of(vehicle).named(Lidar, "lidar", name)
         world = self.simulation.world
         scan = sensor.read(self._truth(vehicle), world.model, world.data)

@@ -1,6 +1,7 @@
-"""AirSim's settings.json: what a server here honours of it, and by name what it passes over.
+"""AirSim's settings.json: the keys that have an effect here, and the names of those that do not.
 
-Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that contradicts this simulator is refused.
+Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that contradicts this simulator is refused. A
+vehicle's sensors are those of its settings, else of DefaultSensors, else AirSim's four (createDefaultSensorSettings).
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ COMPUTER_VISION = "ComputerVision"
 LOOPBACK = "127.0.0.1"
 PORT = 41451
 LARGEST_BYTES = 1 << 20
-_NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
+_NOTES = {"SettingsVersion", "SeeDocsAt"}  # keys for people and other programs, which need no effect
 
 
 class Sensors:
-    """A vehicle's sensors by name; `seed` is that of their noise."""
+    """A vehicle's sensors by name; `seed` determines their noise."""
 
     def __init__(
         self,
@@ -65,7 +66,7 @@ class Sensors:
         }
 
     def named(self, kind: type[Kind], word: str, name: object) -> Kind:
-        """The sensor of a kind that a client calls so, the first if it names none. Raises ValueError."""
+        """The sensor of this kind and name, the first one for an empty name. Raises ValueError if there is none."""
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
         known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
@@ -104,7 +105,7 @@ class OriginGeopoint(AirSimKeys):
 
 
 class Vehicle(AirSimKeys):
-    """NED metres from the player's start, degrees."""
+    """A vehicle of settings.json, in NED metres from the player's start and degrees."""
 
     vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
     auto_create: bool = True
@@ -118,12 +119,12 @@ class Vehicle(AirSimKeys):
 
     @property
     def placed(self) -> bool:
-        """Whether the settings say where it starts."""
+        """Whether the settings give its start."""
         return (self.x, self.y, self.z) != (None, None, None)
 
 
 class Settings(AirSimKeys):
-    """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
+    """The settings of a server under AirSim's names in snake case, in SI units, the wind NED."""
 
     sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
@@ -141,39 +142,39 @@ class Settings(AirSimKeys):
     default_sensors: dict[str, SensorSettings] | None = None
     origin_geopoint: OriginGeopoint = OriginGeopoint()
     sensor_seed: Annotated[int, Field(ge=0)] = 0
-    """Our own: of the sensors' noise."""
+    """The seed of the sensors' noise, which is our own key."""
 
     @property
     def vehicle(self) -> str:
-        """The default vehicle's name: the first by the alphabet, or the one that is to be watched."""
+        """The default vehicle's name: the alphabetically first one, or the one with IsFpvVehicle."""
         created = self.created()
         watched = (name for name, vehicle in created if vehicle.is_fpv_vehicle)
         return next(watched, created[0][0] if created else COMPUTER_VISION if self.flightless else VEHICLE)
 
     @property
     def flightless(self) -> bool:
-        """Whether vehicles are but cameras that are put somewhere."""
+        """Whether the SimMode is ComputerVision, in which vehicles are only cameras that are put somewhere."""
         return self.sim_mode == COMPUTER_VISION
 
     def created(self) -> list[tuple[str, Vehicle]]:
-        """The vehicles that there are from the start, by the alphabet as AirSim's map has them."""
+        """The vehicles that exist from the start, in alphabetical order as in AirSim's map."""
         return [
             (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
         ]
 
     @property
     def home(self) -> GeoPoint:
-        """Where NED's origin is."""
+        """The geographic position of NED's origin."""
         origin = self.origin_geopoint
         return GeoPoint(origin.latitude, origin.longitude, origin.altitude)
 
     @property
     def address(self) -> str:
-        """Where to listen: an IP address or a host's name."""
+        """The address to listen on: an IP address or a host name."""
         return self.local_host_ip or LOOPBACK
 
     def recorder_of(self, profile: Profile) -> Profile:
-        """The profile with the recorder's period. Raises UserError where an exact profile's tick does not divide it.
+        """The profile with the recorder's period. Raises UserError if an exact profile's tick does not divide it.
 
         AirSim's recorder waits for more than the interval (RecordingThread.cpp).
         """
@@ -185,25 +186,25 @@ class Settings(AirSimKeys):
         return replace(profile, recorder_ticks=ticks)
 
     def prepare(self, world: World) -> None:
-        """Let wind and height over the sea act on a world. Raises UserError for a wind that physics cannot follow."""
+        """Set the wind and the altitude of a world. Raises UserError for a wind that is too strong for the physics."""
         wind = (self.wind.x, self.wind.y, self.wind.z)
         if not hypot(*wind) <= STRONGEST_WIND_M_S:
             raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
         world.lead.state["wind"] = wind
         world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
-    def passed_over(self) -> list[str]:
-        """Dotted names of what was given and has no meaning here."""
+    def without_effect(self) -> list[str]:
+        """The dotted names of the given keys that have no effect here."""
         return [name for name in _unknown(self, "") if name not in _NOTES]
 
     def as_json(self, clock_speed: float) -> str:
-        """What getSettingsString returns: the settings as given, with the ClockSpeed that holds."""
+        """The answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
         given = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         return json.dumps({"SimMode": "Multirotor", **given, "ClockSpeed": clock_speed})
 
 
 def read_settings(path: Path) -> Settings:
-    """The settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
+    """Read the settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST_BYTES + 1)
@@ -220,7 +221,7 @@ def read_settings(path: Path) -> Settings:
 
 
 def _unknown(value: object, prefix: str) -> Iterator[str]:
-    """Dotted names of the keys that no field of the models takes."""
+    """The dotted names of the keys that no field of the models takes."""
     if isinstance(value, BaseModel):
         yield from (f"{prefix}{name}" for name in value.model_extra or {})
         for name in sorted(value.model_fields_set & set(type(value).model_fields)):

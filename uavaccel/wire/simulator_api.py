@@ -1,4 +1,4 @@
-"""AirSim's calls about the simulator itself: versions, settings, reset, and its clock.
+"""AirSim's calls about the simulator itself: versions, settings, reset, clock, recording, and drawing in its window.
 
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 """
@@ -22,7 +22,7 @@ FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 
 def wall_seconds(value: object, name: str) -> float:
-    """A duration."""
+    """A duration in seconds, 0 or more, at most LONGEST_S."""
     seconds = number(value, name)
     if seconds < 0:
         raise ValueError(f"{name} must not be negative, not {seconds:g}")
@@ -30,7 +30,7 @@ def wall_seconds(value: object, name: str) -> float:
 
 
 def frame_count(value: object, name: str) -> float:
-    """A whole number."""
+    """A whole number of frames."""
     count = number(value, name)
     if count != int(count) or not 0 <= count <= MOST_FRAMES:
         raise ValueError(f"{name} must be a whole number from 0 to {MOST_FRAMES:g}, not {value}")
@@ -60,7 +60,7 @@ class SimulatorApi(Calls, title="Connection and time"):
 
     @call("reset")
     def reset(self) -> None:
-        """A recording goes on through it, as in AirSim."""
+        """Reset every vehicle; a recording continues, as in AirSim."""
         self.context.recorder.go_through(
             lambda recording: self.simulation.reset(self.wall_ns, recording=recording)
         )
@@ -84,7 +84,7 @@ class SimulatorApi(Calls, title="Connection and time"):
 
     @call("simContinueForFrames")
     def continue_for_frames(self, frames: Annotated[float, frame_count]) -> DeferredReply:
-        """Unreal draws 60 of them per second of wall time, if it keeps up."""
+        """Run for the wall time in which Unreal draws these frames, 60 per second, then pause."""
         return self.continue_for_time(frames / FRAMES_PER_S)
 
 
