@@ -116,7 +116,7 @@ def test_settings_are_read_and_what_is_without_effect_is_named(tmp_path: Path) -
     with serving("--settings", str(path)) as process:
         assert line_of(process).endswith(": scene blocks, profile native, ClockSpeed 3\n")
         assert line_of(process).startswith("Drone1 hovers")
-        assert line_of(process) == f"{path}: without meaning here: ViewMode\n"
+        assert line_of(process) == f"{path}: without effect here: ViewMode\n"
 
 
 def test_a_machine_that_does_not_keep_up_says_so() -> None:

@@ -1,4 +1,4 @@
-"""`uavaccel advise`: how fast ADSC may fly on this machine, or in AirSim, and what TCSC would gain."""
+"""`uavaccel advise`: the ClockSpeed up to which ADSC is accurate on this machine, or in AirSim, and TCSC's gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`uavaccel bench`: measure this machine; print the measurements and, with --out, keep them."""
+"""`uavaccel bench`: measures this machine, prints the measurements, and with --out writes them to a file."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
 
 
 def _where_possible(work: Bench) -> Iterator[bench.Measurement]:
-    """The measurements, or one line that says why this machine has none."""
+    """The measurements, or one printed line that says why this machine has none."""
     try:
         yield from work()
     except UserError as error:

@@ -1,4 +1,4 @@
-"""`uavaccel calibrate`: measure this machine's latencies and write the block that `virtual` reads."""
+"""`uavaccel calibrate`: measures this machine's latencies, and writes the model from which `virtual` draws."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
 
 
 def show_agreement(latency: Path | None, profile: str, games: int) -> None:
-    """Fly the same games on the machine's clock and on the simulated one; their quantiles side by side."""
+    """Fly the same games on the machine's clock and on the simulated one, and print their quantiles side by side."""
     check_profile(profile)
     check_number("--games", games, 1, MOST_COMMANDS)
     model = shipped_latency() if latency is None else read_latency(latency)

@@ -11,9 +11,9 @@ import typer
 def report(
     run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")],
 ) -> None:
-    """Compute the metrics and draw the figures of finished runs again.
+    """Compute the metrics and draw the figures of finished runs again; fly nothing.
 
-    Several trainings are also drawn side by side, in the first one's folder; so are several evaluations.
+    Several trainings, or several evaluations, are also drawn side by side, in the first one's folder.
     """
     from uavaccel.cli.run import report_run
     from uavaccel.cli.terminal import console
@@ -32,18 +32,19 @@ def report(
 
 def view(
     source: Annotated[
-        str, typer.Argument(help="Run directory of dp2, evaluate or train; a policy's folder.")
+        str, typer.Argument(help="Run directory of dp2, evaluate or train, or a policy's folder.")
     ] = "default",
     case: Annotated[
-        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest, or best.")
+        str | None, typer.Option(help="Name of the game in rows.jsonl; by default the fastest, or the best.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
     events: Annotated[
         Path | None,
-        typer.Option(help="Instead, a file of the game's events: .h5 in DSEC's layout, or .npz."),
+        typer.Option(help="Write a file of the game's events instead: .h5 in DSEC's layout, or .npz."),
     ] = None,
     events_rate_hz: Annotated[
-        float, typer.Option(min=0.1, help="Frames per simulated second of the camera that sees them.")
+        float,
+        typer.Option(min=0.1, help="Frames per simulated second of the camera that produces the events."),
     ] = 100.0,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
@@ -57,10 +58,10 @@ def view(
 
 def export(
     source: Annotated[
-        str, typer.Argument(help="A policy's folder or default, for --onnx; a run directory for tables.")
+        str, typer.Argument(help="For --onnx a policy's folder or default; for tables a run directory.")
     ],
     onnx: Annotated[
-        Path | None, typer.Option(help="ONNX file of the policy with its pre-processing.")
+        Path | None, typer.Option(help="ONNX file for the policy with its pre-processing.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,

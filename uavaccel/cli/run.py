@@ -1,4 +1,4 @@
-"""`uavaccel run`, and with it `train` and `evaluate`: configuration, machine check, games, report."""
+"""`uavaccel run`, also behind `train` and `evaluate`: configuration, machine check, games, report, resuming."""
 
 from __future__ import annotations
 
@@ -34,13 +34,15 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
 
-TABLE_WIDTH = 170  # where nobody looks at a terminal
+TABLE_WIDTH = 170  # where the output is no terminal
 
 
-def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple[AnySuite, dict[str, Plain]]:
-    """Suite and YAML of the run in `out`, of the suite of that name if one is given.
+def resumed_config(
+    out: Path | None, resume: bool, suite_name: str | None
+) -> tuple[AnySuite, dict[str, Plain]]:
+    """The suite and the configuration of the run in `out`.
 
-    Raises UsageError where nothing says what to fly, UserError where the folder holds no such run: none is begun.
+    Raises UsageError if nothing says what to fly, UserError if the folder has no run of this suite.
     """
     if not resume or out is None:
         raise UsageError(
@@ -59,8 +61,8 @@ def folders_own(out: Path | None, resume: bool, suite_name: str | None) -> tuple
     return suite, run.config()
 
 
-def going_on(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
-    """Lines about a run that is gone on with: from where, and what has changed since it was begun."""
+def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+    """Lines about a run that is resumed: from where, and which versions have changed since it was begun."""
     yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
     manifest = run.manifest()
     before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
@@ -78,10 +80,10 @@ def going_on(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterato
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What was asked for on the command line; an option about which nothing was said is None."""
+    """The request on the command line; options that were not given are None."""
 
     experiment: str | None
-    """None: that of the run in `out`, to resume."""
+    """A name or a file; None for that of the run in `out`, to resume."""
     options: Mapping[str, object] = field(default_factory=dict)
     overrides: Sequence[str] = ()
     jobs: int = 1
@@ -89,12 +91,12 @@ class RunRequest:
     resume: bool = False
     dry_run: bool = False
     suite: str | None = None
-    """The only one that the command is for."""
+    """The suite that the command is restricted to."""
     engine: str = LOKY
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
-    """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
+    """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
@@ -116,7 +118,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         manifest = manifest_of(suite, config)
         run = begin_run(suite, config, out, manifest, request.resume)
         if "resumed" in run.manifest():
-            for line in going_on(run, len(cases), manifest):
+            for line in resumption_notes(run, len(cases), manifest):
                 console.print(line)
         fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
@@ -124,13 +126,13 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
-    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly.
+    """The suite and the configuration of a request; without an experiment those of the run that is resumed.
 
-    Without an experiment they are those of the folder that is gone on with.
+    A shipped experiment with a single --clock is shortened, and measured on the wall clock.
     """
     own_file = request.experiment is None or is_file(request.experiment)
     if request.experiment is None:
-        suite, mapping = folders_own(request.out, request.resume, request.suite)
+        suite, mapping = resumed_config(request.out, request.resume, request.suite)
         source = str(request.out)
     else:
         mapping, source = read_mapping(request.experiment)
@@ -148,9 +150,9 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
 
 
 def place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
-    """Where the configuration has an option, at its top or in its task, and the option's value as it is wanted there.
+    """The dotted key of an option, at the top of the configuration or in its task, and the value for that key.
 
-    Raises UsageError where the suite has no such key, or takes one value and was given several.
+    Raises UsageError if the suite has no such key, or takes one value and was given several.
     """
     option = (
         f"--{name.replace('clock_speed', 'clock').removesuffix('_s').removesuffix('_run').replace('_', '-')}"
@@ -175,7 +177,7 @@ def _values(value: object) -> list[object]:
 
 
 def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
-    """What the run is made with. Looks at the machine first, and at the renderer of a suite that needs one."""
+    """The run's manifest, after checks of the machine and of the renderer if the suite needs one."""
     name = None
     if suite.renders(config):
         from uavaccel.sim.camera.gl import describe_renderer
@@ -192,7 +194,7 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
 
 
 def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
-    """Games by their clock, simulated seconds, estimated wall time and disk of the run to come."""
+    """The planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
     costs = [suite.cost(config, case) for case in cases]
     wall_s = sum(
         cost.wall_s / (1 if case.timing == "wall" else jobs) for case, cost in zip(cases, costs, strict=True)
@@ -216,7 +218,7 @@ def _sources(clocks: Mapping[str, int]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In words of the size that matters."""
+    """A duration in words, in the unit that suits it."""
     if seconds < 60:
         return "under a minute"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
@@ -230,14 +232,14 @@ def fly(
     jobs: int,
     engine: str = LOKY,
 ) -> None:
-    """Fly what has no row yet."""
+    """Fly the cases that have no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:
         run_suite(suite, config, run, jobs, progress.flown, engine)
 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Turns Ctrl-C, and what the system refuses, into a line that says how to go on."""
+    """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume."""
     how = f"go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
     try:
         yield
@@ -254,7 +256,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 
 def report_run(run: RunDirectory) -> Summary:
-    """Write a run's report; show its result and where its figures are."""
+    """Write a run's report, and print its result and the paths of its figures."""
     report = suite_of(run).report(run)
     summary = report.write()
     if headline := report.headline():
@@ -277,7 +279,7 @@ def report_run(run: RunDirectory) -> Summary:
 
 
 def show_table(table: Table) -> None:
-    """A table that is never wrapped: a terminal scrolls, a file has room."""
+    """Print a table as wide as the terminal; in a file, wide enough not to be wrapped."""
     lines = rich_table.Table(*table.header, box=None, pad_edge=False)
     for row in table.rows:
         lines.add_row(*row)

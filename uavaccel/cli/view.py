@@ -1,4 +1,4 @@
-"""`uavaccel view`: a game of a run, or of a policy, as a film and a contact sheet."""
+"""`uavaccel view`: writes a game of a run, or of a policy, as a film and a contact sheet, or as events."""
 
 from __future__ import annotations
 
