@@ -15,8 +15,8 @@ from tests.airsim_client import MultirotorClient
 from tests.simulating import simulate
 from uavaccel.cli.serve import (
     PERIOD_NS,
-    Report,
     ServeOptions,
+    ServerReport,
     address_of,
     clock_speed_of,
     recordings_of,
@@ -172,7 +172,7 @@ def test_wind_and_recorder_reach_the_simulation() -> None:
 
 
 class AirSimServer(SimpleNamespace):
-    """What a Report looks at: a clock that the test moves and a simulation at 10x."""
+    """What a ServerReport looks at: a clock that the test moves and a simulation at 10x."""
 
     def __init__(self) -> None:
         self.simulation = simulate(10.0)
@@ -186,7 +186,7 @@ class AirSimServer(SimpleNamespace):
 
 def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
     server.pass_time(100_000_000)
     server.simulation.reset(server.clock.now_ns())
     report.each_turn()
@@ -200,7 +200,7 @@ def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest.CaptureFixture[str]) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
 
     def period(lost_ns: int) -> str:
         server.pass_time(PERIOD_NS, lost_ns)
@@ -226,7 +226,7 @@ def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
 
     def full() -> None:
         raise OSError("no space left")

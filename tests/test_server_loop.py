@@ -316,7 +316,7 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7], "who has had less comes first"
     answered.append([reply[1] for reply in replies(flood)])
-    while server._turns:
+    while server._queue:
         server._serve_turns()
         server._flush()
         answered.append([reply[1] for reply in replies(flood)])
@@ -385,7 +385,7 @@ def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.Exit
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7]
     turns = 2
-    while server._turns:
+    while server._queue:
         server._serve_turns()
         turns += 1
     assert turns >= 6

@@ -60,12 +60,11 @@ def remote(declared: Declared) -> Declared:
     return call  # type: ignore[return-value]
 
 
-def of_a_camera(name: str, *leading: str) -> Callable[..., object]:
-    """The call `name` with the `leading` parameters, then those that identify a camera; its answer is not converted."""
-    positional = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    parameters = [inspect.Parameter(each, positional) for each in ("self", *leading, "camera_name")]
-    for each, default in (("vehicle_name", ""), ("external", False)):
-        parameters.append(inspect.Parameter(each, positional, default=default))
+def untyped(name: str, *required: str, **defaults: object) -> Callable[..., object]:
+    """Declare the call `name` by its required parameters and its defaults; arguments and answer are not converted."""
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
+    parameters += [inspect.Parameter(each, kind, default=value) for each, value in defaults.items()]
     signature = inspect.Signature(parameters)
 
     def declared(*arguments: object, **named: object) -> object:

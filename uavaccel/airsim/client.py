@@ -13,9 +13,9 @@ import logging
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
-from uavaccel.airsim.calls import CameraName, Mirrored, of_a_camera, remote
+from uavaccel.airsim.calls import CameraName, Mirrored, remote, untyped
 from uavaccel.airsim.connection import Connection, Future, connect
 from uavaccel.airsim.types import (
     AngleLevelControllerGains,
@@ -53,6 +53,8 @@ LOOPBACK, PORT = "127.0.0.1", 41451
 CLIENT_VERSION = MIN_SERVER_VERSION = 1
 RED = (1.0, 0.0, 0.0, 1.0)
 FOR_EVER = 3e38  # seconds
+SHOWN_FOR: dict[str, Any] = {"duration": -1.0, "is_persistent": False}
+OF_CAMERA: dict[str, Any] = {"vehicle_name": "", "external": False}
 TURN_FREELY = DrivetrainType.MaxDegreeOfFreedom
 NO_TURN = YawMode()
 
@@ -235,43 +237,9 @@ class VehicleClient:
         """The segmentation ID of an object; -1 if there is no such object."""
 
     @remote
-    def simSwapTextures(
-        self, tags: str, tex_id: int = 0, component_id: int = 0, material_id: int = 0
-    ) -> list[str]: ...
-
-    @remote
-    def simSetObjectMaterial(self, object_name: str, material_name: str, component_id: int = 0) -> bool: ...
-
-    @remote
-    def simSetObjectMaterialFromTexture(
-        self, object_name: str, texture_path: str, component_id: int = 0
-    ) -> bool: ...
-
-    @remote
-    def simSetLightIntensity(self, light_name: str, intensity: float) -> bool: ...
-
-    @remote
     def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]: ...
 
     # --- sky and weather ------------------------------------------------------------------------
-
-    @remote
-    def simSetTimeOfDay(
-        self,
-        is_enabled: bool,
-        start_datetime: str = "",
-        is_start_datetime_dst: bool = False,
-        celestial_clock_speed: float = 1,
-        update_interval_secs: float = 60,
-        move_sun: bool = True,
-    ) -> None: ...
-
-    @remote
-    def simEnableWeather(self, enable: bool) -> None: ...
-
-    @remote
-    def simSetWeatherParameter(self, param: int, val: float) -> None:
-        """Set a WeatherParameter to a value from 0 to 1."""
 
     # --- geometry -------------------------------------------------------------------------------
 
@@ -285,98 +253,7 @@ class VehicleClient:
     def simGetWorldExtents(self) -> list[GeoPoint]:
         """Two opposite corners of the world."""
 
-    @remote
-    def simCreateVoxelGrid(self, position: Vector3r, x: int, y: int, z: int, res: float, of: str) -> bool: ...
-
     # --- display --------------------------------------------------------------------------------
-
-    @remote
-    def simRunConsoleCommand(self, command: str) -> bool: ...
-
-    @remote
-    def simPrintLogMessage(self, message: str, message_param: str = "", severity: int = 0) -> None: ...
-
-    @remote
-    def simSetTraceLine(
-        self, color_rgba: Sequence[float], thickness: float = 1.0, vehicle_name: str = ""
-    ) -> None: ...
-
-    @remote
-    def simFlushPersistentMarkers(self) -> None: ...
-
-    @remote
-    def simPlotPoints(
-        self,
-        points: Sequence[Vector3r],
-        color_rgba: Sequence[float] = RED,
-        size: float = 10.0,
-        duration: float = -1.0,
-        is_persistent: bool = False,
-    ) -> None: ...
-
-    @remote
-    def simPlotLineStrip(
-        self,
-        points: Sequence[Vector3r],
-        color_rgba: Sequence[float] = RED,
-        thickness: float = 5.0,
-        duration: float = -1.0,
-        is_persistent: bool = False,
-    ) -> None: ...
-
-    @remote
-    def simPlotLineList(
-        self,
-        points: Sequence[Vector3r],
-        color_rgba: Sequence[float] = RED,
-        thickness: float = 5.0,
-        duration: float = -1.0,
-        is_persistent: bool = False,
-    ) -> None: ...
-
-    @remote
-    def simPlotArrows(
-        self,
-        points_start: Sequence[Vector3r],
-        points_end: Sequence[Vector3r],
-        color_rgba: Sequence[float] = RED,
-        thickness: float = 5.0,
-        arrow_size: float = 2.0,
-        duration: float = -1.0,
-        is_persistent: bool = False,
-    ) -> None: ...
-
-    @remote
-    def simPlotStrings(
-        self,
-        strings: Sequence[str],
-        positions: Sequence[Vector3r],
-        scale: float = 5,
-        color_rgba: Sequence[float] = RED,
-        duration: float = -1.0,
-    ) -> None: ...
-
-    @remote
-    def simPlotTransforms(
-        self,
-        poses: Sequence[Pose],
-        scale: float = 5.0,
-        thickness: float = 5.0,
-        duration: float = -1.0,
-        is_persistent: bool = False,
-    ) -> None: ...
-
-    @remote
-    def simPlotTransformsWithNames(
-        self,
-        poses: Sequence[Pose],
-        names: Sequence[str],
-        tf_scale: float = 5.0,
-        tf_thickness: float = 5.0,
-        text_scale: float = 10.0,
-        text_color_rgba: Sequence[float] = RED,
-        duration: float = -1.0,
-    ) -> None: ...
 
     # --- images -----------------------------------------------------------------------------------
 
@@ -479,24 +356,76 @@ class VehicleClient:
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
     ) -> list[DetectionInfo]: ...
 
-    # --- lenses: a server without Unreal's lenses refuses these ------------------------------------
+    # --- Unreal's lenses, surfaces, weather and drawings: without effect, or refused, by this project's server ---
 
-    simGetPresetLensSettings = of_a_camera("simGetPresetLensSettings")
-    simGetLensSettings = of_a_camera("simGetLensSettings")
-    simSetPresetLensSettings = of_a_camera("simSetPresetLensSettings", "preset_lens_settings")
-    simGetPresetFilmbackSettings = of_a_camera("simGetPresetFilmbackSettings")
-    simSetPresetFilmbackSettings = of_a_camera("simSetPresetFilmbackSettings", "preset_filmback_settings")
-    simGetFilmbackSettings = of_a_camera("simGetFilmbackSettings")
-    simSetFilmbackSettings = of_a_camera("simSetFilmbackSettings", "sensor_width", "sensor_height")
-    simGetFocalLength = of_a_camera("simGetFocalLength")
-    simSetFocalLength = of_a_camera("simSetFocalLength", "focal_length")
-    simEnableManualFocus = of_a_camera("simEnableManualFocus", "enable")
-    simGetFocusDistance = of_a_camera("simGetFocusDistance")
-    simSetFocusDistance = of_a_camera("simSetFocusDistance", "focus_distance")
-    simGetFocusAperture = of_a_camera("simGetFocusAperture")
-    simSetFocusAperture = of_a_camera("simSetFocusAperture", "focus_aperture")
-    simEnableFocusPlane = of_a_camera("simEnableFocusPlane", "enable")
-    simGetCurrentFieldOfView = of_a_camera("simGetCurrentFieldOfView")
+    simSwapTextures = untyped("simSwapTextures", "tags", tex_id=0, component_id=0, material_id=0)
+    simSetObjectMaterial = untyped("simSetObjectMaterial", "object_name", "material_name", component_id=0)
+    simSetObjectMaterialFromTexture = untyped(
+        "simSetObjectMaterialFromTexture", "object_name", "texture_path", component_id=0
+    )
+    simSetLightIntensity = untyped("simSetLightIntensity", "light_name", "intensity")
+    simCreateVoxelGrid = untyped("simCreateVoxelGrid", "position", "x", "y", "z", "res", "of")
+    simSetTimeOfDay = untyped(
+        "simSetTimeOfDay",
+        "is_enabled",
+        start_datetime="",
+        is_start_datetime_dst=False,
+        celestial_clock_speed=1,
+        update_interval_secs=60,
+        move_sun=True,
+    )
+    simEnableWeather = untyped("simEnableWeather", "enable")
+    simSetWeatherParameter = untyped("simSetWeatherParameter", "param", "val")
+    simRunConsoleCommand = untyped("simRunConsoleCommand", "command")
+    simPrintLogMessage = untyped("simPrintLogMessage", "message", message_param="", severity=0)
+    simSetTraceLine = untyped("simSetTraceLine", "color_rgba", thickness=1.0, vehicle_name="")
+    simFlushPersistentMarkers = untyped("simFlushPersistentMarkers")
+    simPlotPoints = untyped("simPlotPoints", "points", color_rgba=RED, size=10.0, **SHOWN_FOR)
+    simPlotLineStrip = untyped("simPlotLineStrip", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotLineList = untyped("simPlotLineList", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotArrows = untyped(
+        "simPlotArrows",
+        "points_start",
+        "points_end",
+        color_rgba=RED,
+        thickness=5.0,
+        arrow_size=2.0,
+        **SHOWN_FOR,
+    )
+    simPlotStrings = untyped("simPlotStrings", "strings", "positions", scale=5, color_rgba=RED, duration=-1.0)
+    simPlotTransforms = untyped("simPlotTransforms", "poses", scale=5.0, thickness=5.0, **SHOWN_FOR)
+    simPlotTransformsWithNames = untyped(
+        "simPlotTransformsWithNames",
+        "poses",
+        "names",
+        tf_scale=5.0,
+        tf_thickness=5.0,
+        text_scale=10.0,
+        text_color_rgba=RED,
+        duration=-1.0,
+    )
+    simGetPresetLensSettings = untyped("simGetPresetLensSettings", "camera_name", **OF_CAMERA)
+    simGetLensSettings = untyped("simGetLensSettings", "camera_name", **OF_CAMERA)
+    simSetPresetLensSettings = untyped(
+        "simSetPresetLensSettings", "preset_lens_settings", "camera_name", **OF_CAMERA
+    )
+    simGetPresetFilmbackSettings = untyped("simGetPresetFilmbackSettings", "camera_name", **OF_CAMERA)
+    simSetPresetFilmbackSettings = untyped(
+        "simSetPresetFilmbackSettings", "preset_filmback_settings", "camera_name", **OF_CAMERA
+    )
+    simGetFilmbackSettings = untyped("simGetFilmbackSettings", "camera_name", **OF_CAMERA)
+    simSetFilmbackSettings = untyped(
+        "simSetFilmbackSettings", "sensor_width", "sensor_height", "camera_name", **OF_CAMERA
+    )
+    simGetFocalLength = untyped("simGetFocalLength", "camera_name", **OF_CAMERA)
+    simSetFocalLength = untyped("simSetFocalLength", "focal_length", "camera_name", **OF_CAMERA)
+    simEnableManualFocus = untyped("simEnableManualFocus", "enable", "camera_name", **OF_CAMERA)
+    simGetFocusDistance = untyped("simGetFocusDistance", "camera_name", **OF_CAMERA)
+    simSetFocusDistance = untyped("simSetFocusDistance", "focus_distance", "camera_name", **OF_CAMERA)
+    simGetFocusAperture = untyped("simGetFocusAperture", "camera_name", **OF_CAMERA)
+    simSetFocusAperture = untyped("simSetFocusAperture", "focus_aperture", "camera_name", **OF_CAMERA)
+    simEnableFocusPlane = untyped("simEnableFocusPlane", "enable", "camera_name", **OF_CAMERA)
+    simGetCurrentFieldOfView = untyped("simGetCurrentFieldOfView", "camera_name", **OF_CAMERA)
 
     # --- sensors ------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from uavaccel.wire.rpc import Received
 _READ_BYTES = 1 << 18
 _MESSAGE_BYTES = 1 << 28  # images are large answers
 _ITEMS = 1 << 24
-_told: set[str] = set()
+_printed: set[str] = set()
 
 
 class Future:
@@ -65,10 +65,10 @@ class Connection(Protocol):
     def close(self) -> None: ...
 
 
-def tell_once(method: str, error: str) -> None:
+def print_once(method: str, error: str) -> None:
     """Print the error of a call, which its caller may never look at; the same text is printed once per process."""
-    if error not in _told:
-        _told.add(error)
+    if error not in _printed:
+        _printed.add(error)
         print(f"airsim: {method} failed: {error}", file=sys.stderr, flush=True)
 
 
@@ -145,7 +145,7 @@ class SocketConnection:
         """Wait for the answer of an asynchronous call; print its error."""
         self._wait(future)
         if future.error is not None:
-            tell_once(future.method, future.error)
+            print_once(future.method, future.error)
 
     def _wait(self, future: Future) -> None:
         """Wait until the answer has arrived. Raises TimeoutError, or ConnectionError if the server has gone."""

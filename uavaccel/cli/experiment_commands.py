@@ -101,7 +101,7 @@ def evaluate(
     agent: Annotated[
         str | None,
         typer.Argument(
-            help="A training's run directory, a policy's folder, straight or offset:METRES; default: the shipped policy."
+            help="A training's run directory, a policy's folder, straight or offset:METRES; by default what ships."
         ),
     ] = None,
     games: Annotated[int | None, typer.Option(help="Number of evaluation lanes; by default 300.")] = None,

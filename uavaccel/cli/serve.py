@@ -50,7 +50,7 @@ def serve(options: ServeOptions) -> None:
     if settings.recording.enabled:
         start_recording(api)
     api.refusals.say = lambda line: say(f"warning: {line}")
-    report = Report(server)
+    report = ServerReport(server)
     with stopped_by_signals(server):
         greet(server, options, settings)
         try:
@@ -161,7 +161,7 @@ def stopped_by_signals(server: Server) -> Iterator[None]:
             signal.signal(kind, handler)
 
 
-class Report:
+class ServerReport:
     """The server's periodic report on the terminal, and the periodic upkeep of its recording."""
 
     def __init__(self, server: Server) -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.threads import ThreadKinds, changed
+from uavaccel.fly.threads import ThreadClasses, changed
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
@@ -83,7 +83,7 @@ def loops_taking_turns(
     patches.set(module.BaseSelectorEventLoop, "__init__", init)
 
 
-def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
+def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadClasses, clock: ModuleType) -> None:
     """Let the pools, event loops and schedulers that a script makes take turns.
 
     `clock` is the script's module `time`.

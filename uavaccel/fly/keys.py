@@ -37,26 +37,26 @@ CONSTANTS = (
 """The names that `from pygame.locals import *` imports."""
 
 
-class _OfNothing(type):
+class _StubType(type):
     def __getattr__(cls, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
-        return Nothing()
+        return StubObject()
 
 
-class Nothing(metaclass=_OfNothing):
+class StubObject(metaclass=_StubType):
     """Any other object of such a module: it can be called, indexed and drawn on, and does nothing."""
 
     def __init__(self, *arguments: object, **options: object) -> None:
         pass
 
     def __call__(self, *arguments: object, **options: object) -> object:
-        return Nothing()
+        return StubObject()
 
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
-        return Nothing()
+        return StubObject()
 
     def __setattr__(self, name: str, value: object) -> None:
         pass
@@ -85,8 +85,8 @@ class Nothing(metaclass=_OfNothing):
         pass
 
 
-class Silent(ModuleType):
-    """A module whose unknown names are `Nothing`, except constants in capitals, which are distinct numbers."""
+class StubModule(ModuleType):
+    """A module whose unknown names are `StubObject`, except constants in capitals, which are distinct numbers."""
 
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
@@ -94,7 +94,7 @@ class Silent(ModuleType):
         if name.isupper() or name.startswith("K_"):
             value: object = _number_of(name)
         else:
-            value = Nothing if name[:1].isupper() else Nothing()
+            value = StubObject if name[:1].isupper() else StubObject()
         setattr(self, name, value)
         return value
 
@@ -127,7 +127,7 @@ def key_modules(sleep: Sleep, now_s: Now) -> Iterator[None]:
         yield
     finally:
         sys.meta_path.remove(finder)
-        for name in [name for name, module in sys.modules.items() if isinstance(module, Silent)]:
+        for name in [name for name, module in sys.modules.items() if isinstance(module, StubModule)]:
             del sys.modules[name]
 
 
@@ -145,7 +145,7 @@ class _Finder(Loader, MetaPathFinder):
         return ModuleSpec(name, self, is_package=True)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        return Silent(spec.name)
+        return StubModule(spec.name)
 
     def exec_module(self, module: ModuleType) -> None:
         root, _, part = module.__name__.partition(".")
@@ -154,7 +154,7 @@ class _Finder(Loader, MetaPathFinder):
             print(f"uavaccel: {line}", file=sys.stderr, flush=True)
         vars(module).update(_names(module.__name__, *self._clock))
         for name in PARTS.get(module.__name__, ()):
-            part_of_it = sys.modules[f"{module.__name__}.{name}"] = Silent(f"{module.__name__}.{name}")
+            part_of_it = sys.modules[f"{module.__name__}.{name}"] = StubModule(f"{module.__name__}.{name}")
             vars(part_of_it).update(_names(part_of_it.__name__, *self._clock))
             setattr(module, name, part_of_it)
 
@@ -174,8 +174,8 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
         "keyboard": {"is_pressed": no, "wait": read(None), "read_key": read("enter"), "record": read([])},
         "msvcrt": {"kbhit": no, "getch": read(b"\r"), "getche": read(b"\r"), "getwch": read("\r")},
         "pygame": {"init": lambda: (0, 0), "error": type("error", (RuntimeError,), {})},
-        "pygame.event": {"get": lambda *kinds, **options: [], "wait": read(Nothing())},
-        "pygame.key": {"get_pressed": Nothing, "get_mods": lambda: 0},
+        "pygame.event": {"get": lambda *kinds, **options: [], "wait": read(StubObject())},
+        "pygame.key": {"get_pressed": StubObject, "get_mods": lambda: 0},
         "pygame.joystick": {"get_count": lambda: 0, "get_init": no},
         "pygame.locals": {name: _number_of(name) for name in CONSTANTS},
         "pygame.time": {

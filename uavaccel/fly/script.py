@@ -87,7 +87,7 @@ def unraisable(event: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(event)
 
 
-class Outcome(NamedTuple):
+class ScriptResult(NamedTuple):
     """How a script ended: its exit status, whether it finished by itself, and the machine's wall time that it took."""
 
     status: int
@@ -95,7 +95,9 @@ class Outcome(NamedTuple):
     wall_s: float
 
 
-def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> Outcome:
+def run_script(
+    path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None
+) -> ScriptResult:
     """Run the file as `__main__`, then call `outlive` to wait for its threads; prints the tracebacks of exceptions.
 
     Raises UserError if the file cannot be read or is not Python.
@@ -109,7 +111,7 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
         status, finished = 0, False
     except KeyboardInterrupt:
         status, finished = INTERRUPTED, False
-    return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
+    return ScriptResult(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
 
 
 def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:

@@ -13,9 +13,9 @@ from uavaccel.fly.children import REFUSAL
 from uavaccel.fly.executors import end_pools, let_executors_take_turns
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
-from uavaccel.fly.script import FlightOver, Outcome, run_script
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.shims import script_environment
-from uavaccel.fly.threads import ThreadKinds
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import LOOK_NS, Turns
 from uavaccel.units import NS_PER_S
 
@@ -75,9 +75,9 @@ class SimulatedFlight:
     def _has_world(self) -> bool:
         return "_world" in vars(self)
 
-    def run(self) -> Outcome:
+    def run(self) -> ScriptResult:
         """Run the script in its environment. Raises UserError."""
-        kinds, options = ThreadKinds(self._turns), self._options
+        kinds, options = ThreadClasses(self._turns), self._options
         clock = time_module(self.epoch_now_ns, self.pass_time)
         in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | kinds.modules()
         with contextlib.ExitStack() as stack:
@@ -226,7 +226,7 @@ class SimulatedFlight:
         waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {method}"
         warn(f"{waited}; the vehicle is at {self._world.whereabouts()}")
 
-    def _outlive(self, kinds: ThreadKinds) -> None:
+    def _outlive(self, kinds: ThreadClasses) -> None:
         """Wait for the script's other threads, except daemons, when its first one is done."""
         end_pools()
         self._turns.until(lambda: all(thread.is_daemon for thread in kinds.running))

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 
-class Result:
+class PoolResult:
     """The asynchronous result of a pool: the list of its calls' values, or the value of a `single` call.
 
     Time-outs are in seconds of the script's clock.
@@ -86,9 +86,9 @@ class ThreadPool(multiprocessing.pool.Pool):
         kwds: Mapping[str, object] | None = None,
         callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
-    ) -> Result:
+    ) -> PoolResult:
         future = self._executor.submit(func, *args, **(kwds or {}))
-        return Result([future], True, callback, error_callback)
+        return PoolResult([future], True, callback, error_callback)
 
     def _map_async(
         self,
@@ -98,11 +98,11 @@ class ThreadPool(multiprocessing.pool.Pool):
         chunksize: int | None = None,
         callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
-    ) -> Result:
+    ) -> PoolResult:
         """What map, starmap and their asynchronous variants call."""
         starred = mapper is vars(multiprocessing.pool)["starmapstar"]
         futures = [self._executor.submit(func, *(item if starred else (item,))) for item in iterable]
-        return Result(futures, False, callback, error_callback)
+        return PoolResult(futures, False, callback, error_callback)
 
     def imap(  # type: ignore[override]
         self, func: Callable[..., object], iterable: Iterable[object], chunksize: int = 1

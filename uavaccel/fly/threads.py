@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from types import ModuleType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
@@ -24,9 +24,21 @@ def bound(kind: Class, turns: Turns) -> Class:
     return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
 
 
-class Lock:
-    turns: Turns
+class Guard:
+    """Base of what a `with` block acquires and releases."""
 
+    turns: Turns
+    acquire: Callable[..., bool]
+    release: Callable[[], None]
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class Lock(Guard):
     def __init__(self) -> None:
         self._held = False
 
@@ -48,12 +60,6 @@ class Lock:
 
     def _is_free(self) -> bool:
         return not self._held
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
 
 
 class RLock(Lock):
@@ -77,9 +83,7 @@ class RLock(Lock):
             super().release()
 
 
-class Condition:
-    turns: Turns
-
+class Condition(Guard):
     def __init__(self, lock: Lock | None = None) -> None:
         self._lock = bound(RLock, self.turns)() if lock is None else lock
         self.acquire, self.release = self._lock.acquire, self._lock.release
@@ -109,13 +113,6 @@ class Condition:
     def notify_all(self) -> None:
         self._sleepers.clear()
 
-    def __enter__(self) -> Self:
-        self.acquire()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
-
 
 class Event(threading.Event):
     turns: Turns
@@ -128,9 +125,7 @@ class Event(threading.Event):
         return self.turns.until(self.is_set, timeout)
 
 
-class Semaphore:
-    turns: Turns
-
+class Semaphore(Guard):
     def __init__(self, value: int = 1) -> None:
         self._value = value
 
@@ -142,12 +137,6 @@ class Semaphore:
 
     def release(self, n: int = 1) -> None:
         self._value += n
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
 
 
 class Barrier(threading.Barrier):
@@ -248,7 +237,7 @@ class PriorityQueue(Queue, queue.PriorityQueue[object]):  # type: ignore[type-va
     pass
 
 
-class ThreadKinds:
+class ThreadClasses:
     """The stand-ins by module and name, bound to one flight, and the script's running threads."""
 
     def __init__(self, turns: Turns) -> None:

@@ -27,7 +27,7 @@ from uavaccel.errors import UserError
 from uavaccel.fly.children import LOOPBACK
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.options import FlightOptions, FlightSummary
-from uavaccel.fly.script import FlightOver, Outcome, run_script
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.sent import as_sent
 from uavaccel.fly.shims import script_environment
 from uavaccel.fly.trajectory import write_trajectory
@@ -118,7 +118,7 @@ class WallFlight:
         self._settings = None if settings is None else options.settings
         self._slept_s = 0.0
 
-    def run(self) -> Outcome:
+    def run(self) -> ScriptResult:
         """Run the script against a server, for `until_s` at most. Raises UserError."""
         options = self._options
         with serving(options, self._clock_speed, settings=self._settings) as served:

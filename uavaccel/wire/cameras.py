@@ -78,7 +78,7 @@ class CameraSettings(AirSimKeys):
 
 
 @dataclass
-class MountedAs:
+class CameraMount:
     """One camera: its lenses, and its mount on the vehicle number `carrier`, or in the world if it is `external`."""
 
     name: str
@@ -114,15 +114,15 @@ class Cameras:
         lenses = defaults.lenses({})
         mounts = {} if external else MOUNTS
         self._cameras = {
-            name: MountedAs(name, mount, dict(lenses), carrier=carrier) for name, mount in mounts.items()
+            name: CameraMount(name, mount, dict(lenses), carrier=carrier) for name, mount in mounts.items()
         }
         for alias, settings in given.items():
             name = full_name(alias)
-            before = self._cameras.get(name) or MountedAs(name, Pose(), dict(lenses))
+            before = self._cameras.get(name) or CameraMount(name, Pose(), dict(lenses))
             mount, own = settings.mount(before.mount), settings.lenses(before.lenses)
-            self._cameras[name] = MountedAs(name, mount, own, external, carrier)
+            self._cameras[name] = CameraMount(name, mount, own, external, carrier)
 
-    def named(self, name: object) -> MountedAs:
+    def named(self, name: object) -> CameraMount:
         """The camera of a client's name for it. Raises ValueError if there is none."""
         found = self._cameras.get(full_name(str(name)))
         if found is None:

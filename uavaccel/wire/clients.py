@@ -45,7 +45,7 @@ class Connection:
         self.unsent = bytearray()
         self.waiting = 0  # answers that are not due yet
         self.heard_ns = 0
-        self.served_ns, self.has_turn = 0, False  # uavaccel.wire.turns
+        self.served_ns, self.has_turn = 0, False  # uavaccel.wire.fair_queue
         self.broken: rpc.ProtocolError | None = None  # its stream cannot be decoded any further
         self.open = True
 

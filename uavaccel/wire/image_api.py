@@ -26,7 +26,7 @@ from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, PartialResult, WithoutEffect, call
-from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, Cameras, MountedAs
+from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
 from uavaccel.wire.pictures import Pixels, Scene, encoded, known_type
 from uavaccel.wire.rpc import Received
 
@@ -98,7 +98,7 @@ class CameraApi(Calls, title="Cameras and images"):
         known[param_name] = value
         self.notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
 
-    def _named(self, camera: object, vehicle: str, external: bool) -> MountedAs:
+    def _named(self, camera: object, vehicle: str, external: bool) -> CameraMount:
         return self.scenery.cameras(vehicle, external).named(camera)
 
     simGetPresetLensSettings = WithoutEffect(refused=NO_LENS)
@@ -136,7 +136,7 @@ def projection(lens: Lens) -> NDArray[np.float64]:
 class ImageRequest(NamedTuple):
     """One requested image; `camera_name` is the client's name for the camera."""
 
-    camera: MountedAs
+    camera: CameraMount
     camera_name: str
     image_type: int
     pixels_as_float: bool
@@ -210,7 +210,7 @@ class ImageApi(Calls, title="Cameras and images"):
             "image_type": request.image_type,
         }
 
-    def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
+    def _local(self, camera: CameraMount, place_m: Vector) -> Vector:
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:

@@ -48,14 +48,16 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _row(value: object) -> object:
+def _quantile_row(value: object) -> object:
     if _is_number(value):
         raise ValueError("a factor needs the model that ships: leave out `quantiles` and rows of one's own")
     return tuple(value) if isinstance(value, list) else value
 
 
-Row = Annotated[tuple[float, ...], BeforeValidator(_row, json_schema_input_type=tuple[float, ...] | float)]
-Tables = dict[str, Row]  # microseconds at the quantiles, by channel
+QuantileRow = Annotated[
+    tuple[float, ...], BeforeValidator(_quantile_row, json_schema_input_type=tuple[float, ...] | float)
+]
+Tables = dict[str, QuantileRow]  # microseconds at the quantiles, by channel
 
 
 def after_wait(channel: str, wait_ns: int) -> str:

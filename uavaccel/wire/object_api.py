@@ -25,7 +25,7 @@ from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, VehicleName, finite
 from uavaccel.wire.calls import CallContext, Calls, WithoutEffect, call
-from uavaccel.wire.cameras import MountedAs
+from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.pictures import known_type
 from uavaccel.wire.vehicles import put_at
 
@@ -129,7 +129,7 @@ class ObjectApi(Calls, title="Objects"):
 
 
 @dataclass
-class Filter:
+class DetectionFilter:
     """The objects that one camera detects: name patterns with * and ?, within a radius."""
 
     patterns: list[str] = field(default_factory=list)
@@ -142,7 +142,7 @@ class Filter:
 class DetectionApi(Calls, title="Objects"):
     def __init__(self, context: CallContext) -> None:
         super().__init__(context)
-        self._filters: dict[tuple[str, bool, int, int], Filter] = defaultdict(Filter)
+        self._filters: dict[tuple[str, bool, int, int], DetectionFilter] = defaultdict(DetectionFilter)
 
     @call("simAddDetectionFilterMeshName")
     def add_name(
@@ -190,7 +190,7 @@ class DetectionApi(Calls, title="Objects"):
 
     def _filter(
         self, camera: object, image_type: int, vehicle: str, external: bool
-    ) -> tuple[MountedAs, Filter]:
+    ) -> tuple[CameraMount, DetectionFilter]:
         mounted = self.scenery.cameras(vehicle, external).named(camera)
         kind = known_type(image_type)
         return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, kind]

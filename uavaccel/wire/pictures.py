@@ -19,7 +19,7 @@ from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import vehicle_pose
 from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
-from uavaccel.wire.cameras import MountedAs
+from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.segmentation import Segmentation, colours
 
 Pixels = NDArray[np.uint8] | NDArray[np.float32]
@@ -64,7 +64,7 @@ class Pictures:
         self.render = render
         self._drawn_later: mujoco.MjData | None = None
 
-    def floats(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
+    def floats(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
         """An image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1.
 
         It shows the present, or a `scene` from `kept`.
@@ -74,7 +74,7 @@ class Pictures:
             return self._depth(camera, kind, shown)
         return (self.bgr(camera, kind, scene)[..., 2] / np.float32(255)).astype(np.float32)
 
-    def bgr(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
+    def bgr(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
         """An image (height, width, 3) of blue, green and red; it shows the present, or a `scene` from `kept`."""
         kind, shown = known_type(image_type), self._shown(scene)
         if kind == ImageType.SCENE:
@@ -97,11 +97,11 @@ class Pictures:
 
     def warm_up(self) -> None:
         """Draw once, so that the first requested image takes no longer than others. Raises UserError without OpenGL."""
-        front = MountedAs("front_center", FRONT_CENTER, {})
+        front = CameraMount("front_center", FRONT_CENTER, {})
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
             self.bgr(front, image_type)
 
-    def _depth(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
+    def _depth(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
         """The depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
         pointed = self._pointed(camera, kind, scene)
         if kind == ImageType.DEPTH_PERSPECTIVE:
@@ -114,10 +114,10 @@ class Pictures:
             depth_m = np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
         return depth_m
 
-    def _object_ids(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
+    def _object_ids(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
         return self._segmentation.ids(self._pointed(camera, kind, scene).segmentation(scene))
 
-    def _normals(self, camera: MountedAs, scene: mujoco.MjData) -> NDArray[np.uint8]:
+    def _normals(self, camera: CameraMount, scene: mujoco.MjData) -> NDArray[np.uint8]:
         """The surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
         lens = camera.lens(ImageType.SURFACE_NORMALS)
         self._check_drawable(lens)
@@ -131,7 +131,7 @@ class Pictures:
             picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]
         return picture
 
-    def _pointed(self, camera: MountedAs, image_type: int, scene: mujoco.MjData) -> MountedCamera:
+    def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
         """The renderer, pointed as the camera is. Raises ValueError if rendering is off, UserError without OpenGL."""
         lens = camera.lens(image_type)
         self._check_drawable(lens)

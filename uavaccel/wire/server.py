@@ -17,7 +17,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.calls import PartialResult
 from uavaccel.wire.clients import MAX_ANSWER_BYTES, Answer, Clients, Connection
-from uavaccel.wire.turns import Costs, Turns
+from uavaccel.wire.fair_queue import DurationEstimates, FairQueue
 
 IDLE_NS = 2_000_000  # an idle server advances at least this often: well within what `airsim` catches up
 CHUNK_TICKS = 30  # ticks per wake-up, about: 0.1 ms of computing
@@ -47,8 +47,8 @@ class Server:
         self.clock = MonotonicClock()
         self.clients = Clients((host, port), self.clock, api.notices.once, stop_at_eof)
         self.address = self.clients.address
-        self._costs = Costs(api.methods)
-        self._turns: Turns[Connection] = Turns(self._expected_ns)
+        self._estimates = DurationEstimates(api.methods)
+        self._queue: FairQueue[Connection] = FairQueue(self._expected_ns)
         self._answers: list[Answer] = []
         self._unpacked_bytes = 0
         self._round_end_ns = self._flown_ns = 0  # of wall time
@@ -89,7 +89,7 @@ class Server:
     def _wake_ns(self, simulation: Simulation) -> int:
         """The wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns or self._turns:
+        if now < self._busy_until_ns or self._queue:
             return now
         if simulation.paused:
             return now + IDLE_NS
@@ -110,7 +110,7 @@ class Server:
     def _ask_again(self, connection: Connection, begins: bool = False) -> None:
         """Queue a client that has a request; disconnect one whose stream is broken."""
         if connection.open and connection.asks and connection.may_ask:
-            self._turns.add(connection, begins)
+            self._queue.add(connection, begins)
         elif connection.open and connection.broken and not connection.asks:
             self._flush()  # the answers to its good requests
             self.clients.hang_up(connection, str(connection.broken), connection.broken.message_id)
@@ -124,8 +124,8 @@ class Server:
         """
         self._flown_ns = 0
         self._round_end_ns = self.clock.now_ns() + ROUND_NS
-        while self._turns:
-            connection = self._turns.next()
+        while self._queue:
+            connection = self._queue.next()
             if self._answers and self._expected_ns(connection) > LONG_NS:
                 self._flush()  # finished answers do not wait for a long request
             self._serve_requests(connection)
@@ -146,7 +146,7 @@ class Server:
                     connection.take_next()
             if self._unpacked_bytes > MAX_UNPACKED_BYTES or len(self._answers) >= MAX_UNPACKED:
                 self._flush()  # the client may never read its answers
-            if self._turns or self.clock.now_ns() >= until_ns:
+            if self._queue or self.clock.now_ns() >= until_ns:
                 break
 
     def _fly(self) -> int:
@@ -179,11 +179,11 @@ class Server:
     def _account(self, connection: Connection, method: str, piece: bool, begun_ns: int) -> None:
         took_ns = self.clock.now_ns() - begun_ns
         connection.served_ns += took_ns
-        self._costs.took(method, piece, took_ns)
+        self._estimates.took(method, piece, took_ns)
 
     def _expected_ns(self, connection: Connection) -> int:
         """How long a client's next request is expected to take."""
-        return self._costs.expected_ns(connection.method, connection.begun is not None)
+        return self._estimates.expected_ns(connection.method, connection.begun is not None)
 
     def _answer(self, answer: Answer) -> None:
         result = answer.result

@@ -101,7 +101,7 @@ class WatchedServer:
         end_within(self._process, END_S)
 
 
-class Silence:
+class ServerSilence:
     """Decides whether a silent server is busy flying or gone.
 
     `ask` sends it a ping, and returns a function that says whether that has been answered.

@@ -77,7 +77,7 @@ class Sensors:
         return found
 
 
-class Wind(AirSimKeys):
+class WindSettings(AirSimKeys):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
@@ -90,7 +90,7 @@ class RecordedImage(AirSimKeys):
     compress: bool = True
 
 
-class Recording(AirSimKeys):
+class RecordingSettings(AirSimKeys):
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
     record_on_move: bool = False
     cameras: list[RecordedImage] = Field(default_factory=list)
@@ -104,7 +104,7 @@ class OriginGeopoint(AirSimKeys):
     altitude: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = 122.0
 
 
-class Vehicle(AirSimKeys):
+class VehicleSettings(AirSimKeys):
     """A vehicle of settings.json, in NED metres from the player's start and degrees."""
 
     vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
@@ -134,9 +134,11 @@ class Settings(AirSimKeys):
     enable_rpc: Literal[True] = True
     rpc_enabled: Literal[True] = True
     physics_engine_name: Literal["FastPhysicsEngine", ""] = ""
-    vehicles: Annotated[dict[str, Vehicle], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
-    wind: Wind = Wind()
-    recording: Recording = Recording()
+    vehicles: Annotated[dict[str, VehicleSettings], Field(max_length=MOST_VEHICLES)] = Field(
+        default_factory=dict
+    )
+    wind: WindSettings = WindSettings()
+    recording: RecordingSettings = RecordingSettings()
     camera_defaults: CameraSettings = CameraSettings()
     external_cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     default_sensors: dict[str, SensorSettings] | None = None
@@ -156,7 +158,7 @@ class Settings(AirSimKeys):
         """Whether the SimMode is ComputerVision, in which vehicles are only cameras that are put somewhere."""
         return self.sim_mode == COMPUTER_VISION
 
-    def created(self) -> list[tuple[str, Vehicle]]:
+    def created(self) -> list[tuple[str, VehicleSettings]]:
         """The vehicles that exist from the start, in alphabetical order as in AirSim's map."""
         return [
             (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create

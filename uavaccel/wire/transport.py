@@ -21,7 +21,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
+from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, ServerSilence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 1_000_000
@@ -138,7 +138,7 @@ class SocketTransport(Transport):
         self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None
     ) -> None:
         super().__init__(MonotonicClock(), exclusive)
-        self._silence = None if watch is None else Silence(watch, self._ask)
+        self._silence = None if watch is None else ServerSilence(watch, self._ask)
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:

@@ -26,7 +26,7 @@ TURNS = (-1, -1, 1, 1)  # AirSim's signs of the rotors' torques
 MAX_SPEED_RAD_S = 669.857
 
 
-class Motion(NamedTuple):
+class SettableKinematics(NamedTuple):
     """The parts of a KinematicsState that can be set."""
 
     pose: Pose
@@ -34,13 +34,13 @@ class Motion(NamedTuple):
     rate_rad_s: Vector
 
 
-def motion(value: object, name: str) -> Motion:
+def motion(value: object, name: str) -> SettableKinematics:
     """The settable parts of a client's KinematicsState."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a KinematicsState")
     velocity = _bounded(value.get("linear_velocity"), "linear_velocity", FASTEST_M_S)
     rate = _bounded(value.get("angular_velocity"), "angular_velocity", FASTEST_RAD_S)
-    return Motion(pose(value, name), velocity, rate)
+    return SettableKinematics(pose(value, name), velocity, rate)
 
 
 def _bounded(value: object, name: str, most: float) -> Vector:
@@ -103,7 +103,7 @@ class VehicleApi(Calls, title="Vehicles"):
     @call("simSetKinematics")
     def set_kinematics(
         self,
-        state: Annotated[Motion, motion],
+        state: Annotated[SettableKinematics, motion],
         ignore_collision: object,
         vehicle: VehicleName = "",
     ) -> None:

@@ -17,7 +17,7 @@ from uavaccel.sim.scene.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
 from uavaccel.sim.world import START_M
-from uavaccel.wire.settings import Settings, Vehicle
+from uavaccel.wire.settings import Settings, VehicleSettings
 
 STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
 
@@ -62,7 +62,7 @@ def _check_names(settings: Settings) -> None:
             raise UserError(f"{key}: {error}") from None
 
 
-def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
+def starting(vehicle: VehicleSettings) -> tuple[Start, Vector]:
     """The start of a vehicle in the world, and the origin of its frame."""
     if not vehicle.placed:
         return Start(START_M), HERE

@@ -11,7 +11,7 @@ from collections.abc import Callable, Container
 from typing import Generic, Protocol, TypeVar
 
 
-class Served(Protocol):
+class QueuedClient(Protocol):
     """A client in the queue."""
 
     served_ns: int
@@ -19,10 +19,10 @@ class Served(Protocol):
     has_turn: bool
 
 
-Client = TypeVar("Client", bound=Served)
+Client = TypeVar("Client", bound=QueuedClient)
 
 
-class Turns(Generic[Client]):
+class FairQueue(Generic[Client]):
     """The queue of clients with a request; `expected_ns` estimates how long a client's next request takes."""
 
     def __init__(self, expected_ns: Callable[[Client], int]) -> None:
@@ -67,7 +67,7 @@ class Turns(Generic[Client]):
         return self._last.served_ns if self._last is not None else 0
 
 
-class Costs:
+class DurationEstimates:
     """Estimates how long calls, and items of results, take: a recent mean that a single delay changes little."""
 
     def __init__(self, methods: Container[str]) -> None:
