@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from uavaccel.airsim import LandedState, MultirotorClient
+from uavaccel.airsim.connection import as_received
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -25,7 +26,6 @@ from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
-from uavaccel.fly.sent import as_received
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.trajectory import TABLE_NAME as TABLE

@@ -46,10 +46,11 @@ from uavaccel.airsim.types import (
     VelocityControllerGains,
     YawMode,
 )
+from uavaccel.wire.rpc import LOOPBACK, PORT
 
 __all__ = ["CarClient", "MultirotorClient", "VehicleClient"]
 
-LOOPBACK, PORT = "127.0.0.1", 41451
+
 CLIENT_VERSION = MIN_SERVER_VERSION = 1
 RED = (1.0, 0.0, 0.0, 1.0)
 FOR_EVER = 3e38  # seconds

@@ -10,8 +10,10 @@ import socket
 import sys
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
+
+import numpy as np
 
 from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
@@ -22,6 +24,7 @@ _READ_BYTES = 1 << 18
 _MESSAGE_BYTES = 1 << 28  # images are large answers
 _ITEMS = 1 << 24
 _printed: set[str] = set()
+_AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
 
 class Future:
@@ -196,3 +199,27 @@ _connect: Connect = SocketConnection
 def connect(host: str, port: int, timeout_s: float) -> Connection:
     """A connection for a client: over TCP, unless `_connect` has been replaced, as under `uavaccel fly`."""
     return _connect(host, port, timeout_s)
+
+
+def as_sent(value: object) -> object:
+    """An argument as a server would receive it: plain maps, lists and numbers. Raises TypeError as packing would."""
+    if type(value) in _AS_THEY_ARE:
+        return value
+    if isinstance(value, Mapping):
+        return {key: as_sent(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_sent(inner) for inner in value]
+    if isinstance(value, int | float | str):  # an enumeration's member, NumPy's float64
+        return next(kind(value) for kind in (int, float, str) if isinstance(value, kind))
+    return as_sent(plain(value))
+
+
+def as_received(value: object) -> object:
+    """An answer as a client would receive it: arrays become lists of single precision."""
+    if isinstance(value, np.ndarray):
+        return value.astype(np.float32).ravel().tolist()
+    if isinstance(value, list):
+        return [as_received(inner) for inner in value] if value and type(value[0]) is not float else value
+    if isinstance(value, dict) and any(isinstance(inner, np.ndarray) for inner in value.values()):
+        return {key: as_received(inner) for key, inner in value.items()}
+    return value

@@ -72,6 +72,7 @@ def address_of(options: ServeOptions, settings: Settings) -> str:
 
 
 def is_loopback(host: str) -> bool:
+    """Whether an address is reachable from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 PORT = (
     "UAVACCEL_FLY_PORT"  # the port of the flight's server for a script's programs; "" if there is no server
 )
-LOOPBACK = "127.0.0.1"
 REFUSAL = (
     "a process that the script has started calls the simulation; it cannot share a simulated clock: "
     "fly the script with --timing wall"
@@ -84,6 +83,7 @@ def enter(name: str) -> None:
 
 def _connect(host: str, port: int, timeout_s: float) -> SocketConnection:
     from uavaccel.airsim.connection import SocketConnection
+    from uavaccel.wire.rpc import LOOPBACK
 
     if not (served := os.environ.get(PORT)):
         raise UserError(REFUSAL)

@@ -16,7 +16,7 @@ loop would otherwise do so as fast as messages travel, which no script does.
 
 SUMMARY = "flight.json"
 DIFFERENCE = "difference.txt"  # says how a flight differs from its reference; missing if it does not
-HEEDED = "interrupted"  # a file in the temporary folder: the script has received an interruption
+INTERRUPT_SEEN = "interrupted"  # a file in the temporary folder: the script has received an interruption
 SCRATCH = "uavaccel-fly-"  # prefix of a temporary folder, before the number of its process
 NAME = "settings.json"
 AIRSIM = Path("Documents", "AirSim", NAME)  # in the user's home

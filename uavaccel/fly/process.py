@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
-from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions
+from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
 from uavaccel.parent import end_with_parent
@@ -34,7 +34,7 @@ def main() -> None:
     options = FlightOptions.from_json(sys.argv[1])
     end_with_parent(int(sys.argv[2]), lambda: _clear_away(options))
     for kind in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(kind, lambda number, frame: _heed(options, frame))
+        signal.signal(kind, lambda number, frame: _interrupt(options, frame))
     sys.unraisablehook = unraisable
     try:
         status = _fly_or_differ(options)
@@ -56,10 +56,10 @@ def _fly_or_differ(options: FlightOptions) -> int:
         return _complain(str(error), 1)
 
 
-def _heed(options: FlightOptions, frame: FrameType | None) -> None:
-    """Interrupt the script at SIGTERM and at Ctrl-C; the file HEEDED tells the starting process that it did."""
+def _interrupt(options: FlightOptions, frame: FrameType | None) -> None:
+    """Interrupt the script at SIGTERM and at Ctrl-C; the file INTERRUPT_SEEN tells the starting process that it did."""
     if options.scratch is not None:
-        (options.scratch / HEEDED).touch()
+        (options.scratch / INTERRUPT_SEEN).touch()
     signal.default_int_handler(signal.SIGINT, frame)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from uavaccel.child import LOOK_S, Patience, describe_end, start_python
 from uavaccel.fly.messages import DifferenceError
-from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions, FlightSummary
+from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
 
 HEED_S, END_S = 0.5, 5.0  # after an interruption: until the script has received it, and until it has ended
@@ -40,9 +40,9 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
     options.folder.mkdir(parents=True, exist_ok=True)
     for name in (SUMMARY, DIFFERENCE):
         (options.folder / name).unlink(missing_ok=True)
-    heeded = None if options.scratch is None else options.scratch / HEEDED
-    if heeded is not None:
-        heeded.unlink(missing_ok=True)
+    seen = None if options.scratch is None else options.scratch / INTERRUPT_SEEN
+    if seen is not None:
+        seen.unlink(missing_ok=True)
     with start_python(
         *("-m", "uavaccel.fly.process", options.to_json(), str(os.getpid())),
         environment={"PYTHONHASHSEED": "0"},  # otherwise the order of sets differs from run to run
@@ -50,7 +50,7 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
         own_session=False,  # a script may handle the terminal's Ctrl-C
     ) as process:
         try:
-            status = _wait(process, heeded)
+            status = _wait(process, seen)
         finally:
             process.kill()  # whatever else has happened here
     summary = options.folder / SUMMARY
@@ -60,7 +60,7 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
     return FlightResult(status, done, (options.folder / DIFFERENCE).exists())
 
 
-def _wait(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
+def _wait(process: subprocess.Popen[bytes], seen: Path | None) -> int:
     """The script's exit status. Says what ended its process, if the script did not."""
     patience, stopped = Patience(process), False
     try:
@@ -71,7 +71,7 @@ def _wait(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
                 stopped = True
                 process.kill()
     except KeyboardInterrupt:
-        return _interrupt(process, heeded)
+        return _interrupt(process, seen)
     if status < 0:
         how = "was stopped, and killed since it did not go on" if stopped else describe_end(status)
         _say(f"error: the script's process {how}")
@@ -79,7 +79,7 @@ def _wait(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
     return status
 
 
-def _interrupt(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
+def _interrupt(process: subprocess.Popen[bytes], seen: Path | None) -> int:
     """Let an interrupted script end, which keeps what was flown; kill it if it does not, or at a second Ctrl-C.
 
     A terminal sends Ctrl-C to the script too; another sender does not, and then it is passed on.
@@ -87,7 +87,7 @@ def _interrupt(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
     try:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(HEED_S)
-        if heeded is None or not heeded.exists():
+        if seen is None or not seen.exists():
             process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(END_S - 1.0)

@@ -168,7 +168,7 @@ class SimulatedFlight:
         pass
 
     def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> tuple[PendingCall, int]:
-        from uavaccel.fly.sent import as_sent
+        from uavaccel.airsim.connection import as_sent
 
         self._check_process()
         self._turns.check_thread()
@@ -193,7 +193,7 @@ class SimulatedFlight:
         future.answer(call.error, call.value)  # an error has been reported as a refusal
 
     def _wait(self, call: PendingCall, number: int) -> None:
-        from uavaccel.fly.sent import as_received
+        from uavaccel.airsim.connection import as_received
 
         if call.deferred is not None:
             self._calls_since_wait = 0

@@ -20,19 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.airsim.connection import Future, SocketConnection
+from uavaccel.airsim.connection import Future, SocketConnection, as_sent
 from uavaccel.child import Watch, end_within, start_python
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
-from uavaccel.fly.children import LOOPBACK
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
-from uavaccel.fly.sent import as_sent
 from uavaccel.fly.shims import script_environment
 from uavaccel.fly.trajectory import write_trajectory
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.rpc import Received
+from uavaccel.wire.rpc import LOOPBACK, Received
 from uavaccel.wire.settings import Settings
 
 RECORDINGS = "recordings"

@@ -67,6 +67,7 @@ def truthy(value: object, name: str) -> bool:
 
 
 def text(value: object, name: str) -> str:
+    """A text."""
     if not isinstance(value, str):
         raise ValueError(f"{name} must be a text, not {type(value).__name__}")
     return value
@@ -128,6 +129,7 @@ def finite(given: Pose) -> Pose:
 
 
 def finite_pose(value: object, name: str) -> Pose:
+    """A Pose with its orientation normalised, without NaN."""
     return finite(pose(value, name))
 
 

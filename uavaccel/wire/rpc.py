@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Received: TypeAlias = Any  # a value of a message as msgpack reads it; its reader knows the call's types
 
+LOOPBACK, PORT = "127.0.0.1", 41451  # where AirSim's servers listen
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
 MAX_HEAD_BYTES = 128  # the beginning of a message, which has the method's name
@@ -178,16 +179,19 @@ def _packed_floats(numbers: NDArray[np.generic]) -> bytes:
 
 
 def unknown_method(method: str, count: int) -> RpcError:
+    """rpclib's error for a method that the server does not have."""
     return RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
 
 
 def wrong_arity(method: str, expected: int, got: int) -> RpcError:
+    """rpclib's error for a wrong number of arguments."""
     return RpcError(
         f"rpclib: Function '{method}' was called with an invalid number of arguments. Expected: {expected}, got: {got}"
     )
 
 
 def threw(method: str, count: int, message: str) -> RpcError:
+    """rpclib's error for a method that threw an exception."""
     return RpcError(
         f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
         f"The exception contained this information: {message}.",

@@ -41,7 +41,7 @@ class Server:
     """
 
     def __init__(
-        self, api: Api, host: str = "127.0.0.1", port: int = 41451, stop_at_eof: IO[bytes] | None = None
+        self, api: Api, host: str = rpc.LOOPBACK, port: int = rpc.PORT, stop_at_eof: IO[bytes] | None = None
     ) -> None:
         self.api = api
         self.clock = MonotonicClock()

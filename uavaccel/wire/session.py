@@ -22,6 +22,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.rpc import LOOPBACK
 from uavaccel.wire.server_watch import WatchedServer
 from uavaccel.wire.transport import SocketTransport, VirtualTransport, modelled_simulation
 
@@ -107,7 +108,7 @@ class WallSession(Session):
         core = max(self._cores) if len(self._cores) > 1 else None
         self.server = WatchedServer({"scene": scene, "profile": profile, "core": core})
         try:
-            transport = SocketTransport("127.0.0.1", self.server.port, exclusive=True, watch=self.server)
+            transport = SocketTransport(LOOPBACK, self.server.port, exclusive=True, watch=self.server)
         except BaseException:
             self.server.end()
             raise

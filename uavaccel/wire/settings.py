@@ -29,6 +29,7 @@ from uavaccel.sim.sensors.registry import sensors
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.rpc import LOOPBACK, PORT
 
 SENSORS = sensors()
 if TYPE_CHECKING:
@@ -43,8 +44,7 @@ DEFAULTS: dict[str, SensorSettings] = {
     "barometer": BarometerSettings(),
 }
 COMPUTER_VISION = "ComputerVision"
-LOOPBACK = "127.0.0.1"
-PORT = 41451
+
 LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # keys for people and other programs, which need no effect
 

@@ -38,6 +38,7 @@ def frame_count(value: object, name: str) -> float:
 
 
 def pause_channel(params: Sequence[object]) -> Channel:
+    """simPause's kind of latency: to pause or to continue."""
     return "pause" if params and params[0] else "continue"
 
 

@@ -124,6 +124,7 @@ def set_no_delay(connection: socket.socket) -> None:
 
 
 def set_quick_ack(connection: socket.socket) -> None:
+    """Acknowledge what was just read at once, where the system can."""
     if _QUICKACK is not None:
         connection.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
 

@@ -31,7 +31,7 @@ def populate(simulation: Simulation, settings: Settings) -> None:
     _check_names(settings)
     world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
-    newcomers, key = [], ""
+    added, key = [], ""
     try:
         for name, vehicle in settings.created():
             key = f".{name}"
@@ -41,10 +41,10 @@ def populate(simulation: Simulation, settings: Settings) -> None:
                 world.lead.start, world.lead.origin_m = start, origin_m
                 simulation.reset(simulation.wall_ns)
             elif name not in there:
-                newcomers.append(AddedVehicle(name, start, origin_m))
+                added.append(AddedVehicle(name, start, origin_m))
         key = ""
-        if newcomers:
-            simulation.add_vehicles(newcomers)
+        if added:
+            simulation.add_vehicles(added)
     except UserError as error:
         raise UserError(f"Vehicles{key}: {error}") from None
 
