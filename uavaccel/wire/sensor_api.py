@@ -5,17 +5,66 @@ Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (nam
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TypeVar
+
 import numpy as np
 
-from uavaccel.sim.sensors.field import Barometer, Gps, Magnetometer
-from uavaccel.sim.sensors.inertial import Imu
+from uavaccel.sim.sensors.field import (
+    Barometer,
+    BarometerSettings,
+    Gps,
+    GpsSettings,
+    Magnetometer,
+    MagnetometerSettings,
+)
+from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
 from uavaccel.sim.sensors.state import Truth
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName
 from uavaccel.wire.calls import CallContext, Calls, call
-from uavaccel.wire.settings import Sensors
+from uavaccel.wire.settings import SENSORS, SensorSettings
+
+Kind = TypeVar("Kind")
+DEFAULTS: dict[str, SensorSettings] = {
+    "imu": ImuSettings(),
+    "magnetometer": MagnetometerSettings(),
+    "gps": GpsSettings(),
+    "barometer": BarometerSettings(),
+}
+
+
+class Sensors:
+    """A vehicle's sensors by name: those `given`, or else the `defaults`, or else AirSim's four.
+
+    `seed` determines their noise. Source of the four: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings).
+    """
+
+    def __init__(
+        self,
+        given: Mapping[str, SensorSettings] | None,
+        defaults: Mapping[str, SensorSettings] | None,
+        seed: int,
+    ) -> None:
+        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
+        self._sensors = {
+            name: SENSORS[type(settings)](settings, seed, name)
+            for name, settings in chosen.items()
+            if settings.enabled
+        }
+
+    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
+        """The sensor of this kind and name, the first one for an empty name. Raises ValueError if there is none."""
+        if not isinstance(name, str):
+            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
+        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
+        found = next(iter(known.values()), None) if name == "" else known.get(name)
+        if found is None:
+            there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
+            raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
+        return found
 
 
 class SensorApi(Calls, title="Sensors"):

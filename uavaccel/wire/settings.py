@@ -1,17 +1,16 @@
 """AirSim's settings.json: the keys that have an effect here, and the names of those that do not.
 
-Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that contradicts this simulator is refused. A
-vehicle's sensors are those of its settings, else of DefaultSensors, else AirSim's four (createDefaultSensorSettings).
+Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that contradicts this simulator is refused.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -36,54 +35,22 @@ if TYPE_CHECKING:
     SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
 else:
     SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
-Kind = TypeVar("Kind")
-DEFAULTS: dict[str, SensorSettings] = {
-    "imu": ImuSettings(),
-    "magnetometer": MagnetometerSettings(),
-    "gps": GpsSettings(),
-    "barometer": BarometerSettings(),
-}
 COMPUTER_VISION = "ComputerVision"
-
 LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # keys for people and other programs, which need no effect
 
 
-class Sensors:
-    """A vehicle's sensors by name; `seed` determines their noise."""
-
-    def __init__(
-        self,
-        given: Mapping[str, SensorSettings] | None,
-        defaults: Mapping[str, SensorSettings] | None,
-        seed: int,
-    ) -> None:
-        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
-        self._sensors = {
-            name: SENSORS[type(settings)](settings, seed, name)
-            for name, settings in chosen.items()
-            if settings.enabled
-        }
-
-    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
-        """The sensor of this kind and name, the first one for an empty name. Raises ValueError if there is none."""
-        if not isinstance(name, str):
-            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
-        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
-        found = next(iter(known.values()), None) if name == "" else known.get(name)
-        if found is None:
-            there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
-            raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
-        return found
-
-
 class WindSettings(AirSimKeys):
+    """The wind in m/s, NED."""
+
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
 
 
 class RecordedImage(AirSimKeys):
+    """An image that is taken at each sample of a recording."""
+
     camera_name: str = ""
     image_type: int = 0
     pixels_as_float: bool = False
@@ -91,6 +58,8 @@ class RecordedImage(AirSimKeys):
 
 
 class RecordingSettings(AirSimKeys):
+    """The recorder's interval in seconds, its images, and where it writes."""
+
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
     record_on_move: bool = False
     cameras: list[RecordedImage] = Field(default_factory=list)
@@ -99,6 +68,8 @@ class RecordingSettings(AirSimKeys):
 
 
 class OriginGeopoint(AirSimKeys):
+    """The geographic position of NED's origin: degrees, and metres above sea level."""
+
     latitude: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.641468
     longitude: Annotated[float, Field(ge=-180.0, le=180.0)] = -122.140165
     altitude: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = 122.0
