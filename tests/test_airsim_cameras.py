@@ -106,7 +106,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     np.testing.assert_allclose(
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9
     )
-    assert wire.api.settings.passed_over() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
+    assert wire.api.settings.without_effect() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
 
 
 def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
@@ -196,7 +196,7 @@ def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() 
     ]
     at_once = wire.call("simGetImages", asked, "", False)
     steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
-    while wire.api.go_on(steps, "simGetImages", []):
+    while wire.api.advance(steps, "simGetImages", []):
         wire.fly(0.01)
     for one, other in zip(steps.made, at_once, strict=True):
         assert one["time_stamp"] == other["time_stamp"] < EPOCH_NS + wire.simulation.time_ns

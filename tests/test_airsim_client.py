@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 
 from tests.serving import running_server
 from uavaccel import airsim
-from uavaccel.airsim.connection import plain
-from uavaccel.fly.sent import as_sent
+from uavaccel.airsim.connection import as_sent, plain
 from uavaccel.wire.rpc import RpcError
 
 pytestmark = pytest.mark.wall_clock

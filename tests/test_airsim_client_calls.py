@@ -9,14 +9,15 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import msgpack
 import pytest
 
 from uavaccel import airsim
 from uavaccel.airsim import client as client_module
-from uavaccel.airsim import gains, old_client, types
-from uavaccel.airsim.connection import Future, connect_with, plain
+from uavaccel.airsim import old_client, types
+from uavaccel.airsim.connection import Future, plain
 
 TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
 DEFAULTS = {"RED": [1.0, 0.0, 0.0, 1.0], "FREE": 0, "STILL": {"is_rate": True, "yaw_or_rate": 0.0}}
@@ -25,10 +26,10 @@ OF_CLIENT_ALONE = {
     *("simSetDistortionParams", "simGetLidarSegmentation", "simSetCameraOrientation"),
 }
 GAINS = {
-    "angle_rate_gains": (gains.AngleRateControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
-    "angle_level_gains": (gains.AngleLevelControllerGains, [[2.5] * 3, [0] * 3, [0] * 3]),
-    "velocity_gains": (gains.VelocityControllerGains, [[0.2, 0.2, 2.0], [0, 0, 2.0], [0] * 3]),
-    "position_gains": (gains.PositionControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
+    "angle_rate_gains": (types.AngleRateControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
+    "angle_level_gains": (types.AngleLevelControllerGains, [[2.5] * 3, [0] * 3, [0] * 3]),
+    "velocity_gains": (types.VelocityControllerGains, [[0.2, 0.2, 2.0], [0, 0, 2.0], [0] * 3]),
+    "position_gains": (types.PositionControllerGains, [[0.25] * 3, [0] * 3, [0] * 3]),
 }
 
 
@@ -83,7 +84,7 @@ class Recorder:
 @pytest.fixture
 def recorder() -> Iterator[Recorder]:
     made = Recorder()
-    with connect_with(lambda host, port, timeout_s: made):
+    with patch("uavaccel.airsim.connection._connect", lambda host, port, timeout_s: made):
         yield made
 
 
@@ -105,7 +106,7 @@ def value_of(name: str, number: int) -> Any:
     """An argument that is no other's."""
     if name in GAINS:
         return GAINS[name][0](
-            *(gains.PIDGains(number + i, 10 * number + i, 0.1 * number + i) for i in range(3))
+            *(types.PIDGains(number + i, 10 * number + i, 0.1 * number + i) for i in range(3))
         )
     return [number + 0.25] if name in ("requests", "path") else number + 0.5
 

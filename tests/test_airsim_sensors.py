@@ -192,7 +192,7 @@ def test_a_lidar_scans_its_channels_around_and_tells_points_in_its_frame() -> No
     )
     world = local_points @ mount.T + xyz(sensor["position"])
     assert (np.abs(world[:, 2]) < 1e-4).sum() > 100
-    assert wire.api.settings.passed_over() == ["Vehicles.Drone.Sensors.Local.DrawDebugPoints"]
+    assert wire.api.settings.without_effect() == ["Vehicles.Drone.Sensors.Local.DrawDebugPoints"]
 
 
 def test_a_lidar_looks_within_its_field_of_view_and_says_nothing_of_nothing() -> None:

@@ -117,7 +117,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             here = folder / block.folder
             for line in lines_of(block) if block.language == "sh" else ():
                 if name := re.match(r"uavaccel init (\S+)", line):
-                    init(here / name[1])
+                    init(str(here / name[1]))
                 for suite, out in re.findall(r"^uavaccel (?:run )?(\w+).* --out (\S+)", line):
                     make_run(here / out, suite)
             if block.title:

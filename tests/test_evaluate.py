@@ -16,7 +16,7 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, run_into
 from uavaccel.cli.evaluate import evaluate_agent
-from uavaccel.cli.report import report_runs
+from uavaccel.cli.result_commands import report
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -185,7 +185,7 @@ def test_the_speed_is_that_of_the_games_own_clock(
 def test_evaluations_are_reported_side_by_side(tmp_path: Path, straight: RunDirectory) -> None:
     evaluated("offset:1", tmp_path / "run", games=2)
     alone = (tmp_path / "run" / FIGURE).read_bytes()
-    report_runs([tmp_path / "run", straight.path])
+    report([tmp_path / "run", straight.path])
     assert (tmp_path / "run" / FIGURE).read_bytes() == alone
     assert (tmp_path / "run" / COMPARISON).read_bytes() != alone
 

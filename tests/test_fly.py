@@ -10,12 +10,13 @@ import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from uavaccel.airsim import LandedState, MultirotorClient
-from uavaccel.airsim.connection import connect_with
+from uavaccel.airsim.connection import as_received
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -25,7 +26,6 @@ from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
-from uavaccel.fly.sent import as_received
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.trajectory import TABLE_NAME as TABLE
@@ -59,7 +59,7 @@ def flight_in() -> Iterator[FlightMaker]:
 
 
 def client_of(flight: SimulatedFlight) -> MultirotorClient:
-    with connect_with(lambda host, port, timeout_s: flight):
+    with patch("uavaccel.airsim.connection._connect", lambda host, port, timeout_s: flight):
         return MultirotorClient()
 
 

@@ -11,7 +11,7 @@ import pytest
 from uavaccel.fly import runs
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.runs import Flown, check
+from uavaccel.fly.runs import FlightResult, check
 from uavaccel.fly.trajectory import equal, largest_difference_m, write_trajectory
 
 TIMES_NS = np.array([0, 50_000_000, 100_000_000])
@@ -34,10 +34,10 @@ def test_the_second_flight_is_held_against_the_first(
     asked = FlightOptions(Path("script.py"), (), tmp_path / "again")
     flown: list[tuple[FlightOptions, bool]] = []
 
-    def fly(options: FlightOptions, quiet: bool = False) -> Flown:
+    def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
         flown.append((options, quiet))
         write(options.folder, second_m)
-        return Flown(0, {"finished": True})
+        return FlightResult(0, {"finished": True})
 
     monkeypatch.setattr(runs, "fly", fly)
     if differs:

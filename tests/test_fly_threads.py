@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from uavaccel.clock import VirtualClock
-from uavaccel.fly.threads import ThreadKinds
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
@@ -17,7 +17,7 @@ def script() -> Any:
     """What a script with threads has: its modules, its clock, and what it writes down."""
     clock = VirtualClock()
     turns = Turns(clock)
-    kinds = ThreadKinds(turns)
+    kinds = ThreadClasses(turns)
     modules, running = kinds.modules(), kinds.running
     written: list[Any] = []
 
@@ -101,7 +101,7 @@ def test_who_waits_for_nobody_is_told() -> None:
     done = threading.Event()
     threading.Thread(target=done.wait, daemon=True).start()
     turns = Turns(VirtualClock())
-    modules = ThreadKinds(turns).modules()
+    modules = ThreadClasses(turns).modules()
     with pytest.raises(RuntimeError, match="would wait for ever"):
         modules["threading"].Event().wait()
     done.set()

@@ -15,6 +15,7 @@ GROUND = {
     *(
         "units",
         "errors",
+        "child",
         "files",
         "leftovers",
         "limits",

@@ -12,7 +12,7 @@ import torch as th
 
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.running import configured, run_into
-from uavaccel.cli.report import report_runs
+from uavaccel.cli.result_commands import report
 from uavaccel.config import to_yaml
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
@@ -52,14 +52,14 @@ def test_rows_are_the_exact_simulators_and_reports_say_who_flew(
     said = "modelled, simulator kernels on the CPU"
     assert said in (other.path / "report.md").read_text()
     assert "kernels" not in (exact.path / "report.md").read_text().split("## Provenance")[0]
-    report_runs([other.path, exact.path])
+    report([other.path, exact.path])
     assert str(other.path / "simulators.md") in capsys.readouterr().out
     page = (other.path / "simulators.md").read_text()
     assert (
         "on the 5 lanes that both flew: 5 end alike, won or lost, 5 with the same actions throughout" in page
     )
     assert page.index("mujoco (modelled)") < page.index(f"kernels ({said})")
-    report_runs([exact.path, exact.path])
+    report([exact.path, exact.path])
     assert not (exact.path / "simulators.md").exists()
 
 

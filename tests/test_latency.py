@@ -26,7 +26,7 @@ from uavaccel.wire.latency import (
     read_latency,
     shipped_latency,
 )
-from uavaccel.wire.transport import channel_of
+from uavaccel.wire.transport import PendingCall
 from uavaccel.yaml_io import dump_yaml, load_yaml
 
 MS = 1_000_000
@@ -162,7 +162,7 @@ def test_without_latency_nothing_is_drawn() -> None:
     ("uavaccelCollision", [], "call"),
 ])  # fmt: skip
 def test_calls_have_channels(method: str, params: list[Any], channel: str) -> None:
-    assert channel_of(method, params) == channel
+    assert PendingCall(method, params).channel == channel
 
 
 # --- what a configuration may say ---------------------------------------------------------------------------

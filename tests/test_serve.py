@@ -15,8 +15,8 @@ from tests.airsim_client import MultirotorClient
 from tests.simulating import simulate
 from uavaccel.cli.serve import (
     PERIOD_NS,
-    Report,
     ServeOptions,
+    ServerReport,
     address_of,
     clock_speed_of,
     recordings_of,
@@ -110,13 +110,13 @@ def test_calls_that_nobody_knows_are_named_once_and_listed_at_the_end() -> None:
     assert len(lines) == 4
 
 
-def test_settings_are_read_and_what_is_passed_over_is_named(tmp_path: Path) -> None:
+def test_settings_are_read_and_what_is_without_effect_is_named(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_text('{"ClockSpeed": 3, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with serving("--settings", str(path)) as process:
         assert line_of(process).endswith(": scene blocks, profile native, ClockSpeed 3\n")
         assert line_of(process).startswith("Drone1 hovers")
-        assert line_of(process) == f"{path}: without meaning here: ViewMode\n"
+        assert line_of(process) == f"{path}: without effect here: ViewMode\n"
 
 
 def test_a_machine_that_does_not_keep_up_says_so() -> None:
@@ -172,7 +172,7 @@ def test_wind_and_recorder_reach_the_simulation() -> None:
 
 
 class AirSimServer(SimpleNamespace):
-    """What a Report looks at: a clock that the test moves and a simulation at 10x."""
+    """What a ServerReport looks at: a clock that the test moves and a simulation at 10x."""
 
     def __init__(self) -> None:
         self.simulation = simulate(10.0)
@@ -186,7 +186,7 @@ class AirSimServer(SimpleNamespace):
 
 def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
     server.pass_time(100_000_000)
     server.simulation.reset(server.clock.now_ns())
     report.each_turn()
@@ -200,7 +200,7 @@ def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest.CaptureFixture[str]) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
 
     def period(lost_ns: int) -> str:
         server.pass_time(PERIOD_NS, lost_ns)
@@ -226,7 +226,7 @@ def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = AirSimServer()
-    report = Report(server)  # type: ignore[arg-type]
+    report = ServerReport(server)  # type: ignore[arg-type]
 
     def full() -> None:
         raise OSError("no space left")

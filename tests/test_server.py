@@ -16,7 +16,7 @@ import pytest
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
-from uavaccel.wire import clients, held, rpc, transport
+from uavaccel.wire import clients, rpc, transport
 from uavaccel.wire.server import Server
 
 pytestmark = pytest.mark.wall_clock
@@ -204,7 +204,7 @@ def test_the_continue_for_of_a_client_that_vanished_ends(running: Server, witnes
 def test_a_client_that_never_reads_is_hung_up_on(
     running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(held, "MOST_HELD_BYTES", 1 << 16)
+    monkeypatch.setattr(clients, "MOST_HELD_BYTES", 1 << 16)
     request = rpc.pack_request(1, "getMultirotorState", []) * 100
     with stranger(running) as connection:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -216,7 +216,7 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
     running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it asked for waits, and comes when it reads."""
-    monkeypatch.setattr("uavaccel.wire.connection.READ_FIRST_BYTES", 1 << 16)
+    monkeypatch.setattr("uavaccel.wire.clients.READ_FIRST_BYTES", 1 << 16)
     made = 0
     reply = bytes(1 << 20)
 
@@ -245,7 +245,7 @@ def test_what_is_too_long_is_refused_in_words(running: Server, witness: Multirot
         assert receive(connection, len(refusal) + 1) == refusal
     with MultirotorClient(port=running.address[1]) as client:
         running.api.methods["ping"].handler, ping = (
-            lambda: bytes(held.MAX_ANSWER_BYTES),
+            lambda: bytes(clients.MAX_ANSWER_BYTES),
             running.api.methods["ping"].handler,
         )
         try:
@@ -265,7 +265,7 @@ def test_half_a_message_costs_what_was_sent_and_is_refused_when_all_hold_too_muc
     running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Unpacked as they come, the arrays of one such message had been 60 MiB, and of one without an end gigabytes."""
-    monkeypatch.setattr(held, "MOST_HELD_BYTES", 6 << 20)
+    monkeypatch.setattr(clients, "MOST_HELD_BYTES", 6 << 20)
     tracemalloc.start()
     try:
         with contextlib.ExitStack() as stack:
@@ -295,7 +295,7 @@ def test_a_packet_full_of_requests_for_large_replies_is_not_answered_at_once(
         return reply
 
     monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
-    monkeypatch.setattr(held, "MOST_HELD_BYTES", 1 << 20)
+    monkeypatch.setattr(clients, "MOST_HELD_BYTES", 1 << 20)
     with stranger(running) as connection, pytest.raises(ConnectionError):
         send_for_ever(connection, rpc.pack_request(1, "uavaccelRecording", []) * 100)
     assert made < 100

@@ -19,8 +19,7 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.clients import IDLE_LIMIT_NS
-from uavaccel.wire.connection import Answer, Connection
+from uavaccel.wire.clients import IDLE_LIMIT_NS, Answer, Connection
 from uavaccel.wire.server import TURN_NS, Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.transport import SocketTransport
@@ -61,7 +60,7 @@ def connected(server: Server) -> tuple[Connection, socket.socket]:
 def take_in(server: Server, connection: Connection) -> None:
     """Let the server read what a client has sent, once that has come: a busy kernel takes a moment."""
     assert select.select([connection.socket], [], [], 60)[0]
-    server._read(connection)
+    server._serve_socket(connection, selectors.EVENT_READ)
 
 
 def read(server: Server, connection: Connection) -> None:
@@ -317,7 +316,7 @@ def test_a_client_that_floods_has_its_turn_and_the_others_theirs(
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7], "who has had less comes first"
     answered.append([reply[1] for reply in replies(flood)])
-    while server._turns:
+    while server._queue:
         server._serve_turns()
         server._flush()
         answered.append([reply[1] for reply in replies(flood)])
@@ -386,7 +385,7 @@ def test_many_images_of_one_call_take_turns_with_others(clients: contextlib.Exit
     server._flush()
     assert [reply[1] for reply in replies(client)] == [7]
     turns = 2
-    while server._turns:
+    while server._queue:
         server._serve_turns()
         turns += 1
     assert turns >= 6

@@ -39,8 +39,8 @@ def test_what_is_honoured(tmp_path: Path) -> None:
     assert settings.recorder_of(NATIVE).recorder_ticks == 50
 
 
-def test_what_is_passed_over_is_named(tmp_path: Path) -> None:
-    assert sorted(read(tmp_path, USUAL).passed_over()) == [
+def test_what_is_without_effect_is_named(tmp_path: Path) -> None:
+    assert sorted(read(tmp_path, USUAL).without_effect()) == [
         "ViewMode",
     ]
 

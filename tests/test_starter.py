@@ -28,7 +28,7 @@ EXPERIMENTS = [
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("starter") / "new"
-    init(made)
+    init(str(made))
     return made
 
 
@@ -128,7 +128,7 @@ def test_the_task_of_ones_own_trains(folder: Path) -> None:
 def test_a_folder_with_something_in_it_is_left_alone(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(UserError, match="holds mine"):
-        init(tmp_path)
+        init(str(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
     with pytest.raises(UserError):
-        init(tmp_path / "mine")
+        init(str(tmp_path / "mine"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uavaccel.wire.turns import Costs, Turns
+from uavaccel.wire.fair_queue import DurationEstimates, FairQueue
 
 
 @dataclass(eq=False)
@@ -14,7 +14,7 @@ class Client:
     has_turn: bool = False
 
 
-def serve(turns: Turns[Client], rounds: int) -> list[Client]:
+def serve(turns: FairQueue[Client], rounds: int) -> list[Client]:
     """Each that is served asks again."""
     served = []
     for _ in range(rounds):
@@ -26,7 +26,7 @@ def serve(turns: Turns[Client], rounds: int) -> list[Client]:
 
 
 def test_time_is_shared_evenly_whatever_requests_cost() -> None:
-    turns: Turns[Client] = Turns(lambda client: client.cost_ns)
+    turns: FairQueue[Client] = FairQueue(lambda client: client.cost_ns)
     cheap, costly = Client(1), Client(10)
     turns.add(cheap)
     turns.add(costly)
@@ -36,8 +36,8 @@ def test_time_is_shared_evenly_whatever_requests_cost() -> None:
 
 
 def test_one_small_request_waits_for_none_of_a_crowds_large_ones() -> None:
-    costs = Costs(["small", "large"])
-    turns: Turns[Client] = Turns(
+    costs = DurationEstimates(["small", "large"])
+    turns: FairQueue[Client] = FairQueue(
         lambda client: costs.expected_ns("large" if client.cost_ns > 9 else "small", False)
     )
     good, crowd = Client(1), [Client(1000) for _ in range(500)]
@@ -54,7 +54,7 @@ def test_one_small_request_waits_for_none_of_a_crowds_large_ones() -> None:
 
 
 def test_who_begins_to_ask_has_no_claim_on_time_that_is_past() -> None:
-    turns: Turns[Client] = Turns(lambda client: client.cost_ns)
+    turns: FairQueue[Client] = FairQueue(lambda client: client.cost_ns)
     old, new = Client(1), Client(1)
     turns.add(old)
     serve(turns, 1000)
@@ -70,7 +70,7 @@ def test_who_begins_to_ask_has_no_claim_on_time_that_is_past() -> None:
 
 
 def test_what_is_expected_follows_and_outliers_change_little() -> None:
-    costs = Costs(["ping"])
+    costs = DurationEstimates(["ping"])
     assert costs.expected_ns("ping", False) == 0
     costs.took("ping", False, 100)
     costs.took("ping", False, 1_000_000)

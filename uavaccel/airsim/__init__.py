@@ -2,13 +2,14 @@
 
     import uavaccel.airsim as airsim
 
-in place of `import airsim`, and nothing else in a script changes. Names, types and parameter orders are those of
-AirSim v1.8.1's PythonClient; it needs msgpack and NumPy alone. What differs: calls are thread-safe, NumPy's numbers may
-be arguments, no tornado, and the error of a command that was only joined is told on standard error.
+replaces `import airsim`; nothing else in a script changes. Names, types and parameter orders are those of AirSim
+v1.8.1's PythonClient. It needs only msgpack and NumPy. Unlike AirSim's, its calls are thread-safe, accept NumPy's
+numbers, do not use tornado, and print on standard error the error of a command that was only joined.
 """
 
 # ruff: noqa: F403  all of it is for scripts
 
+from uavaccel.airsim import utils as pfm  # noqa: F401  AirSim's module of this name, whose functions are there
 from uavaccel.airsim.client import CarClient as CarClient
 from uavaccel.airsim.client import MultirotorClient as MultirotorClient
 from uavaccel.airsim.client import VehicleClient as VehicleClient

@@ -1,4 +1,4 @@
-"""A call of AirSim's clients is its declaration: the decorator sends the arguments, and answers with what it declares.
+"""Declares AirSim's calls: a method's signature says what is sent, its annotations how arguments and answer convert.
 
 @remote
 def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
@@ -10,43 +10,42 @@ import functools
 import inspect
 import operator
 from collections.abc import Callable
-from typing import Annotated, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, TypeVar, get_args, get_origin, get_type_hints
 
-from uavaccel.airsim.connection import Connection, Future
-from uavaccel.airsim.wire_type import MsgpackMixin
+from uavaccel.airsim.connection import Future
+from uavaccel.airsim.types import MsgpackMixin
 from uavaccel.wire.rpc import Received
+
+if TYPE_CHECKING:
+    from uavaccel.airsim.client import VehicleClient
 
 CameraName = Annotated[str | int, str]
 Mirrored = Annotated[float, operator.neg]
-"""An angle or a rate that is positive the other way round on the wire."""
+"""An angle or a rate whose sign is the opposite one on the wire."""
 Declared = TypeVar("Declared", bound=Callable[..., object])
 
 
-class Calls:
-    """Calls over a connection."""
-
-    client: Connection
-
-
 def remote(declared: Declared) -> Declared:
-    """A method that calls what has its name on the wire, less "Async", with all its arguments in their order.
+    """Make a declared method send the call of its name, without "Async", and its arguments in their order.
 
-    An argument is sent as the annotation's function makes it, where that is `Annotated`. The answer becomes what the
-    method is annotated to return; a `Future` is returned at once.
+    An argument annotated with `Annotated` is converted by the annotation's function before it is sent. The answer is
+    converted to the annotated return type; a method annotated to return a `Future` returns it at once.
     """
     name = declared.__name__.removesuffix("Async")
     _, *parameters = inspect.signature(declared).parameters.values()
     defaults = tuple(each.default for each in parameters if each.default is not each.empty)
     required = len(parameters) - len(defaults)
     hints = get_type_hints(declared, include_extras=True)
-    annotated = [(place, hints[each.name]) for place, each in enumerate(parameters)]
+    annotated = [(place, hints.get(each.name)) for place, each in enumerate(parameters)]
     conversions = [
-        (place, hint.__metadata__[0]) for place, hint in annotated if get_origin(hint) is Annotated
+        (place, hint.__metadata__[0])
+        for place, hint in annotated
+        if hint is not None and get_origin(hint) is Annotated
     ]
     answer = _answer(hints["return"])
 
     @functools.wraps(declared)
-    def call(self: Calls, *arguments: object, **named: object) -> object:
+    def call(self: VehicleClient, *arguments: object, **named: object) -> object:
         if named or not required <= len(arguments) <= len(parameters):
             declared(self, *arguments, **named)  # raises TypeError where they do not fit
             rest = parameters[len(arguments) :]
@@ -61,8 +60,22 @@ def remote(declared: Declared) -> Declared:
     return call  # type: ignore[return-value]
 
 
+def untyped(name: str, *required: str, **defaults: object) -> Callable[..., object]:
+    """Declare the call `name` by its required parameters and its defaults; arguments and answer are not converted."""
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
+    parameters += [inspect.Parameter(each, kind, default=value) for each, value in defaults.items()]
+    signature = inspect.Signature(parameters)
+
+    def declared(*arguments: object, **named: object) -> object:
+        return signature.bind(*arguments, **named)
+
+    declared.__name__, declared.__signature__ = name, signature  # type: ignore[attr-defined]
+    return remote(declared)
+
+
 def _answer(annotation: type) -> Callable[[Received], object] | None:
-    """What makes a server's answer one of the annotated type; None for a `Future`, whose answer is waited for later."""
+    """A function that converts a server's answer to the annotated type; None for a `Future`, which is awaited later."""
     if annotation is Future:
         return None
     if annotation is object:

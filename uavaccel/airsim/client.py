@@ -1,32 +1,69 @@
-"""AirSim's clients: connection, control of vehicle and clock, recording. Cameras, sensors and world lie beside.
+"""AirSim's clients: every call of a vehicle, of the world around it, and of a multirotor.
 
-Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airsim/client.py.
+Source of names, defaults and parameter orders: AirSim v1.8.1, PythonClient/airsim/client.py. A camera's name may
+also be its number, as in AirSim's scripts; `external` selects a camera that no vehicle carries. Poses of objects are in
+the world's frame. An empty sensor name selects the first sensor of its kind.
 """
 
-# ruff: noqa: N802  the names are AirSim's
+# ruff: noqa: N802, N815  the names are AirSim's
 
 from __future__ import annotations
 
+import logging
+import math
 import sys
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
-from uavaccel.airsim.calls import remote
-from uavaccel.airsim.camera_calls import CameraCalls
-from uavaccel.airsim.connection import Connection, connect
-from uavaccel.airsim.multirotor_calls import MultirotorCalls
-from uavaccel.airsim.sensor_calls import SensorCalls
-from uavaccel.airsim.types import CollisionInfo, EnvironmentState, GeoPoint, KinematicsState, Pose, Vector3r
-from uavaccel.airsim.world_calls import WorldCalls
+from uavaccel.airsim.calls import CameraName, Mirrored, remote, untyped
+from uavaccel.airsim.connection import Connection, Future, connect
+from uavaccel.airsim.types import (
+    AngleLevelControllerGains,
+    AngleRateControllerGains,
+    BarometerData,
+    CameraInfo,
+    CollisionInfo,
+    DetectionInfo,
+    DistanceSensorData,
+    DrivetrainType,
+    EnvironmentState,
+    GeoPoint,
+    GpsData,
+    ImageRequest,
+    ImageResponse,
+    ImuData,
+    KinematicsState,
+    LidarData,
+    MagnetometerData,
+    MeshPositionVertexBuffersResponse,
+    MultirotorState,
+    Pose,
+    PositionControllerGains,
+    Quaternionr,
+    RCData,
+    RotorStates,
+    Vector3r,
+    VelocityControllerGains,
+    YawMode,
+)
+from uavaccel.wire.rpc import LOOPBACK, PORT
 
 __all__ = ["CarClient", "MultirotorClient", "VehicleClient"]
 
-LOOPBACK, PORT = "127.0.0.1", 41451
+
 CLIENT_VERSION = MIN_SERVER_VERSION = 1
+RED = (1.0, 0.0, 0.0, 1.0)
+FOR_EVER = 3e38  # seconds
+SHOWN_FOR: dict[str, Any] = {"duration": -1.0, "is_persistent": False}
+OF_CAMERA: dict[str, Any] = {"vehicle_name": "", "external": False}
+TURN_FREELY = DrivetrainType.MaxDegreeOfFreedom
+NO_TURN = YawMode()
 
 
-class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
-    """The calls that every vehicle has. Any number of threads may use a client.
+class VehicleClient:
+    """The calls of every vehicle. Any number of threads may share a client.
 
-    `timeout_value` is how many seconds an answer may take. Raises ConnectionError if nobody listens there; calls raise
+    An answer may take `timeout_value` seconds. Raises ConnectionError if no server listens at the address; calls raise
     RpcError with the server's text.
     """
 
@@ -51,7 +88,7 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
     def getMinRequiredClientVersion(self) -> int: ...
 
     def confirmConnection(self) -> None:
-        """Ping the server, and print whether the versions fit."""
+        """Ping the server, and print whether the versions match."""
         print("Connected!" if self.ping() else "Ping returned false!")
         server, client = self.getServerVersion(), self.getClientVersion()
         min_server, min_client = self.getMinRequiredServerVersion(), self.getMinRequiredClientVersion()
@@ -64,17 +101,17 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     @remote
     def getSettingsString(self) -> str:
-        """settings.json, as it holds."""
+        """The server's settings.json as it is in effect."""
 
     # --- control ----------------------------------------------------------------------------------
 
     @remote
     def reset(self) -> None:
-        """Every vehicle to its start; API control and arming have to be asked for again."""
+        """Reset every vehicle to its start; API control and arming have to be requested again."""
 
     @remote
     def enableApiControl(self, is_enabled: bool, vehicle_name: str = "") -> None:
-        """Without API control commands have no effect."""
+        """Take or release API control; without it commands have no effect."""
 
     @remote
     def isApiControlEnabled(self, vehicle_name: str = "") -> bool: ...
@@ -84,7 +121,7 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     @remote
     def cancelLastTask(self, vehicle_name: str = "") -> None:
-        """End the running command."""
+        """Cancel the running command."""
 
     @remote
     def simAddVehicle(
@@ -104,11 +141,11 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     @remote
     def simContinueForTime(self, seconds: float) -> None:
-        """Run for `seconds` of wall time, so times ClockSpeed of simulated time, then pause."""
+        """Run for `seconds` of wall time, which is ClockSpeed times as much simulated time, then pause."""
 
     @remote
     def simContinueForFrames(self, frames: int) -> None:
-        """Run for so many rendered frames, then pause."""
+        """Run for this number of rendered frames, then pause."""
 
     # --- state ------------------------------------------------------------------------------------
 
@@ -117,14 +154,14 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     @remote
     def simGetCollisionInfo(self, vehicle_name: str = "") -> CollisionInfo:
-        """What was touched; reading it sets has_collided back."""
+        """The last collision; reading it resets has_collided."""
 
     @remote
     def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
 
     @remote
     def simSetVehiclePose(self, pose: Pose, ignore_collision: bool, vehicle_name: str = "") -> None:
-        """NaN leaves a part of the pose as it is."""
+        """Put the vehicle at a pose; parts of it that are NaN stay as they are."""
 
     @remote
     def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState: ...
@@ -139,7 +176,7 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
 
     @remote
     def simSetWind(self, wind: Vector3r) -> None:
-        """Metres per second, NED."""
+        """Set the wind in metres per second, NED."""
 
     # --- recording --------------------------------------------------------------------------------
 
@@ -152,13 +189,563 @@ class VehicleClient(WorldCalls, CameraCalls, SensorCalls):
     @remote
     def isRecording(self) -> bool: ...
 
+    # --- objects ----------------------------------------------------------------------------------
 
-class MultirotorClient(VehicleClient, MultirotorCalls):
-    """The calls of a multirotor."""
+    @remote
+    def simListSceneObjects(self, name_regex: str = ".*") -> list[str]:
+        """The names of the objects that match the regular expression."""
+
+    @remote
+    def simGetObjectPose(self, object_name: str) -> Pose:
+        """The pose of an object; NaN if there is no such object."""
+
+    @remote
+    def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool: ...
+
+    @remote
+    def simGetObjectScale(self, object_name: str) -> Vector3r: ...
+
+    @remote
+    def simSetObjectScale(self, object_name: str, scale_vector: Vector3r) -> bool: ...
+
+    @remote
+    def simSpawnObject(
+        self,
+        object_name: str,
+        asset_name: str,
+        pose: Pose,
+        scale: Vector3r,
+        physics_enabled: bool = False,
+        is_blueprint: bool = False,
+    ) -> str:
+        """Add an object, and return the name that it was given."""
+
+    @remote
+    def simDestroyObject(self, object_name: str) -> bool: ...
+
+    @remote
+    def simListAssets(self) -> list[str]: ...
+
+    @remote
+    def simLoadLevel(self, level_name: str) -> bool: ...
+
+    @remote
+    def simSetSegmentationObjectID(self, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
+        """Set the ID, 0 to 255, of the objects of this name; returns whether there are any."""
+
+    @remote
+    def simGetSegmentationObjectID(self, mesh_name: str) -> int:
+        """The segmentation ID of an object; -1 if there is no such object."""
+
+    @remote
+    def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]: ...
+
+    # --- sky and weather ------------------------------------------------------------------------
+
+    # --- geometry -------------------------------------------------------------------------------
+
+    @remote
+    def simTestLineOfSightToPoint(self, point: GeoPoint, vehicle_name: str = "") -> bool: ...
+
+    @remote
+    def simTestLineOfSightBetweenPoints(self, point1: GeoPoint, point2: GeoPoint) -> bool: ...
+
+    @remote
+    def simGetWorldExtents(self) -> list[GeoPoint]:
+        """Two opposite corners of the world."""
+
+    # --- display --------------------------------------------------------------------------------
+
+    # --- images -----------------------------------------------------------------------------------
+
+    @remote
+    def simGetImages(
+        self,
+        requests: Annotated[Sequence[ImageRequest], list],
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> list[ImageResponse]:
+        """Take images of one moment, returned in the order of the requests."""
+
+    def simGetImage(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> bytes | None:
+        """Take one image as PNG; None if there is none."""
+        image = self.client.call("simGetImage", str(camera_name), image_type, vehicle_name, external)
+        return None if image in ("", "\0", b"", b"\0") else image
+
+    @remote
+    def simGetCameraInfo(
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> CameraInfo: ...
+
+    @remote
+    def simSetCameraPose(
+        self, camera_name: CameraName, pose: Pose, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """Set a camera's pose in the vehicle's frame."""
+
+    def simSetCameraOrientation(
+        self, camera_name: str | int, orientation: Quaternionr, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """Turn a camera in the vehicle's frame without moving it, as in AirSim before 1.6."""
+        nowhere = Vector3r(math.nan, math.nan, math.nan)
+        self.simSetCameraPose(camera_name, Pose(nowhere, orientation), vehicle_name, external)
+
+    @remote
+    def simSetCameraFov(
+        self, camera_name: CameraName, fov_degrees: float, vehicle_name: str = "", external: bool = False
+    ) -> None:
+        """Set the horizontal field of view in degrees."""
+
+    @remote
+    def simGetDistortionParams(
+        self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
+    ) -> list[float]: ...
+
+    def simSetDistortionParams(
+        self,
+        camera_name: str | int,
+        distortion_params: Mapping[str, float],
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None:
+        """Set any of K1, K2, K3, P1 and P2."""
+        for name, value in distortion_params.items():
+            self.simSetDistortionParam(camera_name, name, value, vehicle_name, external)
+
+    @remote
+    def simSetDistortionParam(
+        self,
+        camera_name: CameraName,
+        param_name: str,
+        value: float,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None: ...
+
+    # --- detections -------------------------------------------------------------------------------
+
+    @remote
+    def simAddDetectionFilterMeshName(
+        self,
+        camera_name: str | int,
+        image_type: int,
+        mesh_name: str,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None:
+        """Detect the objects of this name, which may contain asterisks."""
+
+    @remote
+    def simSetDetectionFilterRadius(
+        self,
+        camera_name: str | int,
+        image_type: int,
+        radius_cm: float,
+        vehicle_name: str = "",
+        external: bool = False,
+    ) -> None: ...
+
+    @remote
+    def simClearDetectionMeshNames(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> None: ...
+
+    @remote
+    def simGetDetections(
+        self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
+    ) -> list[DetectionInfo]: ...
+
+    # --- Unreal's lenses, surfaces, weather and drawings: without effect, or refused, by this project's server ---
+
+    simSwapTextures = untyped("simSwapTextures", "tags", tex_id=0, component_id=0, material_id=0)
+    simSetObjectMaterial = untyped("simSetObjectMaterial", "object_name", "material_name", component_id=0)
+    simSetObjectMaterialFromTexture = untyped(
+        "simSetObjectMaterialFromTexture", "object_name", "texture_path", component_id=0
+    )
+    simSetLightIntensity = untyped("simSetLightIntensity", "light_name", "intensity")
+    simCreateVoxelGrid = untyped("simCreateVoxelGrid", "position", "x", "y", "z", "res", "of")
+    simSetTimeOfDay = untyped(
+        "simSetTimeOfDay",
+        "is_enabled",
+        start_datetime="",
+        is_start_datetime_dst=False,
+        celestial_clock_speed=1,
+        update_interval_secs=60,
+        move_sun=True,
+    )
+    simEnableWeather = untyped("simEnableWeather", "enable")
+    simSetWeatherParameter = untyped("simSetWeatherParameter", "param", "val")
+    simRunConsoleCommand = untyped("simRunConsoleCommand", "command")
+    simPrintLogMessage = untyped("simPrintLogMessage", "message", message_param="", severity=0)
+    simSetTraceLine = untyped("simSetTraceLine", "color_rgba", thickness=1.0, vehicle_name="")
+    simFlushPersistentMarkers = untyped("simFlushPersistentMarkers")
+    simPlotPoints = untyped("simPlotPoints", "points", color_rgba=RED, size=10.0, **SHOWN_FOR)
+    simPlotLineStrip = untyped("simPlotLineStrip", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotLineList = untyped("simPlotLineList", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotArrows = untyped(
+        "simPlotArrows",
+        "points_start",
+        "points_end",
+        color_rgba=RED,
+        thickness=5.0,
+        arrow_size=2.0,
+        **SHOWN_FOR,
+    )
+    simPlotStrings = untyped("simPlotStrings", "strings", "positions", scale=5, color_rgba=RED, duration=-1.0)
+    simPlotTransforms = untyped("simPlotTransforms", "poses", scale=5.0, thickness=5.0, **SHOWN_FOR)
+    simPlotTransformsWithNames = untyped(
+        "simPlotTransformsWithNames",
+        "poses",
+        "names",
+        tf_scale=5.0,
+        tf_thickness=5.0,
+        text_scale=10.0,
+        text_color_rgba=RED,
+        duration=-1.0,
+    )
+    simGetPresetLensSettings = untyped("simGetPresetLensSettings", "camera_name", **OF_CAMERA)
+    simGetLensSettings = untyped("simGetLensSettings", "camera_name", **OF_CAMERA)
+    simSetPresetLensSettings = untyped(
+        "simSetPresetLensSettings", "preset_lens_settings", "camera_name", **OF_CAMERA
+    )
+    simGetPresetFilmbackSettings = untyped("simGetPresetFilmbackSettings", "camera_name", **OF_CAMERA)
+    simSetPresetFilmbackSettings = untyped(
+        "simSetPresetFilmbackSettings", "preset_filmback_settings", "camera_name", **OF_CAMERA
+    )
+    simGetFilmbackSettings = untyped("simGetFilmbackSettings", "camera_name", **OF_CAMERA)
+    simSetFilmbackSettings = untyped(
+        "simSetFilmbackSettings", "sensor_width", "sensor_height", "camera_name", **OF_CAMERA
+    )
+    simGetFocalLength = untyped("simGetFocalLength", "camera_name", **OF_CAMERA)
+    simSetFocalLength = untyped("simSetFocalLength", "focal_length", "camera_name", **OF_CAMERA)
+    simEnableManualFocus = untyped("simEnableManualFocus", "enable", "camera_name", **OF_CAMERA)
+    simGetFocusDistance = untyped("simGetFocusDistance", "camera_name", **OF_CAMERA)
+    simSetFocusDistance = untyped("simSetFocusDistance", "focus_distance", "camera_name", **OF_CAMERA)
+    simGetFocusAperture = untyped("simGetFocusAperture", "camera_name", **OF_CAMERA)
+    simSetFocusAperture = untyped("simSetFocusAperture", "focus_aperture", "camera_name", **OF_CAMERA)
+    simEnableFocusPlane = untyped("simEnableFocusPlane", "enable", "camera_name", **OF_CAMERA)
+    simGetCurrentFieldOfView = untyped("simGetCurrentFieldOfView", "camera_name", **OF_CAMERA)
+
+    # --- sensors ------------------------------------------------------------------------------------
+
+    @remote
+    def getImuData(self, imu_name: str = "", vehicle_name: str = "") -> ImuData: ...
+
+    @remote
+    def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData: ...
+
+    @remote
+    def getMagnetometerData(
+        self, magnetometer_name: str = "", vehicle_name: str = ""
+    ) -> MagnetometerData: ...
+
+    @remote
+    def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData: ...
+
+    @remote
+    def getDistanceSensorData(
+        self, distance_sensor_name: str = "", vehicle_name: str = ""
+    ) -> DistanceSensorData: ...
+
+    @remote
+    def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
+
+    def simGetLidarSegmentation(self, lidar_name: str = "", vehicle_name: str = "") -> object:
+        logging.warning("simGetLidarSegmentation API is deprecated, use getLidarData() API instead")
+        return self.getLidarData(lidar_name, vehicle_name).segmentation
+
+
+class MultirotorClient(VehicleClient):
+    """The calls of a multirotor.
+
+    Every command returns a `Future` at once; its `join` waits until the command has ended. Speeds are in metres per
+    second, durations and time-outs in simulated seconds, and angles in radians, except those of YawMode and
+    rotateToYaw. In the commands that set an attitude, a positive pitch raises the nose and a positive yaw turns it to
+    the left; on the wire both signs are the opposite ones.
+    """
+
+    # --- take-off and landing ---------------------------------------------------------------------
+
+    @remote
+    def takeoffAsync(self, timeout_sec: float = 20, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def landAsync(self, timeout_sec: float = 60, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def goHomeAsync(self, timeout_sec: float = FOR_EVER, vehicle_name: str = "") -> Future: ...
+
+    @remote
+    def hoverAsync(self, vehicle_name: str = "") -> Future: ...
+
+    # --- velocities -----------------------------------------------------------------------------
+
+    @remote
+    def moveByVelocityAsync(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityZAsync(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityBodyFrameAsync(
+        self,
+        vx: float,
+        vy: float,
+        vz: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByVelocityZBodyFrameAsync(
+        self,
+        vx: float,
+        vy: float,
+        z: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByManualAsync(
+        self,
+        vx_max: float,
+        vy_max: float,
+        z_min: float,
+        duration: float,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    # --- places ---------------------------------------------------------------------------------
+
+    @remote
+    def moveToPositionAsync(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveOnPathAsync(
+        self,
+        path: Sequence[Vector3r],
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveToZAsync(
+        self,
+        z: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveToGPSAsync(
+        self,
+        latitude: float,
+        longitude: float,
+        altitude: float,
+        velocity: float,
+        timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1,
+        adaptive_lookahead: float = 1,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def rotateToYawAsync(
+        self, yaw: float, timeout_sec: float = FOR_EVER, margin: float = 5, vehicle_name: str = ""
+    ) -> Future:
+        """Turn to a yaw in degrees."""
+
+    @remote
+    def rotateByYawRateAsync(self, yaw_rate: float, duration: float, vehicle_name: str = "") -> Future:
+        """Turn at a rate in degrees per second."""
+
+    # --- attitude, rates, motors ----------------------------------------------------------------
+
+    @remote
+    def moveByRollPitchYawZAsync(
+        self, roll: float, pitch: Mirrored, yaw: Mirrored, z: float, duration: float, vehicle_name: str = ""
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawThrottleAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawrateThrottleAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByRollPitchYawrateZAsync(
+        self,
+        roll: float,
+        pitch: Mirrored,
+        yaw_rate: Mirrored,
+        z: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByAngleRatesZAsync(
+        self,
+        roll_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
+        z: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByAngleRatesThrottleAsync(
+        self,
+        roll_rate: float,
+        pitch_rate: Mirrored,
+        yaw_rate: Mirrored,
+        throttle: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future: ...
+
+    @remote
+    def moveByMotorPWMsAsync(
+        self,
+        front_right_pwm: float,
+        rear_left_pwm: float,
+        front_left_pwm: float,
+        rear_right_pwm: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future:
+        """Set the motors' PWM values, from 0 to 1."""
+
+    def moveByAngleZAsync(
+        self, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = ""
+    ) -> Future:
+        logging.warning("moveByAngleZAsync API is deprecated, use moveByRollPitchYawZAsync() API instead")
+        return self.moveByRollPitchYawZAsync(roll, pitch, yaw, z, duration, vehicle_name)
+
+    def moveByAngleThrottleAsync(
+        self,
+        pitch: float,
+        roll: float,
+        throttle: float,
+        yaw_rate: float,
+        duration: float,
+        vehicle_name: str = "",
+    ) -> Future:
+        logging.warning(
+            "moveByAngleThrottleAsync API is deprecated, use moveByRollPitchYawrateThrottleAsync() API instead"
+        )
+        return self.moveByRollPitchYawrateThrottleAsync(
+            roll, pitch, yaw_rate, throttle, duration, vehicle_name
+        )
+
+    def moveByRC(self, rcdata: RCData | None = None, vehicle_name: str = "") -> None:
+        """Set the sticks of the remote control by which moveByManual flies."""
+        self.client.call("moveByRC", RCData() if rcdata is None else rcdata, vehicle_name)
+
+    # --- gains ----------------------------------------------------------------------------------
+
+    def setAngleRateControllerGains(
+        self, angle_rate_gains: AngleRateControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = angle_rate_gains or AngleRateControllerGains()
+        self.client.call("setAngleRateControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setAngleLevelControllerGains(
+        self, angle_level_gains: AngleLevelControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = angle_level_gains or AngleLevelControllerGains()
+        self.client.call("setAngleLevelControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setVelocityControllerGains(
+        self, velocity_gains: VelocityControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = velocity_gains or VelocityControllerGains()
+        self.client.call("setVelocityControllerGains", *gains.to_lists(), vehicle_name)
+
+    def setPositionControllerGains(
+        self, position_gains: PositionControllerGains | None = None, vehicle_name: str = ""
+    ) -> None:
+        gains = position_gains or PositionControllerGains()
+        self.client.call("setPositionControllerGains", *gains.to_lists(), vehicle_name)
+
+    # --- state ----------------------------------------------------------------------------------
+
+    @remote
+    def getMultirotorState(self, vehicle_name: str = "") -> MultirotorState: ...
+
+    @remote
+    def getRotorStates(self, vehicle_name: str = "") -> RotorStates: ...
 
 
 class CarClient(VehicleClient):
-    """For scripts that import it. Raises NotImplementedError: no car drives here."""
+    """A name for scripts that import it. Raises NotImplementedError: there is no car here."""
 
     def __init__(self, *arguments: object, **options: object) -> None:
         raise NotImplementedError("uavaccel simulates multirotors; there is no car")

@@ -1,18 +1,19 @@
-"""A client's connection to a server: calls that wait, and calls whose answer is waited for later.
+"""A client's connection to a server: calls that block, and calls that return a future.
 
-Names of the future's parts are those of msgpack-rpc, which AirSim's scripts know: `join`, `get`, `result`, `error`.
+The future's members have the names of msgpack-rpc, which AirSim's scripts use: `join`, `get`, `result`, `error`.
 """
 
 from __future__ import annotations
 
-import contextlib
 import selectors
 import socket
 import sys
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from typing import Protocol
+
+import numpy as np
 
 from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
@@ -22,11 +23,12 @@ from uavaccel.wire.rpc import Received
 _READ_BYTES = 1 << 18
 _MESSAGE_BYTES = 1 << 28  # images are large answers
 _ITEMS = 1 << 24
-_told: set[str] = set()
+_printed: set[str] = set()
+_AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
 
 class Future:
-    """A call under way. `result` and `error` hold once it was joined; `error` is the server's text, or None."""
+    """A pending call. `result` and `error` are valid after `join`; `error` is the server's text, or None."""
 
     def __init__(self, method: str, wait: Callable[[Future], None]) -> None:
         self.method = method
@@ -36,45 +38,45 @@ class Future:
         self._wait = wait
 
     def join(self) -> None:
-        """Wait for the answer. An error is not raised, as in AirSim, but it is told once on standard error."""
+        """Wait for the answer. As in AirSim an error is not raised; it is printed once on standard error."""
         if not self.done:
             self._wait(self)
 
     def get(self) -> Received:
-        """Wait for the answer, and return it. Raises rpc.RpcError with the server's text."""
+        """Wait for the answer and return it. Raises rpc.RpcError with the server's text."""
         self.join()
         if self.error is not None:
             raise rpc.RpcError(self.error)
         return self.result
 
     def answer(self, error: str | None, result: object) -> None:
-        """What the server said."""
+        """Set the server's answer."""
         self.error, self.result, self.done = error, result, True
 
 
 class Connection(Protocol):
-    """What AirSim's clients need: calls by name, with values that msgpack knows or that `plain` makes such."""
+    """What AirSim's clients need: calls by name, with arguments that msgpack or `plain` can convert."""
 
     def call(self, method: str, *params: object) -> Received:
-        """Call and wait. Raises rpc.RpcError with the server's text."""
+        """Call a method and wait for its answer. Raises rpc.RpcError with the server's text."""
         ...
 
     def call_async(self, method: str, *params: object) -> Future:
-        """Call, and go on."""
+        """Call a method without waiting."""
         ...
 
     def close(self) -> None: ...
 
 
-def tell_once(method: str, error: str) -> None:
-    """Say what became of a call whose error nobody may ask for; the same text is said once per process."""
-    if error not in _told:
-        _told.add(error)
+def print_once(method: str, error: str) -> None:
+    """Print the error of a call, which its caller may never look at; the same text is printed once per process."""
+    if error not in _printed:
+        _printed.add(error)
         print(f"airsim: {method} failed: {error}", file=sys.stderr, flush=True)
 
 
 def plain(value: object) -> object:
-    """What msgpack packs in place of AirSim's types (by their fields) and of NumPy's (by their values).
+    """Convert a value for msgpack: AirSim's types to their fields, NumPy's to numbers and lists.
 
     Raises TypeError for anything else.
     """
@@ -89,9 +91,9 @@ def plain(value: object) -> object:
 
 
 class SocketConnection:
-    """msgpack-rpc over TCP; any number of threads may use it, and whoever waits reads for all.
+    """msgpack-rpc over TCP for any number of threads: one of those that wait reads for all.
 
-    `timeout_s` is how long an answer may take. Raises ConnectionError if nobody listens there.
+    An answer may take `timeout_s`. Raises ConnectionError if no server listens at the address.
     """
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
@@ -143,13 +145,13 @@ class SocketConnection:
         return future
 
     def _join(self, future: Future) -> None:
-        """Wait for the answer of a call that was not waited for at once; say what went wrong with it."""
+        """Wait for the answer of an asynchronous call; print its error."""
         self._wait(future)
         if future.error is not None:
-            tell_once(future.method, future.error)
+            print_once(future.method, future.error)
 
     def _wait(self, future: Future) -> None:
-        """Until the answer is there. Raises TimeoutError, and ConnectionError if the server has gone."""
+        """Wait until the answer has arrived. Raises TimeoutError, or ConnectionError if the server has gone."""
         deadline_ns = self._clock.now_ns() + self._timeout_ns
         while True:
             with self._state:
@@ -195,16 +197,29 @@ _connect: Connect = SocketConnection
 
 
 def connect(host: str, port: int, timeout_s: float) -> Connection:
-    """A connection for a client: over TCP, unless `connect_with` said otherwise."""
+    """A connection for a client: over TCP, unless `_connect` has been replaced, as under `uavaccel fly`."""
     return _connect(host, port, timeout_s)
 
 
-@contextlib.contextmanager
-def connect_with(other: Connect) -> Iterator[None]:
-    """Let clients that are made in the `with` block connect otherwise than over TCP."""
-    global _connect
-    before, _connect = _connect, other
-    try:
-        yield
-    finally:
-        _connect = before
+def as_sent(value: object) -> object:
+    """An argument as a server would receive it: plain maps, lists and numbers. Raises TypeError as packing would."""
+    if type(value) in _AS_THEY_ARE:
+        return value
+    if isinstance(value, Mapping):
+        return {key: as_sent(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_sent(inner) for inner in value]
+    if isinstance(value, int | float | str):  # an enumeration's member, NumPy's float64
+        return next(kind(value) for kind in (int, float, str) if isinstance(value, kind))
+    return as_sent(plain(value))
+
+
+def as_received(value: object) -> object:
+    """An answer as a client would receive it: arrays become lists of single precision."""
+    if isinstance(value, np.ndarray):
+        return value.astype(np.float32).ravel().tolist()
+    if isinstance(value, list):
+        return [as_received(inner) for inner in value] if value and type(value[0]) is not float else value
+    if isinstance(value, dict) and any(isinstance(inner, np.ndarray) for inner in value.values()):
+        return {key: as_received(inner) for key, inner in value.items()}
+    return value

@@ -1,7 +1,7 @@
-"""AirSim's client before 1.2, one module `AirSimClient`: one vehicle, cameras by number, commands without futures.
+"""AirSim's client before 1.2, the module `AirSimClient`: one vehicle, cameras by number, commands without futures.
 
-A command with a `duration` returns at once; one with `max_wait_seconds` waits so long for its end, and not at all for
-0. Source of names, defaults and parameter orders: AirSim v1.1, PythonClient/AirSimClient.py and docs/apis.md.
+A command with a `duration` returns at once; one with `max_wait_seconds` waits for its end, at most for that long.
+Source of names, defaults and parameter orders: AirSim v1.1, PythonClient/AirSimClient.py and docs/apis.md.
 """
 
 # ruff: noqa: F403, N802, N815  the names are AirSim's, and all of it is for scripts
@@ -13,29 +13,35 @@ from collections.abc import Callable, Sequence
 from typing import ParamSpec
 
 from uavaccel.airsim import client, utils
+from uavaccel.airsim.client import FOR_EVER, NO_TURN, TURN_FREELY
 from uavaccel.airsim.connection import Future
-from uavaccel.airsim.multirotor_calls import NO_TURN, TURN_FREELY
-from uavaccel.airsim.poses import GeoPoint
 from uavaccel.airsim.types import *
-from uavaccel.airsim.types import CameraInfo, CollisionInfo, ImageType, Pose, RCData, YawMode
+from uavaccel.airsim.types import (
+    CameraInfo,
+    CollisionInfo,
+    GeoPoint,
+    ImageType,
+    Pose,
+    Quaternionr,
+    RCData,
+    Vector3r,
+    YawMode,
+)
 from uavaccel.airsim.utils import *
-from uavaccel.airsim.vectors import Quaternionr, Vector3r
 
 AirSimImageType = ImageType
 
-
-FOR_EVER = 3e38  # seconds
 Arguments = ParamSpec("Arguments")
 
 
 def _waited(command: Callable[[float], Future], max_wait_s: float) -> bool:
-    """What a command with a time-out came to; True at once where it is not to be waited for. Raises RpcError."""
+    """The result of a command with a time-out; True at once for a time-out of 0. Raises RpcError."""
     begun = command(max_wait_s if max_wait_s > 0 else FOR_EVER)
     return bool(begun.get()) if max_wait_s > 0 else True
 
 
 def _begun(command: Callable[Arguments, Future]) -> Callable[Arguments, bool]:
-    """A command with a duration, which is sent and not waited for."""
+    """A command with a duration, which is sent without waiting for its end."""
 
     @functools.wraps(command)
     def begin(*arguments: Arguments.args, **named: Arguments.kwargs) -> bool:
@@ -46,7 +52,7 @@ def _begun(command: Callable[Arguments, Future]) -> Callable[Arguments, bool]:
 
 
 class AirSimClientBase(client.VehicleClient):
-    """The calls of every vehicle, and the helpers that were its static methods."""
+    """The calls of every vehicle, and AirSim's helpers, which were static methods then."""
 
     stringToUint8Array = staticmethod(utils.string_to_uint8_array)
     stringToFloatArray = staticmethod(utils.string_to_float_array)
@@ -83,7 +89,7 @@ class AirSimClientBase(client.VehicleClient):
 
 
 class MultirotorClient(AirSimClientBase, client.MultirotorClient):
-    """Commands wait for their end, and return what it was."""
+    """The calls of a multirotor, whose commands return whether they succeeded."""
 
     def takeoff(self, max_wait_seconds: float = 15) -> bool:
         return _waited(self.takeoffAsync, max_wait_seconds)
@@ -137,7 +143,7 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
     # --- commands ---------------------------------------------------------------------------------
 
     def moveByAngle(self, pitch: float, roll: float, z: float, yaw: float, duration: float) -> bool:
-        """Angles as they are on the wire, which later clients turn round: a nose that is up, to the right."""
+        """Fly at these angles with the wire's signs, which later clients reverse: positive is nose up, and right."""
         self.moveByRollPitchYawZAsync(roll, -pitch, -yaw, z, duration)
         return True
 

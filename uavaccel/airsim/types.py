@@ -1,81 +1,380 @@
-"""AirSim's types, by its names: what the wire carries as maps of their fields.
+"""AirSim's types under AirSim's names; the wire carries them as maps of their fields.
 
-Units are SI, positions NED, times nanoseconds; YawMode alone has degrees. Source of names, fields, defaults and the
-order of arguments: AirSim v1.8.1, PythonClient/airsim/types.py.
+Units are SI, positions NED, times in nanoseconds; YawMode alone is in degrees. Vectors in sensors' reports are in the
+frame of the body, or of the sensor where that is stated. Sources of names, fields, defaults and the order of arguments:
+AirSim v1.8.1, PythonClient/airsim/types.py; of the gains: simple_flight/Params.hpp.
 """
+
+# ruff: noqa: N802  the names are AirSim's
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from numbers import Real
+from pprint import pformat
+from typing import TYPE_CHECKING, Self
 
-from uavaccel.airsim.gains import (
-    AngleLevelControllerGains,
-    AngleRateControllerGains,
-    PIDGains,
-    PositionControllerGains,
-    VelocityControllerGains,
-)
-from uavaccel.airsim.poses import GeoPoint, Pose
-from uavaccel.airsim.sensor_types import (
-    BarometerData,
-    DistanceSensorData,
-    GnssFixType,
-    GnssReport,
-    GpsData,
-    ImuData,
-    LidarData,
-    MagnetometerData,
-    RotorStates,
-)
-from uavaccel.airsim.vectors import Quaternionr, Vector2r, Vector3r
-from uavaccel.airsim.wire_type import MsgpackMixin
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = [
-    "AngleLevelControllerGains",
-    "AngleRateControllerGains",
-    "BarometerData",
-    "Box2D",
-    "Box3D",
-    "CameraInfo",
-    "CarControls",
-    "CarState",
-    "CollisionInfo",
-    "DetectionInfo",
-    "DistanceSensorData",
-    "DrivetrainType",
-    "EnvironmentState",
-    "GeoPoint",
-    "GnssFixType",
-    "GnssReport",
-    "GpsData",
-    "ImageRequest",
-    "ImageResponse",
-    "ImageType",
-    "ImuData",
-    "KinematicsState",
-    "LandedState",
-    "LidarData",
-    "MagnetometerData",
-    "MeshPositionVertexBuffersResponse",
-    "MsgpackMixin",
-    "MultirotorState",
-    "PIDGains",
-    "Pose",
-    "PositionControllerGains",
-    "ProjectionMatrix",
-    "Quaternionr",
-    "RCData",
-    "RotorStates",
-    "Vector2r",
-    "Vector3r",
-    "VelocityControllerGains",
-    "WeatherParameter",
-    "YawMode",
-]
+from uavaccel.wire.rpc import Received
+
+FloatArray = NDArray[np.float32]
+Number = float | np.floating | np.integer
+
+
+class MsgpackMixin:
+    """Base of AirSim's types: an object whose attributes are the fields of a map on the wire."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}> " + pformat(vars(self), indent=4, width=1)
+
+    def to_msgpack(self, *args: object, **options: object) -> dict[str, object]:
+        """The object's fields; nested objects stay objects."""
+        return self.__dict__
+
+    @classmethod
+    def from_msgpack(cls, encoded: Mapping[str, Received]) -> Self:
+        """Make an object from a map: unknown fields are kept, missing ones get their defaults."""
+        self = cls.__new__(cls)
+        fields = vars(self)
+        nested: dict[str, type[MsgpackMixin] | None] = _fields(cls)  # type: ignore[arg-type]
+        for key, value in encoded.items():
+            inner = nested.get(key) if type(value) is dict else None
+            fields[key] = inner.from_msgpack(value) if inner else value
+        if not nested.keys() <= fields.keys():
+            self.__dict__ = vars(cls()) | fields
+        return self
+
+
+@cache
+def _fields(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin] | None]:
+    """The fields of a type, with the type of those that are of AirSim's types themselves."""
+    return {
+        key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()
+    }
+
+
+@dataclass(repr=False)
+class Vector2r(MsgpackMixin):
+    x_val: float = 0.0
+    y_val: float = 0.0
+
+
+@dataclass(repr=False, eq=False)
+class Vector3r(MsgpackMixin):
+    x_val: float = 0.0
+    y_val: float = 0.0
+    z_val: float = 0.0
+
+    @staticmethod
+    def nanVector3r() -> Vector3r:
+        return Vector3r(math.nan, math.nan, math.nan)
+
+    def containsNan(self) -> bool:
+        return any(math.isnan(value) for value in self)
+
+    def __add__(self, other: Vector3r) -> Vector3r:
+        return Vector3r(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+    def __sub__(self, other: Vector3r) -> Vector3r:
+        return Vector3r(*(mine - its for mine, its in zip(self, other, strict=True)))
+
+    def __mul__(self, other: Number) -> Vector3r:
+        factor = _number(other, "*", self)
+        return Vector3r(*(value * factor for value in self))
+
+    def __truediv__(self, other: Number) -> Vector3r:
+        divisor = _number(other, "/", self)
+        return Vector3r(*(value / divisor for value in self))
+
+    def dot(self, other: Vector3r) -> float:
+        _alike(other, "dot", self)
+        return float(sum(mine * its for mine, its in zip(self, other, strict=True)))
+
+    def cross(self, other: Vector3r) -> Vector3r:
+        _alike(other, "cross", self)
+        (a, b, c), (x, y, z) = self, other
+        return Vector3r(b * z - c * y, c * x - a * z, a * y - b * x)
+
+    def get_length(self) -> float:
+        return math.sqrt(self.dot(self))
+
+    def distance_to(self, other: Vector3r) -> float:
+        return (self - other).get_length()
+
+    def to_Quaternionr(self) -> Quaternionr:
+        """The quaternion without a scalar part."""
+        return Quaternionr(self.x_val, self.y_val, self.z_val, 0.0)
+
+    def to_numpy_array(self) -> FloatArray:
+        return np.array([*self], np.float32)
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.x_val, self.y_val, self.z_val))
+
+
+@dataclass(repr=False, eq=False)
+class Quaternionr(MsgpackMixin):
+    """A quaternion; the scalar part comes last among the arguments and first nowhere else in AirSim's clients."""
+
+    x_val: float = 0.0
+    y_val: float = 0.0
+    z_val: float = 0.0
+    w_val: float = 1.0
+
+    @staticmethod
+    def nanQuaternionr() -> Quaternionr:
+        return Quaternionr(math.nan, math.nan, math.nan, math.nan)
+
+    def containsNan(self) -> bool:
+        return any(math.isnan(value) for value in self)
+
+    def __add__(self, other: Quaternionr) -> Quaternionr:
+        _alike(other, "+", self)
+        return Quaternionr(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+    def __sub__(self, other: Quaternionr) -> Quaternionr:
+        _alike(other, "-", self)
+        return Quaternionr(*(mine - its for mine, its in zip(self, other, strict=True)))
+
+    def __mul__(self, other: Quaternionr) -> Quaternionr:
+        """The Hamilton product."""
+        _alike(other, "*", self)
+        (x, y, z, w), (a, b, c, d) = self, other
+        return Quaternionr(
+            w * a + x * d + y * c - z * b,
+            w * b - x * c + y * d + z * a,
+            w * c + x * b - y * a + z * d,
+            w * d - x * a - y * b - z * c,
+        )
+
+    def __truediv__(self, other: Quaternionr | Number) -> Quaternionr:
+        if isinstance(other, Quaternionr):
+            return self * other.inverse()
+        divisor = _number(other, "/", self)
+        return Quaternionr(*(value / divisor for value in self))
+
+    def dot(self, other: Quaternionr) -> float:
+        _alike(other, "dot", self)
+        return float(sum(mine * its for mine, its in zip(self, other, strict=True)))
+
+    def cross(self, other: Quaternionr) -> Quaternionr:
+        _alike(other, "cross", self)
+        return (self * other - other * self) / 2
+
+    def outer_product(self, other: Quaternionr) -> Quaternionr:
+        _alike(other, "outer_product", self)
+        return (self.inverse() * other - other.inverse() * self) / 2
+
+    def rotate(self, other: Quaternionr) -> Quaternionr:
+        """This quaternion rotated by `other`. Raises ValueError unless `other` has length 1."""
+        _alike(other, "rotate", self)
+        if not math.isclose(other.get_length(), 1.0, rel_tol=1e-6):
+            raise ValueError("length of the other Quaternionr must be 1")
+        return other * self * other.inverse()
+
+    def conjugate(self) -> Quaternionr:
+        return Quaternionr(-self.x_val, -self.y_val, -self.z_val, self.w_val)
+
+    star = conjugate
+
+    def inverse(self) -> Quaternionr:
+        return self.conjugate() / self.dot(self)
+
+    def sgn(self) -> Quaternionr:
+        """The quaternion of length 1 in the same direction."""
+        return self / self.get_length()
+
+    def get_length(self) -> float:
+        return math.sqrt(self.dot(self))
+
+    def to_numpy_array(self) -> FloatArray:
+        """x, y, z, w."""
+        return np.array([*self], np.float32)
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.x_val, self.y_val, self.z_val, self.w_val))
+
+
+def _number(value: object, operator: str, left: object) -> float:
+    if isinstance(value, Real | np.number):
+        return float(value)
+    raise _unsupported(operator, left, value)
+
+
+def _alike(right: object, operator: str, left: object) -> None:
+    if type(right) is not type(left):
+        raise _unsupported(operator, left, right)
+
+
+def _unsupported(operator: str, left: object, right: object) -> TypeError:
+    return TypeError(
+        f"unsupported operand type(s) for {operator}: {type(left).__name__} and {type(right).__name__}"
+    )
+
+
+@dataclass(repr=False, eq=False, init=False)
+class Pose(MsgpackMixin):
+    position: Vector3r
+    orientation: Quaternionr
+
+    def __init__(
+        self, position_val: Vector3r | None = None, orientation_val: Quaternionr | None = None
+    ) -> None:
+        self.position = Vector3r() if position_val is None else position_val
+        self.orientation = Quaternionr() if orientation_val is None else orientation_val
+
+    @staticmethod
+    def nanPose() -> Pose:
+        return Pose(Vector3r.nanVector3r(), Quaternionr.nanQuaternionr())
+
+    def containsNan(self) -> bool:
+        return self.position.containsNan() or self.orientation.containsNan()
+
+    def __iter__(self) -> Iterator[Vector3r | Quaternionr]:
+        return iter((self.position, self.orientation))
+
+
+@dataclass(repr=False, eq=False)
+class GeoPoint(MsgpackMixin):
+    """A place on the Earth: degrees, and metres above sea level."""
+
+    latitude: float = 0.0
+    longitude: float = 0.0
+    altitude: float = 0.0
+
+
+@dataclass
+class PIDGains:
+    kp: float
+    ki: float
+    kd: float
+
+    def to_list(self) -> list[float]:
+        return [self.kp, self.ki, self.kd]
+
+
+class _Gains:
+    """Base of the gains of three axes, in the order of the fields."""
+
+    def to_lists(self) -> tuple[list[float], list[float], list[float]]:
+        """The lists kp, ki and kd, each with the three axes."""
+        kp, ki, kd = zip(*(gains.to_list() for gains in vars(self).values()), strict=True)
+        return list(kp), list(ki), list(kd)
+
+
+@dataclass
+class AngleRateControllerGains(_Gains):
+    roll_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+    pitch_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+    yaw_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+
+
+@dataclass
+class AngleLevelControllerGains(_Gains):
+    roll_gains: PIDGains = field(default_factory=lambda: PIDGains(2.5, 0, 0))
+    pitch_gains: PIDGains = field(default_factory=lambda: PIDGains(2.5, 0, 0))
+    yaw_gains: PIDGains = field(default_factory=lambda: PIDGains(2.5, 0, 0))
+
+
+@dataclass
+class VelocityControllerGains(_Gains):
+    x_gains: PIDGains = field(default_factory=lambda: PIDGains(0.2, 0, 0))
+    y_gains: PIDGains = field(default_factory=lambda: PIDGains(0.2, 0, 0))
+    z_gains: PIDGains = field(default_factory=lambda: PIDGains(2.0, 2.0, 0))
+
+
+@dataclass
+class PositionControllerGains(_Gains):
+    x_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+    y_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+    z_gains: PIDGains = field(default_factory=lambda: PIDGains(0.25, 0, 0))
+
+
+class GnssFixType(MsgpackMixin):
+    GNSS_FIX_NO_FIX = 0
+    GNSS_FIX_TIME_ONLY = 1
+    GNSS_FIX_2D_FIX = 2
+    GNSS_FIX_3D_FIX = 3
+
+
+@dataclass(repr=False, eq=False)
+class RotorStates(MsgpackMixin):
+    """A map for each rotor: thrust in N, torque_scaler in N m, speed in rad/s."""
+
+    timestamp: int = 0
+    rotors: list[dict[str, float]] = field(default_factory=list)
+
+
+@dataclass(repr=False, eq=False)
+class LidarData(MsgpackMixin):
+    """A flat list of x, y, z in the sensor's frame, in metres, and an ID per point."""
+
+    point_cloud: list[float] | float = 0.0
+    time_stamp: int = 0
+    pose: Pose = field(default_factory=Pose)
+    segmentation: list[int] | int = 0
+
+
+@dataclass(repr=False, eq=False)
+class ImuData(MsgpackMixin):
+    time_stamp: int = 0
+    orientation: Quaternionr = field(default_factory=Quaternionr)
+    angular_velocity: Vector3r = field(default_factory=Vector3r)
+    linear_acceleration: Vector3r = field(default_factory=Vector3r)
+
+
+@dataclass(repr=False, eq=False)
+class BarometerData(MsgpackMixin):
+    """Altitude in m, pressure in Pa, pressure at sea level (qnh) in hPa."""
+
+    time_stamp: int = 0
+    altitude: float = 0.0
+    pressure: float = 0.0
+    qnh: float = 0.0
+
+
+@dataclass(repr=False, eq=False)
+class MagnetometerData(MsgpackMixin):
+    """The magnetic field in gauss, in the body's frame."""
+
+    time_stamp: int = 0
+    magnetic_field_body: Vector3r = field(default_factory=Vector3r)
+    magnetic_field_covariance: list[float] | float = 0.0
+
+
+@dataclass(repr=False, eq=False)
+class GnssReport(MsgpackMixin):
+    geo_point: GeoPoint = field(default_factory=GeoPoint)
+    eph: float = 0.0
+    epv: float = 0.0
+    velocity: Vector3r = field(default_factory=Vector3r)
+    fix_type: int = GnssFixType.GNSS_FIX_NO_FIX
+    time_utc: int = 0
+
+
+@dataclass(repr=False, eq=False)
+class GpsData(MsgpackMixin):
+    time_stamp: int = 0
+    gnss: GnssReport = field(default_factory=GnssReport)
+    is_valid: bool = False
+
+
+@dataclass(repr=False, eq=False)
+class DistanceSensorData(MsgpackMixin):
+    time_stamp: int = 0
+    distance: float = 0.0
+    min_distance: float = 0.0
+    max_distance: float = 0.0
+    relative_pose: Pose = field(default_factory=Pose)
 
 
 class ImageType:
-    """Kinds of images."""
+    """AirSim's types of image."""
 
     Scene = 0
     DepthPlanar = 1
@@ -91,7 +390,7 @@ class ImageType:
 
 
 class DrivetrainType:
-    """Whether the nose has to point where the vehicle flies."""
+    """Whether the nose has to point in the direction of flight."""
 
     MaxDegreeOfFreedom = 0
     ForwardOnly = 1
@@ -301,3 +600,13 @@ class CarState(MsgpackMixin):
     collision: CollisionInfo = field(default_factory=CollisionInfo)
     kinematics_estimated: KinematicsState = field(default_factory=KinematicsState)
     timestamp: int = 0
+
+
+if (
+    not TYPE_CHECKING
+):  # `from airsim import *` brings the types that are defined here, and nothing that is imported
+    __all__ = [
+        name
+        for name, kind in vars().items()
+        if getattr(kind, "__module__", "") == __name__ and name[0] != "_"
+    ]

@@ -6,56 +6,65 @@ import inspect
 import logging
 import math
 import os
+import re
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.airsim.pfm import read_pfm, write_pfm
-from uavaccel.airsim.types import ImageResponse
-from uavaccel.airsim.vectors import Quaternionr
+from uavaccel.airsim.types import ImageResponse, Quaternionr
 
-__all__ = [
-    "get_pfm_array",
-    "get_public_fields",
-    "list_to_2d_float_array",
-    "read_pfm",
-    "string_to_float_array",
-    "string_to_uint8_array",
-    "to_dict",
-    "to_eularian_angles",
-    "to_quaternion",
-    "to_str",
-    "wait_key",
-    "write_file",
-    "write_pfm",
-    "write_png",
-]
+
+def read_pfm(file: str | Path) -> tuple[NDArray[np.floating], float]:
+    """Read a portable float map: rows in the file's order, (height, width[, 3]), and the scale. Raises ValueError."""
+    data = Path(file).read_bytes()
+    header = re.match(rb"(PF|Pf)\s+(\d+)\s+(\d+)\s+(\S+)\s", data)
+    if header is None:
+        raise ValueError(f"{file}: not a PFM file")
+    kind, width, height, scale = header.groups()
+    floats = np.frombuffer(data, "<f4" if float(scale) < 0 else ">f4", offset=header.end())
+    shape = (int(height), int(width), 3) if kind == b"PF" else (int(height), int(width))
+    return floats.reshape(shape), abs(float(scale))
+
+
+def write_pfm(file: str | Path, image: NDArray[np.generic], scale: float = 1) -> None:
+    """Write a portable float map of float32 pixels, H x W[ x 1 or 3], in the array's order. Raises ValueError."""
+    if image.dtype.name != "float32":
+        raise ValueError(f"image must be float32, not {image.dtype.name}")
+    colour = image.ndim == 3 and image.shape[2] == 3
+    if not colour and image.ndim != 2 and not (image.ndim == 3 and image.shape[2] == 1):
+        raise ValueError(f"image must be H x W x 3, H x W x 1 or H x W, not {image.shape}")
+    order = image.dtype.byteorder
+    little = order == "<" or (order == "=" and sys.byteorder == "little")
+    kind = "PF" if colour else "Pf"
+    header = f"{kind}\n{image.shape[1]} {image.shape[0]}\n{-scale if little else scale:f}\n"
+    Path(file).write_bytes(header.encode() + image.tobytes())
 
 
 def string_to_uint8_array(bstr: bytes) -> NDArray[np.uint8]:
-    """The bytes as numbers, in an array of its own."""
+    """The bytes as an array of numbers, which is a copy."""
     return np.frombuffer(bstr, np.uint8).copy()
 
 
 def string_to_float_array(bstr: bytes) -> NDArray[np.float32]:
-    """The bytes as single-precision numbers, in an array of its own."""
+    """The bytes as an array of single-precision numbers, which is a copy."""
     return np.frombuffer(bstr, np.float32).copy()
 
 
 def list_to_2d_float_array(flst: ArrayLike, width: int, height: int) -> NDArray[np.float32]:
-    """(height, width) of a row-major list."""
+    """The array (height, width) of a row-major list."""
     return np.reshape(np.asarray(flst, np.float32), (height, width))
 
 
 def get_pfm_array(response: ImageResponse) -> NDArray[np.float32]:
-    """The floats of an image, (height, width)."""
+    """The array (height, width) of a float image."""
     return list_to_2d_float_array(response.image_data_float, response.width, response.height)
 
 
 def get_public_fields(obj: object) -> list[str]:
-    """Names of an object's attributes that are neither private nor functions."""
+    """The names of an object's attributes that are neither private nor functions."""
     return [
         name
         for name, value in inspect.getmembers(obj)
@@ -77,7 +86,7 @@ def write_file(filename: str | Path, bstr: bytes) -> None:
 
 
 def write_png(filename: str | Path, image: NDArray[np.integer | np.floating]) -> None:
-    """Write an array (height, width, channels), blue first."""
+    """Write an array (height, width, channels), blue first, as PNG."""
     import cv2
 
     if not cv2.imwrite(str(filename), image):
@@ -122,3 +131,9 @@ def wait_key(message: str = "") -> str | None:
         return sys.stdin.read(1)
     finally:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+if (
+    not TYPE_CHECKING
+):  # `from airsim import *` brings the functions that are defined here, and nothing that is imported
+    __all__ = [name for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__]

@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.clock import WallClock
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.files import Plain
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
-from uavaccel.wire.transport import Call, Transport
+from uavaccel.wire.transport import PendingCall, Transport
 
 Event = dict[str, Plain]
 
@@ -29,17 +28,18 @@ class ClientEvent(NamedTuple):
     """It travels with the next one."""
 
 
-class TracingTransport:
+class TracingTransport(Transport):
     """A transport that notes when the client calls, when it goes on, and when it has its answer."""
 
     def __init__(self, inner: Transport) -> None:
-        self.clock: WallClock = inner.clock
+        super().__init__(inner.clock, exclusive=False)
         self.known = inner.known
-        self.stalled_ns = 0
         self.events: list[ClientEvent] = []
         self._inner = inner
 
-    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
+    def send(
+        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
+    ) -> PendingCall:
         called_ns = self.clock.now_ns()
         call = self._inner.send(method, params, blocking, coalesced)
         self.events.append(ClientEvent("call", method, call.channel, called_ns, coalesced))
@@ -47,7 +47,7 @@ class TracingTransport:
             self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns(), coalesced))
         return call
 
-    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
         done = self._inner.wait(call, deadline_ns)
         if done:
             self.events.append(ClientEvent("return", call.method, call.channel, self.clock.now_ns()))

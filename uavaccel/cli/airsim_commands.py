@@ -1,6 +1,6 @@
-"""What AirSim's clients and scripts need: serve, fly.
+"""The commands for AirSim's clients and scripts: serve, fly.
 
-Thin shells over plain functions, which are imported when a command runs.
+Each calls a plain function, which it imports when it runs.
 """
 
 from __future__ import annotations
@@ -15,23 +15,25 @@ from uavaccel.fly.options import THINK_S
 
 def serve(
     settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
-    clock: Annotated[float | None, typer.Option(help="ClockSpeed; otherwise the settings', or 1.")] = None,
+    clock: Annotated[
+        float | None, typer.Option(help="ClockSpeed; by default that of the settings, or 1.")
+    ] = None,
     port: Annotated[
-        int | None, typer.Option(help="Otherwise the settings', or 41451; 0: any free one.")
+        int | None, typer.Option(help="By default that of the settings, or 41451; 0 for any free port.")
     ] = None,
     host: Annotated[
-        str | None, typer.Option(help="Address to listen on; without it never beyond this machine.")
+        str | None, typer.Option(help="Address to listen on; without it, never beyond this machine.")
     ] = None,
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
     recordings: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for what startRecording records; otherwise the settings', or ~/Documents/AirSim."
+            help="Folder for startRecording; by default that of the settings, or ~/Documents/AirSim."
         ),
     ] = None,
 ) -> None:
-    """Serve AirSim's clients: a free-running quadrotor, until Ctrl-C."""
+    """Serve a free-running quadrotor to AirSim's clients until Ctrl-C."""
     from uavaccel.cli.serve import ServeOptions
     from uavaccel.cli.serve import serve as serve_clients
 
@@ -43,42 +45,44 @@ def fly(
     arguments: Annotated[list[str] | None, typer.Argument(help="The script's own arguments.")] = None,
     clock: Annotated[
         str | None,
-        typer.Option(help="ClockSpeed, or several with commas: 1,10,100; otherwise the settings'."),
+        typer.Option(help="ClockSpeed, or several: 1,10,100; by default that of the settings."),
     ] = None,
     timing: Annotated[
         str, typer.Option(help="wall (measured), virtual (modelled) or lockstep (no latency).")
     ] = "virtual",
     check: Annotated[
-        bool, typer.Option("--check", help="Fly twice, and compare messages and trajectory to the byte.")
+        bool, typer.Option("--check", help="Fly twice, and compare messages and trajectories byte for byte.")
     ] = False,
     until: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Stop the script after so many simulated seconds, pauses included."),
+        typer.Option(min=0.0, help="Stop the script after this many simulated seconds, including pauses."),
     ] = None,
     think: Annotated[
         float | None,
         typer.Option(
             min=0.0,
             help="Wall seconds that the script takes before each call; "
-            f"otherwise {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
+            f"by default {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of Python's and NumPy's global generators.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of Python's and NumPy's global generators.")] = None,
     settings: Annotated[
         Path | None,
         typer.Option(
-            help="AirSim's settings.json; otherwise the one beside the script, or in ~/Documents/AirSim."
+            help="AirSim's settings.json; by default the one beside the script, or in ~/Documents/AirSim."
         ),
     ] = None,
-    no_settings: Annotated[bool, typer.Option("--no-settings", help="Look for no settings.json.")] = False,
+    no_settings: Annotated[
+        bool, typer.Option("--no-settings", help="Do not look for a settings.json.")
+    ] = False,
     profile: Annotated[str, typer.Option(help="native or airsim.")] = "native",
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
-    out: Annotated[Path | None, typer.Option(help="Folder to make for trajectory and messages.")] = None,
+    out: Annotated[Path | None, typer.Option(help="New folder for the trajectory and the messages.")] = None,
     film: Annotated[bool, typer.Option("--film", help="Film the front camera's view, into --out.")] = False,
 ) -> None:
-    """Fly an unmodified AirSim script, on a simulated clock: fast, headless, and the same every time.
+    """Fly an unmodified AirSim script on a simulated clock: fast, headless, and reproducible.
 
-    Options come before the script, its own arguments after it.
+    Options come before the script, the script's own arguments after it.
     """
     from uavaccel.cli.fly import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.options import FlightOptions

@@ -1,4 +1,4 @@
-"""`uavaccel bench`: measure this machine; print the measurements and, with --out, keep them."""
+"""`uavaccel bench`: measures this machine, prints the measurements, and with --out writes them to a file."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
 from uavaccel.bench import images as bench_images
 from uavaccel.bench import speed as bench
 from uavaccel.bench.batch import BatchSize, bench_batch
 from uavaccel.bench.kernels import bench_kernels
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.paths import check_file
+from uavaccel.cli.checks import check_file, check_number
+from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.limits import MOST_SECONDS
@@ -34,8 +33,6 @@ BENCHES: dict[str, Bench] = {
     "kernels": bench_kernels,
 }
 
-console = Console(highlight=False, markup=False, soft_wrap=True)
-
 
 def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchSize) -> None:
     """Run the named benches (all if none). Raises UsageError for an unknown name, UserError if `out` exists."""
@@ -44,8 +41,7 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None:
         check_file(out)
-    if not 0.0 <= soak_s <= MOST_SECONDS:
-        raise UserError(f"--soak-s {soak_s:g}: must be 0 to {MOST_SECONDS:g}")
+    check_number("--soak-s", soak_s, 0.0, MOST_SECONDS)
     if batch.renderer not in RENDERERS:
         raise UserError(f"--renderer {batch.renderer}: must be {', '.join(RENDERERS)}")
     benches: dict[str, Bench] = {**BENCHES, "batch": partial(bench_batch, batch)}
@@ -56,16 +52,12 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
         measurements += _printed(bench.bench_soak(soak_s))
     if out is not None:
         manifest = describe_run(["bench", *names], 0, calendar_time()) | {"host_check": machine}
-        out.write_text(
-            json.dumps(
-                {"measurements": [each._asdict() for each in measurements], "manifest": manifest}, indent=2
-            )
-            + "\n"
-        )
+        kept = {"measurements": [each._asdict() for each in measurements], "manifest": manifest}
+        out.write_text(json.dumps(kept, indent=2) + "\n")
 
 
 def _where_possible(work: Bench) -> Iterator[bench.Measurement]:
-    """The measurements, or one line that says why this machine has none."""
+    """The measurements, or one printed line that says why this machine has none."""
     try:
         yield from work()
     except UserError as error:

@@ -1,33 +1,24 @@
-"""`uavaccel calibrate`: measure this machine's latencies and write the block that `virtual` reads."""
+"""`uavaccel calibrate`: measures this machine's latencies, and writes the model from which `virtual` draws."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from uavaccel.bench.agreement import Agreement, check_agreement
 from uavaccel.bench.calibration import calibrate
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.paths import check_file
+from uavaccel.cli.checks import check_file, check_number, check_profile
+from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.manifest import describe_run
 from uavaccel.sim.camera.gl import describe_renderer
-from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import read_latency, shipped_latency
 from uavaccel.yaml_io import dump_yaml
 
-console = Console(highlight=False, markup=False, soft_wrap=True)
-
 MOST_COMMANDS = 1_000_000
-
-
-def check_profile(profile: str) -> None:
-    """Raises UserError for one that there is not."""
-    if profile not in PROFILES:
-        raise UserError(f"--profile {profile}: must be {' or '.join(PROFILES)}")
 
 
 def _can_draw() -> bool:
@@ -43,8 +34,7 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
     """Measure and write `out`. Raises UserError if it exists."""
     check_file(out)
     check_profile(profile)
-    if not 1 <= commands <= MOST_COMMANDS:
-        raise UserError(f"--commands {commands}: must be 1 to {MOST_COMMANDS}")
+    check_number("--commands", commands, 1, MOST_COMMANDS)
     verdict = check_machine()["verdict"]
     console.print(f"machine check: {verdict}")
     latencies = calibrate(profile, commands, images=_can_draw())
@@ -66,10 +56,9 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
 
 
 def show_agreement(latency: Path | None, profile: str, games: int) -> None:
-    """Fly the same games on the machine's clock and on the simulated one; their quantiles side by side."""
+    """Fly the same games on the machine's clock and on the simulated one, and print their quantiles side by side."""
     check_profile(profile)
-    if not 1 <= games <= MOST_COMMANDS:
-        raise UserError(f"--games {games}: must be 1 to {MOST_COMMANDS}")
+    check_number("--games", games, 1, MOST_COMMANDS)
     model = shipped_latency() if latency is None else read_latency(latency)
     console.print(
         f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}"

@@ -1,4 +1,4 @@
-"""The command line's reference, cli.md, from the commands themselves: `python -m uavaccel.cli.docs > cli.md`."""
+"""Writes the reference of the command line from its declarations: `python -m uavaccel.cli.docs > cli.md`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ NAME = "uavaccel"
 EXIT_STATUS = """
 ## Exit status
 
-0: done. 1: something in the input is wrong, and one line on standard error says what. 2: wrong usage. 130: interrupted.
+0: success. 1: a mistake in the input, which one line on standard error explains. 2: wrong usage. 130: interrupted.
 
 This page is made by `python -m uavaccel.cli.docs > cli.md`.
 """
 
 
 def reference() -> str:
-    """The Markdown of every command with its arguments, options and defaults."""
+    """The reference in Markdown: every command with its arguments, options and defaults."""
     command = get_command(app)
     context = typer.Context(command, info_name=NAME)
     return get_docs_for_click(obj=command, ctx=context, name=NAME).rstrip() + "\n" + EXIT_STATUS

@@ -1,4 +1,4 @@
-"""`uavaccel doctor`: what this machine has for a simulator, a measurement and a camera, and what it lacks."""
+"""`uavaccel doctor`: reports whether this machine can simulate, measure and draw, and what it lacks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
 TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"  # not from sim.gl: importing MuJoCo may be what fails
 
-# Both in processes of their own: a library that is missing or crashes is a line of the report.
+# Both run in processes of their own: a library that is missing or crashes becomes a line of the report.
 HOT_LOOP = """
 import json
 from uavaccel.clock import MonotonicClock
@@ -45,7 +45,7 @@ console = Console(highlight=False, markup=False)
 
 
 class Finding(NamedTuple):
-    """One line of the report; `problem` marks what somebody might want to mend."""
+    """One line of the report; `problem` marks what the user might want to fix."""
 
     name: str
     text: str
@@ -53,7 +53,7 @@ class Finding(NamedTuple):
 
 
 class ProbeError(Exception):
-    """A probe ended without an answer; the text says how, in one line, and if `advised` what to do about it."""
+    """A probe without a result; the text says why in one line and, if `advised`, what to do about it."""
 
     def __init__(self, text: str, advised: bool = False) -> None:
         super().__init__(text)
@@ -61,7 +61,7 @@ class ProbeError(Exception):
 
 
 def examine() -> None:
-    """Print the report, as the findings come in."""
+    """Print the findings as they are made."""
     problems = 0
     for finding in findings():
         row = Table.grid(padding=(0, 1))
@@ -74,7 +74,7 @@ def examine() -> None:
 
 
 def findings() -> Iterator[Finding]:
-    """Everything that is looked at, the quick things first."""
+    """All findings, the quick ones first."""
     run = describe_run(["doctor"], 0, calendar_time())
     versions = run["versions"]
     missing = [name for name, version in versions.items() if version is None]
@@ -90,7 +90,7 @@ def findings() -> Iterator[Finding]:
 
 
 def measuring() -> Iterator[Finding]:
-    """Whether a wall clock measures anything here."""
+    """Findings about cores and timers: whether this machine can measure on the wall clock."""
     machine = check_machine()
     yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
     yield Finding(
@@ -102,7 +102,7 @@ def measuring() -> Iterator[Finding]:
 
 
 def hot_loop() -> Finding:
-    """Whether the simulator flies, and whether numba has kept the compiled loop."""
+    """Whether the simulator runs, and whether its compiled loop comes from numba's cache."""
     try:
         found = probe(HOT_LOOP)
     except ProbeError as error:
@@ -113,7 +113,7 @@ def hot_loop() -> Finding:
 
 
 def renderer() -> Finding:
-    """Who would draw the camera's images."""
+    """Which renderer would draw the camera's images."""
     try:
         found = probe(RENDERER)
     except ProbeError as error:
@@ -124,7 +124,7 @@ def renderer() -> Finding:
 
 
 def probe(program: str) -> dict[str, Plain]:
-    """What a Python program prints as JSON. Raises ProbeError with one line."""
+    """Run a Python program, and return the JSON that it prints last. Raises ProbeError with one line."""
     command = [sys.executable, "-c", program]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)

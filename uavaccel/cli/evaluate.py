@@ -1,4 +1,4 @@
-"""`uavaccel evaluate`: a run of the suite `evaluate`, with films of its best and its worst game, and a comparison."""
+"""`uavaccel evaluate`: runs the suite `evaluate`, compares it with another run, and films its best and worst game."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uavaccel.cli.run import RunRequest, configure, console, run_experiment
+from uavaccel.cli.run import RunRequest, configure, run_experiment
+from uavaccel.cli.terminal import console
 from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
@@ -15,7 +16,7 @@ from uavaccel.suites.sweep.conditions import parse_sweep
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
-    """Evaluate, compare with another evaluation of the same lanes, film. Raises UserError with one clear line."""
+    """Evaluate an agent, compare it with another evaluation of the same lanes, and film. Raises UserError."""
     other = None if against is None else RunDirectory(against)
     if not request.dry_run:
         _check_first(request, other, films)
@@ -25,13 +26,13 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
     if other is not None:
         from uavaccel.suites.evaluation.summary import compare
 
-        console.print(compare(run.rows(), other), markup=False)
+        console.print(compare(run.rows(), other))
     if films:
         film_extremes(run)
 
 
 def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None) -> None:
-    """Evaluate under one changed condition after another, all else as the request has it. Raises UserError."""
+    """Evaluate an agent under one changed condition after another. Raises UserError."""
     if against is not None:
         raise UsageError(
             "--against: compares two evaluations; a sweep compares each condition with the training's"
@@ -57,7 +58,7 @@ def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None)
 
 
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:
-    """Raises UserError for a comparison without a lane in common, and where films are wanted and nothing can draw."""
+    """Raise UserError for a comparison without a common lane, and for films where nothing can draw."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
     if other is not None:
@@ -74,7 +75,7 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
 
 
 def film_extremes(run: RunDirectory) -> None:
-    """The best game and the worst as films and contact sheets."""
+    """Write films and contact sheets of the best game and the worst."""
     from uavaccel.draw.film import write_contact_sheet, write_video
     from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluation.film import best_first
@@ -89,4 +90,4 @@ def film_extremes(run: RunDirectory) -> None:
             write_video(film, run.file(f"films/{name}.mp4")),
             write_contact_sheet(film, run.file(f"films/{name}.png")),
         ):
-            console.print(str(path), markup=False)
+            console.print(str(path))

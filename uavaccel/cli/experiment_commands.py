@@ -1,6 +1,6 @@
-"""What flies experiments: run, train, evaluate.
+"""The commands that fly experiments: run, train, evaluate.
 
-Thin shells over plain functions, which are imported when a command runs.
+Each calls a plain function, which it imports when it runs.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ def run(
     timing: Timing = None,
     profile: Profile = None,
     seed: Seed = None,
-    seeds: Annotated[int | None, typer.Option(help="Of rl: trainings of each cell.")] = None,
+    seeds: Annotated[int | None, typer.Option(help="For rl: trainings per cell.")] = None,
     with_run: Annotated[
-        str | None, typer.Option("--with", help="Of paper: a run of rl, which decides what needs training.")
+        str | None, typer.Option("--with", help="For paper: a run of rl, which decides what needs training.")
     ] = None,
     jobs: Jobs = 1,
     engine: Engine = "loky",
@@ -101,10 +101,10 @@ def evaluate(
     agent: Annotated[
         str | None,
         typer.Argument(
-            help="A training's run directory, a policy's folder, straight or offset:METRES; else the policy that ships."
+            help="A training's run directory, a policy's folder, straight or offset:METRES; by default what ships."
         ),
     ] = None,
-    games: Annotated[int | None, typer.Option(help="Evaluation lanes; 300 without it.")] = None,
+    games: Annotated[int | None, typer.Option(help="Number of evaluation lanes; by default 300.")] = None,
     clock: OneClock = None,
     command: OneCommand = None,
     timing: Timing = None,
@@ -113,7 +113,7 @@ def evaluate(
     jobs: Jobs = 1,
     engine: Engine = "loky",
     against: Annotated[
-        Path | None, typer.Option(help="Another evaluation, compared on the same lanes.")
+        Path | None, typer.Option(help="Another evaluation to compare with, on the same lanes.")
     ] = None,
     films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
     sweep: Annotated[
@@ -125,7 +125,7 @@ def evaluate(
     dry_run: DryRun = False,
     overrides: Overrides = None,
 ) -> None:
-    """Fly an agent on lanes that no training has seen, `run evaluate`: success ratio, Figure 8, films."""
+    """Fly an agent on lanes that no training has seen, as `run evaluate`: success ratio, Figure 8, films."""
     from uavaccel.cli.evaluate import evaluate_agent, sweep_agent
     from uavaccel.cli.run import RunRequest
 

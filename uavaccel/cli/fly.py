@@ -1,4 +1,4 @@
-"""`uavaccel fly`: an unmodified AirSim script, against a simulation in its own process."""
+"""`uavaccel fly`: flies an unmodified AirSim script against a simulation in its own process."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from pathlib import Path
 import typer
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary
-from uavaccel.fly.runs import Flown, check, fly
-from uavaccel.fly.settings_file import found_settings
+from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
+from uavaccel.fly.runs import FlightResult, check, fly
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset
@@ -21,7 +20,7 @@ from uavaccel.resources import asset
 
 @dataclass(frozen=True)
 class FlyRequest:
-    """What was asked for on the command line; `clocks` empty leaves it to the settings."""
+    """The request on the command line; without `clocks` the settings' ClockSpeed is used."""
 
     flight: FlightOptions
     clocks: tuple[float, ...] = ()
@@ -31,7 +30,7 @@ class FlyRequest:
 
 
 def parse_clocks(text: str | None) -> tuple[float, ...]:
-    """The ClockSpeeds of "1,10,100". Raises UsageError."""
+    """The ClockSpeeds in a text such as "1,10,100". Raises UsageError."""
     try:
         clocks = tuple(float(part) for part in text.split(",")) if text else ()
     except ValueError:
@@ -46,7 +45,7 @@ def parse_clocks(text: str | None) -> tuple[float, ...]:
 
 def fly_script(request: FlyRequest) -> None:
     """Fly, compare and report. Raises typer.Exit with the script's exit status, UserError with one line."""
-    _refuse_what_cannot_be(request)
+    _check_request(request)
     clear_leftovers(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
     with tempfile.TemporaryDirectory(
         prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True
@@ -58,7 +57,7 @@ def fly_script(request: FlyRequest) -> None:
     raise typer.Exit(status)
 
 
-def _refuse_what_cannot_be(request: FlyRequest) -> None:
+def _check_request(request: FlyRequest) -> None:
     flight = request.flight
     if flight.timing not in THINK_S:
         raise UsageError(f"--timing {flight.timing}: there are {', '.join(THINK_S)}")
@@ -67,7 +66,7 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
 
         if flight.profile not in PROFILES:
             raise UsageError(f"--profile {flight.profile}: there are {', '.join(PROFILES)}")
-    _refuse_numbers(flight)
+    _check_numbers(flight)
     asset(f"mjcf/{flight.scene}.xml")
     if not flight.script.is_file():
         raise UserError(f"{flight.script}: no such file")
@@ -85,7 +84,7 @@ def _refuse_what_cannot_be(request: FlyRequest) -> None:
         raise UsageError("--film needs --out, a folder for it")
 
 
-def _refuse_numbers(flight: FlightOptions) -> None:
+def _check_numbers(flight: FlightOptions) -> None:
     for option, seconds in (("think", flight.think_s), ("until", flight.until_s)):
         if seconds is not None and not 0.0 <= seconds <= MOST_SECONDS:
             raise UsageError(f"--{option} {seconds:g}: must be 0 to {MOST_SECONDS:g} s")
@@ -94,7 +93,7 @@ def _refuse_numbers(flight: FlightOptions) -> None:
 
 
 def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:
-    """The request with the settings that there are, where none were named and none refused; says which."""
+    """The request with settings that were found, if none were named and looking for them is allowed; prints which."""
     flight = replace(request.flight, scratch=scratch)
     if flight.settings is None and request.find_settings and (found := found_settings(flight.script)):
         print(f"settings: {found} (--no-settings flies without, --settings with others)", flush=True)
@@ -106,7 +105,7 @@ def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
     clock_speed = request.clocks[0] if request.clocks else None
     options = replace(request.flight, folder=folder, clock_speed=clock_speed)
     flown = fly(options)
-    _say_how_it_went(flown)
+    _print_result(flown)
     if not request.check or flown.summary is None or flown.interrupted:
         return flown.status
     again = check(replace(options, folder=scratch / "again", film=False), folder)
@@ -120,7 +119,7 @@ def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
 
 
 def _fly_clocks(request: FlyRequest, folder: Path) -> int:
-    """One line per ClockSpeed; the first one's flight is what the others are compared with."""
+    """Fly at each ClockSpeed and print a line for it; the other flights are compared with the first."""
     clocks = request.clocks
     first = folder / f"clock-{clocks[0]:g}"
     statuses, slept = [], False
@@ -149,7 +148,7 @@ def _difference_text(folder: Path, first: Path, clock_speed: float) -> str:
     return f", at most {metres:.3f} m from {clock_speed:g}x at equal times"
 
 
-def _say_how_it_went(flown: Flown) -> None:
+def _print_result(flown: FlightResult) -> None:
     if flown.summary is None:
         return
     summary = flown.summary

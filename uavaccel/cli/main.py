@@ -1,7 +1,7 @@
-"""The command line: its commands, and how it ends.
+"""The entry point of the command line: its commands, its errors and its exit status.
 
-Exit status: 0 done; 1 one clear line on standard error; 2 wrong usage; 130 interrupted,
-by Ctrl-C or SIGTERM.
+Exit status: 0 for success; 1 for a mistake in the input, with one line on standard error; 2 for wrong usage; 130 if
+interrupted by Ctrl-C or SIGTERM.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from uavaccel.cli.airsim_commands import fly, serve
 from uavaccel.cli.experiment_commands import evaluate, run, train
 from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
 from uavaccel.cli.result_commands import export, report, view
-from uavaccel.cli.starter_commands import init, schema
+from uavaccel.cli.starter import init, schema
 from uavaccel.errors import mistake_of
 
 COMMANDS: list[Callable[..., None]] = [
@@ -34,12 +34,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in COMMANDS:  # what follows a script is its own
+for command in COMMANDS:  # what follows a script are its own arguments
     app.command(context_settings={"allow_interspersed_args": command is not fly})(command)
 
 
 def main() -> None:
-    """Entry point: a user's mistake is one line, never a traceback."""
+    """Run the command line; a user's mistake is printed as one line, never as a traceback."""
     _open_closed_streams()
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     try:
@@ -49,9 +49,9 @@ def main() -> None:
         status = _complain("interrupted", 130)
     except typer.Exit as error:
         status = error.exit_code
-    except BrokenPipeError:  # nobody reads what is printed any more, as behind `| head`
+    except BrokenPipeError:  # nobody reads the output any more, as in `| head`
         status = 0
-    except SystemExit as end:  # how the command line's own library ends a completion, and at such a pipe
+    except SystemExit as end:  # raised by the command line's library after a completion, and at such a pipe
         status = 0 if isinstance(end.__context__, BrokenPipeError) else end.code
     except Exception as error:
         status = _status_of(error)
@@ -60,14 +60,14 @@ def main() -> None:
 
 
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
-    """SIGTERM, with which batch systems end a job, is heeded as Ctrl-C is, also where a shell has that ignored."""
-    heeded = signal.getsignal(signal.SIGINT)
-    (heeded if callable(heeded) else signal.default_int_handler)(signal.SIGINT, frame)
+    """Handle SIGTERM, by which batch systems end a job, like Ctrl-C, even if the shell has that ignored."""
+    handler = signal.getsignal(signal.SIGINT)
+    (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
 
 
 def _status_of(error: Exception) -> int:
-    """Print the one line of a mistake; its exit status. Raises the error where it is none of the user's."""
-    if hasattr(error, "format_message"):  # one of the command line's own
+    """Print the line of a user's mistake, and return its exit status. Raises any other error."""
+    if hasattr(error, "format_message"):  # an error of the command line's library
         return _complain(error.format_message(), 2)
     mistake = mistake_of(error)
     if mistake is None:
@@ -83,7 +83,7 @@ def _complain(message: str, status: int) -> int:
 
 
 def _open_closed_streams() -> None:
-    """A stream that was closed before we began leaves its number to the next file: into which all would be printed."""
+    """Open standard streams that were closed: the next file would get their numbers, and all output with them."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             descriptor = os.open(os.devnull, os.O_RDWR)
@@ -93,7 +93,7 @@ def _open_closed_streams() -> None:
 
 
 def _leave_unread_output() -> None:
-    """What cannot be printed is dropped here, else the interpreter would complain of it at its end."""
+    """Drop output that cannot be printed; otherwise the interpreter would complain about it at its end."""
     try:
         sys.stdout.flush()
     except OSError:

@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""The options that several commands share."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Timing = Annotated[
 ]
 Profile = Annotated[str | None, typer.Option(help="native or airsim.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
-Out = Annotated[Path | None, typer.Option(help="Run directory to make; by default one in runs/.")]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with the run in --out, by its own configuration.")
-]
+Out = Annotated[Path | None, typer.Option(help="New run directory; by default one in runs/.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume the run in --out with its own configuration.")]
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.")]
-Jobs = Annotated[int, typer.Option(help="Processes; above 1 not with wall.")]
-Engine = Annotated[str, typer.Option(help="What flies --jobs at once: loky, ray or dask; never wall games.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and fly nothing.")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value of the configuration.")]
+Jobs = Annotated[int, typer.Option(help="Number of processes; more than 1 not in wall.")]
+Engine = Annotated[str, typer.Option(help="What runs the --jobs: loky, ray or dask; never for wall games.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be flown, and fly nothing.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="dotted.key=value for the configuration; repeatable.")
+]

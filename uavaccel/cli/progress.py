@@ -1,4 +1,4 @@
-"""Progress of a run: games done, how it goes, speed, time left."""
+"""The progress of a run: finished games, the suite's status, speed, time left."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from uavaccel.suites.report import Row
 from uavaccel.suites.suite import Case
 from uavaccel.units import NS_PER_S
 
-LINES = 10  # of progress where there is no terminal to redraw
+LINES = 10  # printed lines of progress without a terminal
 
 
 class Progress:
-    """A bar on a terminal, a few plain lines elsewhere; time left is estimated from simulated seconds.
+    """A bar on a terminal, a few plain lines elsewhere; the time left is estimated from simulated seconds.
 
-    `rows` are those that earlier starts of the run have flown, `status` says in a few words how it goes.
+    `rows` are those of games finished before the run was resumed; `status` summarises rows in a few words.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Progress:
         self._task = self._bar.add_task("", total=self._total_s, completed=int(self._done_s))
 
     def flown(self, case: Case, row: Row) -> None:
-        """Count a game; the runner's callback."""
+        """Count a finished game; the runner's callback."""
         self._rows.append(row)
         self._done_s += case.simulated_s()
         self._flown_s += row.get("sim_time_s", case.simulated_s())

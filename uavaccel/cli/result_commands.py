@@ -1,7 +1,4 @@
-"""What looks at what was flown or learnt: report, view, export.
-
-Thin shells over plain functions, which are imported when a command runs.
-"""
+"""The commands on finished runs and policies: report, view, export. They import what they need when they run."""
 
 from __future__ import annotations
 
@@ -14,29 +11,40 @@ import typer
 def report(
     run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")],
 ) -> None:
-    """Compute the metrics and draw the figures of finished runs again.
+    """Compute the metrics and draw the figures of finished runs again; fly nothing.
 
-    Several trainings are also drawn side by side, in the first one's folder; so are several evaluations.
+    Several trainings, or several evaluations, are also drawn side by side, in the first one's folder.
     """
-    from uavaccel.cli.report import report_runs
+    from uavaccel.cli.run import report_run
+    from uavaccel.cli.terminal import console
+    from uavaccel.records import RunDirectory
+    from uavaccel.suites.registry import suite_of
 
-    report_runs(run_dirs)
+    by_suite: dict[str, list[RunDirectory]] = {}
+    for run_dir in run_dirs:
+        run = RunDirectory(run_dir)
+        report_run(run)
+        by_suite.setdefault(str(run.config()["suite"]), []).append(run)
+    for runs in by_suite.values():
+        for path in suite_of(runs[0]).compare(runs) if len(runs) > 1 else ():
+            console.print(str(path))
 
 
 def view(
     source: Annotated[
-        str, typer.Argument(help="Run directory of dp2, evaluate or train; a policy's folder.")
+        str, typer.Argument(help="Run directory of dp2, evaluate or train, or a policy's folder.")
     ] = "default",
     case: Annotated[
-        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the fastest, or best.")
+        str | None, typer.Option(help="Name of the game in rows.jsonl; by default the fastest, or the best.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
     events: Annotated[
         Path | None,
-        typer.Option(help="Instead, a file of the game's events: .h5 in DSEC's layout, or .npz."),
+        typer.Option(help="Write a file of the game's events instead: .h5 in DSEC's layout, or .npz."),
     ] = None,
     events_rate_hz: Annotated[
-        float, typer.Option(min=0.1, help="Frames per simulated second of the camera that sees them.")
+        float,
+        typer.Option(min=0.1, help="Frames per simulated second of the camera that produces the events."),
     ] = 100.0,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
@@ -50,15 +58,32 @@ def view(
 
 def export(
     source: Annotated[
-        str, typer.Argument(help="A policy's folder or default, for --onnx; a run directory for tables.")
+        str, typer.Argument(help="For --onnx a policy's folder or default; for tables a run directory.")
     ],
     onnx: Annotated[
-        Path | None, typer.Option(help="ONNX file of the policy with its pre-processing.")
+        Path | None, typer.Option(help="ONNX file for the policy with its pre-processing.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
 ) -> None:
     """Write a policy as ONNX, or a run as tables."""
-    from uavaccel.cli.export import export as export_source
+    from uavaccel.cli.terminal import console
+    from uavaccel.errors import UsageError
+    from uavaccel.records import RunDirectory
+    from uavaccel.suites.tables import write_tables
 
-    export_source(source, onnx, csv, parquet)
+    folders = [(folder, kind) for folder, kind in ((csv, "csv"), (parquet, "parquet")) if folder is not None]
+    if onnx is not None:
+        from uavaccel.rl.agents import policy_folder
+        from uavaccel.rl.onnx_file import write_onnx
+        from uavaccel.rl.policy import load_policy
+
+        about = write_onnx(load_policy(policy_folder(source)), onnx)
+        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
+    elif not folders:
+        raise UsageError(
+            "export: say what to write: --onnx FILE of a policy, --csv or --parquet FOLDER of a run"
+        )
+    for folder, kind in folders:
+        for path in write_tables(RunDirectory(source), folder, kind):
+            console.print(str(path))

@@ -1,4 +1,4 @@
-"""`uavaccel run`, and with it `train` and `evaluate`: configuration, machine check, games, report."""
+"""`uavaccel run`, also behind `train` and `evaluate`: configuration, machine check, games, report, resuming."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rich import table as rich_table
 from rich.console import Console
 
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.paths import check_out
+from uavaccel.cli.checks import check_out
 from uavaccel.cli.progress import Progress
-from uavaccel.cli.resume import folders_own, going_on
+from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.draw.document import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
@@ -34,17 +34,56 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
 
-TABLE_WIDTH = 170  # where nobody looks at a terminal
+TABLE_WIDTH = 170  # where the output is no terminal
 
-console = Console(highlight=False, soft_wrap=True)
+
+def resumed_config(
+    out: Path | None, resume: bool, suite_name: str | None
+) -> tuple[AnySuite, dict[str, Plain]]:
+    """The suite and the configuration of the run in `out`.
+
+    Raises UsageError if nothing says what to fly, UserError if the folder has no run of this suite.
+    """
+    if not resume or out is None:
+        raise UsageError(
+            "name an experiment, as in `uavaccel run dp1`, or a run's folder: --out FOLDER --resume"
+        )
+    if not (out / "config.yaml").is_file():
+        raise UserError(
+            f"--out {out}: no run to go on with: no config.yaml in it; name an experiment to begin one"
+        )
+    run = RunDirectory(out)
+    suite = suite_of(run)
+    if suite_name not in (None, suite.name):
+        raise UserError(
+            f"--out {out}: is a run of {suite.name}, not of {suite_name}; go on with `uavaccel run`"
+        )
+    return suite, run.config()
+
+
+def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+    """Lines about a run that is resumed: from where, and which versions have changed since it was begun."""
+    yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
+    manifest = run.manifest()
+    before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
+    changed = [
+        f"{name} {before[name]} then, {version} now"
+        for name, version in now.get("versions", {}).items()
+        if name in before and before[name] != version
+    ]
+    if changed:
+        yield f"warning: flown so far with other versions: {'; '.join(changed)}"
+    first, commit = (each.get("git") or {} for each in (manifest, now))
+    if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
+        yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What was asked for on the command line; an option about which nothing was said is None."""
+    """The request on the command line; options that were not given are None."""
 
     experiment: str | None
-    """None: that of the run in `out`, to resume."""
+    """A name or a file; None for that of the run in `out`, to resume."""
     options: Mapping[str, object] = field(default_factory=dict)
     overrides: Sequence[str] = ()
     jobs: int = 1
@@ -52,12 +91,12 @@ class RunRequest:
     resume: bool = False
     dry_run: bool = False
     suite: str | None = None
-    """The only one that the command is for."""
+    """The suite that the command is restricted to."""
     engine: str = LOKY
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
-    """Fly, report, show; the run, or None of a dry one. Raises UserError or UsageError with one clear line."""
+    """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line."""
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
@@ -69,7 +108,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
-    console.print(plan(suite, config, cases, request.jobs, out), markup=False)
+    console.print(plan(suite, config, cases, request.jobs, out))
     alone = sum(case.timing == "wall" for case in cases)
     if alone and (request.jobs > 1 or request.engine != LOKY):
         console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
@@ -79,21 +118,21 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         manifest = manifest_of(suite, config)
         run = begin_run(suite, config, out, manifest, request.resume)
         if "resumed" in run.manifest():
-            for line in going_on(run, config, len(cases), manifest):
-                console.print(line, markup=False)
+            for line in resumption_notes(run, len(cases), manifest):
+                console.print(line)
         fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
-    """Suite and configuration. A shipped experiment with a single --clock is measured on a wall clock, quickly.
+    """The suite and the configuration of a request; without an experiment those of the run that is resumed.
 
-    Without an experiment they are those of the folder that is gone on with.
+    A shipped experiment with a single --clock is shortened, and measured on the wall clock.
     """
     own_file = request.experiment is None or is_file(request.experiment)
     if request.experiment is None:
-        suite, mapping = folders_own(request.out, request.resume, request.suite)
+        suite, mapping = resumed_config(request.out, request.resume, request.suite)
         source = str(request.out)
     else:
         mapping, source = read_mapping(request.experiment)
@@ -111,9 +150,9 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
 
 
 def place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
-    """Where the configuration has an option, at its top or in its task, and the option's value as it is wanted there.
+    """The dotted key of an option, at the top of the configuration or in its task, and the value for that key.
 
-    Raises UsageError where the suite has no such key, or takes one value and was given several.
+    Raises UsageError if the suite has no such key, or takes one value and was given several.
     """
     option = (
         f"--{name.replace('clock_speed', 'clock').removesuffix('_s').removesuffix('_run').replace('_', '-')}"
@@ -138,7 +177,7 @@ def _values(value: object) -> list[object]:
 
 
 def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
-    """What the run is made with. Looks at the machine first, and at the renderer of a suite that needs one."""
+    """The run's manifest, after checks of the machine and of the renderer if the suite needs one."""
     name = None
     if suite.renders(config):
         from uavaccel.sim.camera.gl import describe_renderer
@@ -155,7 +194,7 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
 
 
 def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
-    """Games by their clock, simulated seconds, estimated wall time and disk of the run to come."""
+    """The planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
     costs = [suite.cost(config, case) for case in cases]
     wall_s = sum(
         cost.wall_s / (1 if case.timing == "wall" else jobs) for case, cost in zip(cases, costs, strict=True)
@@ -179,7 +218,7 @@ def _sources(clocks: Mapping[str, int]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In words of the size that matters."""
+    """A duration in words, in the unit that suits it."""
     if seconds < 60:
         return "under a minute"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
@@ -193,14 +232,14 @@ def fly(
     jobs: int,
     engine: str = LOKY,
 ) -> None:
-    """Fly what has no row yet."""
+    """Fly the cases that have no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:
         run_suite(suite, config, run, jobs, progress.flown, engine)
 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Turns Ctrl-C, and what the system refuses, into a line that says how to go on."""
+    """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume."""
     how = f"go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
     try:
         yield
@@ -217,7 +256,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 
 def report_run(run: RunDirectory) -> Summary:
-    """Write a run's report; show its result and where its figures are."""
+    """Write a run's report, and print its result and the paths of its figures."""
     report = suite_of(run).report(run)
     summary = report.write()
     if headline := report.headline():
@@ -234,13 +273,13 @@ def report_run(run: RunDirectory) -> Summary:
             f"in {len(lost)} of {len(cells)} cells"
         )
     for path in sorted((run.path / "figures").glob("*.png")):
-        console.print(str(path), markup=False)
-    console.print(f"report: {run.path / 'report.html'}", markup=False)
+        console.print(str(path))
+    console.print(f"report: {run.path / 'report.html'}")
     return summary
 
 
 def show_table(table: Table) -> None:
-    """A table that is never wrapped: a terminal scrolls, a file has room."""
+    """Print a table as wide as the terminal; in a file, wide enough not to be wrapped."""
     lines = rich_table.Table(*table.header, box=None, pad_edge=False)
     for row in table.rows:
         lines.add_row(*row)

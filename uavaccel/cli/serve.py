@@ -1,4 +1,4 @@
-"""`uavaccel serve`: a free-running server for AirSim's clients, until Ctrl-C."""
+"""`uavaccel serve`: runs a free-running server for AirSim's clients until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from uavaccel.wire.server import Server
 from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.settings import Settings, read_settings
 
-PERIOD_NS = 2 * NS_PER_S  # between two looks at the achieved speed
-WORTH_TELLING = 0.005  # share of the wall time that was lost
+PERIOD_NS = 2 * NS_PER_S  # interval of the reports on the achieved speed
+WORTH_TELLING = 0.005  # fraction of lost wall time that is reported
 
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """What was asked for on the command line; None leaves it to the settings."""
+    """The options on the command line; None leaves the choice to the settings."""
 
     settings: Path | None = None
     clock_speed: float | None = None
@@ -40,7 +40,7 @@ class ServeOptions:
 
 
 def serve(options: ServeOptions) -> None:
-    """Listen, say where, and serve until SIGINT or SIGTERM. Raises UserError with one clear line."""
+    """Listen, print the address, and serve until SIGINT or SIGTERM. Raises UserError with one line."""
     settings = read_settings(options.settings) if options.settings else Settings()
     host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
     simulation = simulation_of(options, settings, clock_speed)
@@ -49,8 +49,8 @@ def serve(options: ServeOptions) -> None:
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
-    api.refusals.tell = lambda line: say(f"warning: {line}")
-    report = Report(server)
+    api.refusals.say = lambda line: say(f"warning: {line}")
+    report = ServerReport(server)
     with stopped_by_signals(server):
         greet(server, options, settings)
         try:
@@ -60,7 +60,7 @@ def serve(options: ServeOptions) -> None:
 
 
 def address_of(options: ServeOptions, settings: Settings) -> str:
-    """Where to listen. Beyond this machine only if the command line says so. Raises UserError."""
+    """The address to listen on: beyond this machine only if the command line names it. Raises UserError."""
     if options.host is not None:
         return options.host
     if not is_loopback(settings.address):
@@ -72,6 +72,7 @@ def address_of(options: ServeOptions, settings: Settings) -> str:
 
 
 def is_loopback(host: str) -> bool:
+    """Whether an address is reachable from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -79,7 +80,7 @@ def is_loopback(host: str) -> bool:
 
 
 def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
-    """The requested ClockSpeed; the simulation refuses 0 and below. Raises UserError."""
+    """The requested ClockSpeed; the simulation refuses 0 and below. Raises UserError if it is too high."""
     speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
     if speed > FASTEST:
         raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
@@ -87,7 +88,7 @@ def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
 
 
 def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float) -> Simulation:
-    """The scene, settled and running. Raises UserError for an unknown scene or profile."""
+    """The simulation of the scene, settled and running. Raises UserError for an unknown scene or profile."""
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     profile = settings.recorder_of(PROFILES[options.profile])
@@ -97,7 +98,7 @@ def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float)
 
 
 def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) -> Api:
-    """The calls, and the vehicles that the settings ask for. Raises UserError that names the file and the key."""
+    """The calls, with the settings' vehicles. Raises UserError that names the file and the key."""
     try:
         return Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
     except UserError as error:
@@ -105,23 +106,23 @@ def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) ->
 
 
 def draw_once(api: Api) -> None:
-    """So that no client's first image holds up the clock; where nothing can draw, say so."""
+    """Draw once, so that no client's first image delays the clock; warn if nothing can draw."""
     try:
         api.scenery.pictures.warm_up()
     except UserError as error:
         say(f"warning: there are no images: {error}")
-    gc.freeze()  # OpenGL's modules too stay: collecting them again and again would hold the clock up
+    gc.freeze()  # OpenGL's modules stay too: collecting them again and again would delay the clock
     api.simulation.reset(MonotonicClock().now_ns())  # the clock starts now
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:
-    """The folder for recordings: AirSim's own, unless another is given."""
+    """The folder for recordings: AirSim's, unless another one is given."""
     given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
     return given or Path.home() / "Documents" / "AirSim"
 
 
 def start_recording(api: Api) -> None:
-    """Record from the start, as Recording.Enabled asks. Raises UserError."""
+    """Record from the start, as Recording.Enabled requests. Raises UserError if that cannot be written."""
     try:
         api.recorder.start(MonotonicClock().now_ns())
     except OSError as error:
@@ -129,19 +130,19 @@ def start_recording(api: Api) -> None:
 
 
 def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
-    """Say where the server listens and how the vehicle waits for its client."""
+    """Print where the server listens, and the state of its vehicles."""
     host, port = server.address
     speed = float(server.api.simulation.clock_speed)
     say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
     say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
-    if passed_over := settings.passed_over():
-        say(f"{options.settings}: without meaning here: {', '.join(passed_over)}")
+    if without_effect := settings.without_effect():
+        say(f"{options.settings}: without effect here: {', '.join(without_effect)}")
 
 
 def waiting(server: Server) -> str:
-    """How the vehicles begin."""
+    """The initial state of the vehicles, in words."""
     vehicles = server.api.simulation.world.vehicles
     lead = vehicles[0]
     how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
@@ -151,7 +152,7 @@ def waiting(server: Server) -> str:
 
 @contextmanager
 def stopped_by_signals(server: Server) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end the server after its present turn."""
+    """Let SIGINT and SIGTERM stop the server after its present wake-up."""
     kinds = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(kind, lambda *_: server.stop()) for kind in kinds]
     try:
@@ -161,8 +162,8 @@ def stopped_by_signals(server: Server) -> Iterator[None]:
             signal.signal(kind, handler)
 
 
-class Report:
-    """What the terminal shows while the server runs, and the upkeep that can wait for it."""
+class ServerReport:
+    """The server's periodic report on the terminal, and the periodic upkeep of its recording."""
 
     def __init__(self, server: Server) -> None:
         self._server = server
@@ -174,7 +175,7 @@ class Report:
         self._failure: str | None = None
 
     def each_turn(self) -> None:
-        """Cheap, except once in a period."""
+        """To be called after every wake-up; cheap except once in PERIOD_NS."""
         if self._simulation.speed is not self._speed:  # a reset begins a new count
             self._total = add(self._total, self._speed)
             self._speed = self._simulation.speed
@@ -183,7 +184,7 @@ class Report:
             self._each_period()
 
     def finish(self) -> None:
-        """Close the recording; say in one line how fast it went, and below it what was refused."""
+        """Close the recording, and print the achieved speed and the refused calls."""
         self._upkeep(self._server.api.recorder.stop)
         say(f"stopped; {self._text()}")
         for line in self._server.api.refusals.lines():
@@ -219,12 +220,12 @@ class Report:
 
 
 def say(text: str, end: str = "\n") -> None:
-    """One line, at once; on a terminal over what "\\r" left there."""
+    """Print a line at once; on a terminal it overwrites what "\\r" left there."""
     print(text + ("\x1b[K" if sys.stdout.isatty() else ""), end=end, flush=True)
 
 
 def add(one: Speed, other: Speed) -> Speed:
-    """Both together."""
+    """The sum of two measurements of speed."""
     return Speed(
         one.simulated_ns + other.simulated_ns,
         one.wall_ns + other.wall_ns,

@@ -1,34 +1,48 @@
-"""`uavaccel init` and `uavaccel schema`: a folder to begin in, and what a YAML file may hold."""
+"""The commands to start with: init, schema. They import what they need when they run."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Annotated
 
-from uavaccel.cli.run import console
-from uavaccel.config import schema
-from uavaccel.errors import UserError
-from uavaccel.resources import asset
-from uavaccel.suites.registry import find_suite
+import typer
 
-SCHEMA = "train.schema.json"  # which the starter's YAML names
+SCHEMA = "train.schema.json"  # the file that the starter's YAML names
 
 
-def init(folder: Path) -> None:
-    """Copy the starter into a new or empty folder. Raises UserError where there is something in it."""
-    starter = asset("starter")
+def init(folder: Annotated[str, typer.Argument(help="A new or empty folder.")]) -> None:
+    """Write a commented training and a task of one's own to begin with."""
+    from uavaccel.cli.terminal import console
+    from uavaccel.errors import UsageError, UserError
+    from uavaccel.resources import asset
+
+    if not folder.strip():  # as a path, this folder
+        raise UsageError("init: the folder's name is empty")
+    path = Path(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if strangers := sorted(entry.name for entry in folder.iterdir()):
-            raise UserError(f"{folder}: holds {strangers[0]}; init wants a new or an empty folder")
-        for source in sorted(file for file in starter.iterdir() if file.is_file()):
-            (folder / source.name).write_bytes(source.read_bytes())
-        (folder / SCHEMA).write_text(schema_text("train"), encoding="utf-8")
+        path.mkdir(parents=True, exist_ok=True)
+        if present := sorted(entry.name for entry in path.iterdir()):
+            raise UserError(f"{folder}: holds {present[0]}; init wants a new or an empty folder")
+        for source in sorted(file for file in asset("starter").iterdir() if file.is_file()):
+            (path / source.name).write_bytes(source.read_bytes())
+        (path / SCHEMA).write_text(schema_text("train"), encoding="utf-8")
     except OSError as error:
         raise UserError(f"{folder}: {error.strerror}") from error
-    console.print(f"{folder}: begin with its README.md", markup=False)
+    console.print(f"{folder}: begin with its README.md")
+
+
+def schema(
+    suite: Annotated[str, typer.Argument(help="The value of the key `suite` in a YAML file.")],
+) -> None:
+    """Print the JSON schema of a suite's YAML files, for editors."""
+    print(schema_text(suite), end="")
 
 
 def schema_text(suite: str) -> str:
-    """The JSON schema of a suite's YAML files. Raises UserError for a suite that there is not."""
-    return json.dumps(schema(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"
+    """The JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
+    import json
+
+    from uavaccel.config import schema as schema_of
+    from uavaccel.suites.registry import find_suite
+
+    return json.dumps(schema_of(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"

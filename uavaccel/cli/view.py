@@ -1,12 +1,11 @@
-"""`uavaccel view`: a game of a run, or of a policy, as a film and a contact sheet."""
+"""`uavaccel view`: writes a game of a run, or of a policy, as a film and a contact sheet, or as events."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-from rich.console import Console
-
+from uavaccel.cli.terminal import console
 from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
@@ -24,8 +23,6 @@ from uavaccel.suites.registry import suite_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.vision.event_files import check_format, write_events
 
-console = Console(highlight=False, soft_wrap=True)
-
 
 def view_game(source: str, case: str | None, out: Path | None) -> None:
     """Write CASE.mp4 and CASE.png into `out`, by default the folder view/ of the run, and print their paths.
@@ -42,8 +39,8 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
         run = RunDirectory(source)
         folder, (name, film) = run.path, suite_of(run).film(run, case)
     folder = out or folder / "view"
-    console.print(str(write_video(film, folder / f"{name}.mp4")), markup=False)
-    console.print(str(write_contact_sheet(film, folder / f"{name}.png")), markup=False)
+    console.print(str(write_video(film, folder / f"{name}.mp4")))
+    console.print(str(write_contact_sheet(film, folder / f"{name}.png")))
 
 
 def view_events(source: str, case: str | None, events: Path, rate_hz: float) -> None:
@@ -62,7 +59,7 @@ def view_events(source: str, case: str | None, events: Path, rate_hz: float) -> 
         config, lane = validate(EvaluateConfig, run.config(), str(run.path)), int(row["lane"])
     seen = lane_events(config, lane, rate_hz)
     write_events(events, seen, HEIGHT, WIDTH)
-    console.print(f"{events}: {len(seen)} events of lane {lane} at {rate_hz:g} frames/s", markup=False)
+    console.print(f"{events}: {len(seen)} events of lane {lane} at {rate_hz:g} frames/s")
 
 
 def _fly_policy(policy: str, case: str) -> tuple[str, Film]:

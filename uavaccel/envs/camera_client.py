@@ -21,7 +21,7 @@ from uavaccel.vision.image_noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
-from uavaccel.wire.transport import Call
+from uavaccel.wire.transport import PendingCall
 
 
 class Sample(NamedTuple):
@@ -79,10 +79,10 @@ class GuardedClient:
     def now_ns(self) -> int:
         return self.client.now_ns()
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Call:
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> PendingCall:
         return self.client.move_async(goal, t_move_s)
 
-    def join(self, future: Call, deadline_ns: int | None = None) -> bool:
+    def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:
         return self.client.join(future, deadline_ns)
 
     def pause(self) -> None:

@@ -8,13 +8,13 @@ import os
 import select
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from typing import TypedDict
 
 import numpy as np
 
+from uavaccel.child import single_core_drawing, start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Frame
 from uavaccel.errors import UserError
@@ -124,11 +124,10 @@ class EnvironmentProcesses:
                 renderer = {"number": slot, "count": service.cameras, **descriptors}
             places.append({"slot": slot, "connection": connection, "renderer": renderer})
         all_options: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
-        return subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.envs.environment_process", json.dumps(all_options)],
+        return start_python(
+            *("-m", "uavaccel.envs.environment_process", json.dumps(all_options)),
+            environment=single_core_drawing(),
             pass_fds=sorted(inherited),
-            env={"LP_NUM_THREADS": "0", **os.environ},  # in software, each draws on its own core
-            start_new_session=True,  # Ctrl-C is for the process that flies the batch
         )
 
     def ask(self, slot: int, method: str, *arguments: object) -> None:

@@ -1,6 +1,6 @@
-"""Processes that a script starts: they share a flight's server in `wall`, and no simulated clock.
+"""Processes that a script starts: in `wall` they share the flight's server; they cannot share a simulated clock.
 
-Programs find AirSim's client by a folder of modules on PYTHONPATH; what was forked off has it already.
+Programs find AirSim's client through a folder of modules on PYTHONPATH; forked processes have it already.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError
-from uavaccel.fly.modules import Exchanged, client_modules
+from uavaccel.fly.modules import ModuleFinder, client_modules
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.tracebacks import hide_frames_everywhere
+from uavaccel.fly.script import hide_frames_everywhere
 from uavaccel.parent import end_with_parent
 
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import SocketConnection
 
 PORT = (
-    "UAVACCEL_FLY_PORT"  # of the flight's server, for the programs that a script starts; "" if there is none
+    "UAVACCEL_FLY_PORT"  # the port of the flight's server for a script's programs; "" if there is no server
 )
-LOOPBACK = "127.0.0.1"
 REFUSAL = (
     "a process that the script has started calls the simulation; it cannot share a simulated clock: "
     "fly the script with --timing wall"
@@ -43,10 +42,10 @@ _in_child: list[Callable[[], None]] = []
 
 
 @contextmanager
-def children_finding(scratch: Path | None, port: int | None) -> Iterator[None]:
-    """Let Python programs that are started in the `with` block find our client, for the server on `port`.
+def client_for_children(scratch: Path | None, port: int | None) -> Iterator[None]:
+    """Let Python programs that the `with` block starts find our client, which connects to the server on `port`.
 
-    Without a port it refuses to connect. Nothing happens without `scratch`, a folder for the modules.
+    Without a port the client refuses to connect. `scratch` is a folder for the modules; without it nothing is changed.
     """
     if scratch is None:
         yield
@@ -60,7 +59,7 @@ def children_finding(scratch: Path | None, port: int | None) -> Iterator[None]:
     path = before["PYTHONPATH"]
     os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([path] if path else [])])
     os.environ[PORT] = "" if port is None else str(port)
-    sys.path.insert(1, str(folder))  # multiprocessing hands it on to processes that it spawns
+    sys.path.insert(1, str(folder))  # multiprocessing passes it on to processes that it spawns
     try:
         yield
     finally:
@@ -72,10 +71,10 @@ def children_finding(scratch: Path | None, port: int | None) -> Iterator[None]:
 
 
 def enter(name: str) -> None:
-    """In such a program: let all of AirSim's modules be ours; `name` is the one that is being imported."""
+    """In such a program, replace all of AirSim's modules by ours; `name` is the one that is being imported."""
     sys.excepthook = _show
     hide_frames_everywhere(Patches())
-    sys.meta_path.insert(0, Exchanged(client_modules()))
+    sys.meta_path.insert(0, ModuleFinder(client_modules()))
     from uavaccel.airsim import connection
 
     connection._connect = _connect
@@ -84,6 +83,7 @@ def enter(name: str) -> None:
 
 def _connect(host: str, port: int, timeout_s: float) -> SocketConnection:
     from uavaccel.airsim.connection import SocketConnection
+    from uavaccel.wire.rpc import LOOPBACK
 
     if not (served := os.environ.get(PORT)):
         raise UserError(REFUSAL)
@@ -99,7 +99,7 @@ def _show(kind: type[BaseException], error: BaseException, trace: TracebackType 
 
 @contextmanager
 def forked_children(act: Callable[[], None]) -> Iterator[None]:
-    """Let processes that are forked off in the `with` block begin with `act`, and end with this one."""
+    """Let processes that are forked in the `with` block first call `act`, and end with this process."""
     parent = os.getpid()
 
     def begin() -> None:

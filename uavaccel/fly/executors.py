@@ -1,31 +1,90 @@
-"""Python's own pools of threads, event loops and scheduler, on a simulated clock.
+"""Python's thread pools, event loops and scheduler on a simulated clock.
 
-`concurrent.futures` and `asyncio` make threads, locks and queues by the modules `threading`, `queue` and `time` that
-they have imported. Here they find others, which give a script what takes turns (uavaccel.fly.threads), and everybody
-else, such as a library that has pools of its own, Python's.
+`concurrent.futures` and `asyncio` make threads, locks and queues through the modules `threading`, `queue` and `time`
+that they have imported. These are replaced by modules that give a script objects that take turns (uavaccel.fly.threads)
+and everyone else, such as a library with its own pools, Python's.
 """
 
 from __future__ import annotations
 
 import concurrent.futures
 import logging
+import selectors
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
+from typing import TYPE_CHECKING
 
-from uavaccel.fly.event_loop import loops_taking_turns
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.threads import ThreadKinds, changed
+from uavaccel.fly.threads import ThreadClasses, changed
 from uavaccel.fly.turns import Turns
+from uavaccel.units import NS_PER_S
 
+if TYPE_CHECKING:
+    import asyncio
+
+FREE_TURNS = (
+    100  # iterations of a loop while the clock stands; each further one reads the clock, so that polling ends
+)
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
-def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds, clock: ModuleType) -> None:
-    """Let pools, event loops and schedulers that a script makes take turns.
+class SimulatedSelector:
+    """The selector in which an event loop waits; `look` charges what reading the clock costs.
+
+    Data on sockets and pipes arrive in the machine's time: they are waited for when nothing else can continue.
+    """
+
+    def __init__(self, selector: selectors.BaseSelector, turns: Turns, look: Callable[[], object]) -> None:
+        self._selector, self._turns, self._look = selector, turns, look
+        self._stood_ns, self._turns_since = 0, 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready: list[tuple[selectors.SelectorKey, int]] = []
+
+        def happened() -> bool:
+            ready[:] = self._selector.select(0)
+            return bool(ready)
+
+        if timeout is not None and timeout <= 0:
+            self._let_others_run()
+            happened()
+        else:
+            self._turns.until(happened, timeout, lambda: self._selector.select(None))
+        return ready
+
+    def _let_others_run(self) -> None:
+        now_ns = self._turns.now_ns()
+        self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
+        if self._turns_since > FREE_TURNS:
+            self._look()
+        self._stood_ns = self._turns.now_ns()
+        self._turns.wait_until(self._stood_ns)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._selector, name)
+
+
+def loops_taking_turns(
+    module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]
+) -> None:
+    """Put the event loops of asyncio.selector_events that a script makes on its clock."""
+    original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
+
+    def init(self: asyncio.BaseEventLoop, selector: selectors.BaseSelector | None = None) -> None:
+        if not (turns.is_mine() and called_by_a_script()):
+            return original(self, selector)
+        self.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
+        return original(self, SimulatedSelector(selector or selectors.DefaultSelector(), turns, look))
+
+    patches.set(module.BaseSelectorEventLoop, "__init__", init)
+
+
+def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadClasses, clock: ModuleType) -> None:
+    """Let the pools, event loops and schedulers that a script makes take turns.
 
     `clock` is the script's module `time`.
     """
@@ -60,7 +119,7 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadKinds,
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
-    """A copy of a module some of whose names mean `own` for a script."""
+    """A copy of a module in which some names mean `own` for a script's calls."""
 
     def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
@@ -72,14 +131,14 @@ def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], tu
 
 
 def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
-    """A pool, or an event loop, whose worker a flight's end reaches has nothing to log."""
+    """Keep a pool or an event loop from logging the end of the flight, which reaches its workers as an exception."""
     logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
     logger.addFilter(_is_no_end)
     patches.undo(lambda: logger.removeFilter(_is_no_end))
 
 
 def _is_no_end(record: logging.LogRecord) -> bool:
-    """Whether a logger's record is of anything but a flight's end."""
+    """Whether a log record is about anything but the end of the flight."""
     return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
 
 
@@ -88,7 +147,7 @@ def _of_a_script(turns: Turns) -> bool:
 
 
 def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
-    """Processes compute in the machine's time: their futures are waited for in it."""
+    """Wait for the futures of processes in the machine's time, in which they compute."""
     condition = threading.Condition
 
     class Future(concurrent.futures.Future[object]):
@@ -100,7 +159,7 @@ def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
 
 
 def _thread_pool(original: type, turns: Turns) -> type:
-    """multiprocessing's ThreadPool, which for a script is ours."""
+    """multiprocessing's ThreadPool, which is ours when a script makes it."""
 
     def new(cls: type, *arguments: object, **options: object) -> object:
         if not _of_a_script(turns):
@@ -114,7 +173,7 @@ def _thread_pool(original: type, turns: Turns) -> type:
 
 
 def end_pools() -> None:
-    """What Python does to executors that nobody has shut down, before it waits for threads: it lets them finish."""
+    """Let executors finish that nobody has shut down, as Python does at its end."""
     if (pools := sys.modules.get("concurrent.futures.thread")) is not None:
         pools._python_exit()
         vars(pools)["_shutdown"] = False

@@ -1,6 +1,6 @@
-"""Stand-ins for what reads keys, where it is not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
+"""Stand-ins for modules that read keys, if they are not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
 
-No key is ever pressed. Who waits for one gets Enter after a moment, as `airsim.wait_key` and `input` do here.
+No key is ever pressed. A call that waits for one returns Enter after a moment, like `airsim.wait_key` and `input` here.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from types import ModuleType
 from uavaccel.fly.modules import called_by_a_script
 
 ROOTS = ("keyboard", "pynput", "pygame", "msvcrt")
-KEY_S = 0.1  # of the script's time, until who waits for a key gets it
+KEY_S = 0.1  # seconds of the script's clock after which a call that waits for a key returns
 Sleep = Callable[[float], object]
 Now = Callable[[], float]
 PARTS = {
     "pygame": ("display", "event", "joystick", "key", "locals", "mouse", "time"),
     "pynput": ("keyboard", "mouse"),
 }
-"""Modules of theirs that are there without being imported."""
+"""Their submodules that are available without being imported."""
 CONSTANTS = (
     *(f"K_{key}" for key in string.ascii_lowercase + string.digits),
     *(
@@ -34,29 +34,29 @@ CONSTANTS = (
     *("QUIT", "KEYDOWN", "KEYUP", "MOUSEBUTTONDOWN", "MOUSEBUTTONUP", "MOUSEMOTION", "JOYAXISMOTION"),
     *("JOYBUTTONDOWN", "JOYBUTTONUP", "RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
 )
-"""What `from pygame.locals import *` brings."""
+"""The names that `from pygame.locals import *` imports."""
 
 
-class _OfNothing(type):
+class _StubType(type):
     def __getattr__(cls, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
-        return Nothing()
+        return StubObject()
 
 
-class Nothing(metaclass=_OfNothing):
-    """Whatever else a script asks such a module for: it can be called, read, drawn on, and does nothing."""
+class StubObject(metaclass=_StubType):
+    """Any other object of such a module: it can be called, indexed and drawn on, and does nothing."""
 
     def __init__(self, *arguments: object, **options: object) -> None:
         pass
 
     def __call__(self, *arguments: object, **options: object) -> object:
-        return Nothing()
+        return StubObject()
 
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
-        return Nothing()
+        return StubObject()
 
     def __setattr__(self, name: str, value: object) -> None:
         pass
@@ -85,8 +85,8 @@ class Nothing(metaclass=_OfNothing):
         pass
 
 
-class Silent(ModuleType):
-    """A module whose other names mean nothing; its constants, in capitals, are numbers of their own."""
+class StubModule(ModuleType):
+    """A module whose unknown names are `StubObject`, except constants in capitals, which are distinct numbers."""
 
     def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
@@ -94,19 +94,19 @@ class Silent(ModuleType):
         if name.isupper() or name.startswith("K_"):
             value: object = _number_of(name)
         else:
-            value = Nothing if name[:1].isupper() else Nothing()
+            value = StubObject if name[:1].isupper() else StubObject()
         setattr(self, name, value)
         return value
 
 
 class Clock:
-    """pygame.time.Clock: `tick` waits until a frame of so many per second is over."""
+    """pygame.time.Clock: `tick` waits for the end of a frame."""
 
     def __init__(self, sleep: Sleep, now_s: Now) -> None:
         self._sleep, self._now_s, self._ticked_s = sleep, now_s, now_s()
 
     def tick(self, framerate: float = 0) -> int:
-        """Milliseconds since the last one."""
+        """Wait until 1 / `framerate` seconds after the last tick; returns the milliseconds since then."""
         over_s = self._ticked_s + (1 / framerate if framerate else 0.0)
         self._sleep(max(0.0, over_s - self._now_s()))
         before_s, self._ticked_s = self._ticked_s, self._now_s()
@@ -120,19 +120,19 @@ class Clock:
 
 @contextmanager
 def key_modules(sleep: Sleep, now_s: Now) -> Iterator[None]:
-    """Let scripts' imports that find nothing else find them, on the script's clock."""
+    """Let a script's imports find the stand-ins, on the script's clock, if there is no other such module."""
     finder = _Finder(sleep, now_s)
     sys.meta_path.append(finder)
     try:
         yield
     finally:
         sys.meta_path.remove(finder)
-        for name in [name for name, module in sys.modules.items() if isinstance(module, Silent)]:
+        for name in [name for name, module in sys.modules.items() if isinstance(module, StubModule)]:
             del sys.modules[name]
 
 
 class _Finder(Loader, MetaPathFinder):
-    """For scripts alone: a library that looks whether there is one may go on without."""
+    """Finds stand-ins for scripts only: a library may try an import and manage without it."""
 
     def __init__(self, sleep: Sleep, now_s: Now) -> None:
         self._clock = sleep, now_s
@@ -145,7 +145,7 @@ class _Finder(Loader, MetaPathFinder):
         return ModuleSpec(name, self, is_package=True)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        return Silent(spec.name)
+        return StubModule(spec.name)
 
     def exec_module(self, module: ModuleType) -> None:
         root, _, part = module.__name__.partition(".")
@@ -154,13 +154,13 @@ class _Finder(Loader, MetaPathFinder):
             print(f"uavaccel: {line}", file=sys.stderr, flush=True)
         vars(module).update(_names(module.__name__, *self._clock))
         for name in PARTS.get(module.__name__, ()):
-            part_of_it = sys.modules[f"{module.__name__}.{name}"] = Silent(f"{module.__name__}.{name}")
+            part_of_it = sys.modules[f"{module.__name__}.{name}"] = StubModule(f"{module.__name__}.{name}")
             vars(part_of_it).update(_names(part_of_it.__name__, *self._clock))
             setattr(module, name, part_of_it)
 
 
 def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
-    """What of a module is more than nothing."""
+    """The names of a module that do something."""
 
     def read(value: object) -> Callable[..., object]:
         return lambda *arguments, **options: (sleep(KEY_S), value)[1]
@@ -174,8 +174,8 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
         "keyboard": {"is_pressed": no, "wait": read(None), "read_key": read("enter"), "record": read([])},
         "msvcrt": {"kbhit": no, "getch": read(b"\r"), "getche": read(b"\r"), "getwch": read("\r")},
         "pygame": {"init": lambda: (0, 0), "error": type("error", (RuntimeError,), {})},
-        "pygame.event": {"get": lambda *kinds, **options: [], "wait": read(Nothing())},
-        "pygame.key": {"get_pressed": Nothing, "get_mods": lambda: 0},
+        "pygame.event": {"get": lambda *kinds, **options: [], "wait": read(StubObject())},
+        "pygame.key": {"get_pressed": StubObject, "get_mods": lambda: 0},
         "pygame.joystick": {"get_count": lambda: 0, "get_init": no},
         "pygame.locals": {name: _number_of(name) for name in CONSTANTS},
         "pygame.time": {
@@ -189,5 +189,5 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
 
 
 def _number_of(name: str) -> int:
-    """The same in every process, and hardly another constant's."""
+    """A constant's number: the same in every process, and very likely distinct."""
     return 256 + zlib.crc32(name.encode()) % (1 << 30)

@@ -1,4 +1,4 @@
-"""The messages of a flight, a line of JSON each, and the first one in which two flights differ."""
+"""The message log of a flight: a line of JSON per message, and a comparison with another flight's log."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ import msgpack
 from uavaccel.errors import UserError, naming
 
 FILE_NAME = "messages.jsonl"
-LONG_BYTES = 200  # of a state or an image, of which polling scripts ask a million
+LONG_BYTES = (
+    200  # longer values, such as states and images, are logged as digests: a script may poll millions
+)
 
 
 _encode = json.JSONEncoder(ensure_ascii=False, default=bytes.hex).encode
 
 
 class DifferenceError(UserError):
-    """Two flights that should be equal are not."""
+    """Two flights that should be equal differ."""
 
 
 class MessageLog:
-    """Writes calls and answers in order. With a `reference`, a folder, stops at the first line that is not as there.
+    """Writes calls and answers in order, and compares them with the log in the folder `reference`, if given.
 
-    Raises DifferenceError then; UserError where it cannot be written, and, since scripts catch what calls raise, from
-    then on.
+    Raises DifferenceError at the first line that differs. Raises UserError if the log cannot be written, and at every
+    later message too, since scripts catch the exceptions of calls.
     """
 
     def __init__(self, folder: Path, reference: Path | None = None) -> None:
@@ -40,14 +42,14 @@ class MessageLog:
         self.calls = 0
 
     def call(self, wall_ns: int, time_ns: int | None, method: str, params: Sequence[object]) -> int:
-        """A call as it is handled, at wall and simulated time; returns its number."""
+        """Log a call at the wall and the simulated time at which it is handled; returns its number."""
         self.calls += 1
         row = {"call": self.calls, "wall_ns": wall_ns, "time_ns": time_ns, "method": method}
         self._write(row | {"params": [brief(value) for value in params]})
         return self.calls
 
     def answer(self, number: int, wall_ns: int, error: str | None, result: object) -> None:
-        """An answer, at the wall time from which it is on its way."""
+        """Log an answer at the wall time at which it is sent."""
         outcome = {"result": brief(result)} if error is None else {"error": error}
         self._write({"answer": number, "wall_ns": wall_ns, **outcome})
 
@@ -62,12 +64,12 @@ class MessageLog:
             raise differs(self.calls, expected, line)
 
     def abandon(self) -> None:
-        """In a process that was forked off: what is not written yet is the other one's to write."""
+        """In a forked process, drop the buffered lines, which its parent writes."""
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), self._file.fileno())
 
     def close_file(self) -> None:
-        """Raises UserError if not all of it could be written."""
+        """Close the file. Raises UserError if not all of it could be written."""
         self._check()
         try:
             self._file.close()
@@ -80,7 +82,7 @@ class MessageLog:
 
     def _refuse(self, error: OSError) -> NoReturn:
         if not self._file.closed:
-            self.abandon()  # its end would complain of it again
+            self.abandon()  # closing the file would fail again
         try:
             with naming(self._path):
                 raise error
@@ -89,19 +91,19 @@ class MessageLog:
             raise
 
     def close(self) -> None:
-        """Raises DifferenceError if the reference has more lines."""
+        """Close the log. Raises DifferenceError if the reference has more lines."""
         self.close_file()
         if self._expected is not None and (expected := next(self._expected, None)) is not None:
             raise differs(self.calls, expected, "(has ended)")
 
 
 def differs(call: int, first: str, second: str) -> DifferenceError:
-    """What the user is told: the last call that was made, and the two lines."""
+    """The error for the user, with the number of the last call and the two lines."""
     return DifferenceError(f"the flights differ at call {call}\n  first:  {first}\n  second: {second}")
 
 
 def brief(value: object) -> object:
-    """A value as it is, or, of what is long on the wire, the length there and a digest."""
+    """The value itself, or the length and a digest of one that is long on the wire."""
     packed = msgpack.packb(value)
     if len(packed) <= LONG_BYTES:
         return value

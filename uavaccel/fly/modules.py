@@ -1,7 +1,7 @@
-"""What a script's imports find: AirSim's client is ours, and its clocks are the simulated one.
+"""Redirects a script's imports: AirSim's client to ours, and its clock modules to a simulated clock.
 
-AirSim's modules are exchanged for everybody. `time` and `datetime` are exchanged for the script's own files alone:
-libraries that it imports go on measuring with the machine's clock.
+AirSim's modules are replaced for every importer. `time` and `datetime` are replaced for the script's own files only:
+the libraries that it imports keep measuring with the machine's clock.
 """
 
 from __future__ import annotations
@@ -22,20 +22,25 @@ from uavaccel.units import NS_PER_S
 
 CLIENTS = ("airsim", "cosysairsim")
 OLD_CLIENT = "AirSimClient"  # the client's one module before AirSim 1.2
-PARTS = ("client", "types", "utils", "pfm")
+PARTS = {
+    "client": "client",
+    "types": "types",
+    "utils": "utils",
+    "pfm": "utils",
+}  # AirSim's submodules, and ours
 _HOME = "uavaccel.airsim"
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OWN = str(Path(__file__).parents[1])
 
 Modules = dict[str, Callable[[], ModuleType]]
-"""Modules by the names under which they are imported, each made when it is."""
+"""Functions that make modules, by the names under which the modules are imported."""
 
 
 def client_modules() -> Modules:
-    """AirSim's client under the names by which scripts import it, and the helpers that it comes with."""
+    """AirSim's client and its helper modules, under the names by which scripts import them."""
     homes = {OLD_CLIENT: f"{_HOME}.old_client"}
     for name in CLIENTS:
-        homes |= {name: _HOME} | {f"{name}.{part}": f"{_HOME}.{part}" for part in PARTS}
+        homes |= {name: _HOME} | {f"{name}.{part}": f"{_HOME}.{home}" for part, home in PARTS.items()}
     found: dict[str, Callable[[], ModuleType]] = {
         name: lambda home=home: import_module(home)  # type: ignore[misc]
         for name, home in homes.items()
@@ -45,7 +50,7 @@ def client_modules() -> Modules:
 
 
 def _msgpackrpc() -> ModuleType:
-    """The errors that scripts catch."""
+    """A module msgpackrpc with the errors that scripts catch."""
     from uavaccel.wire.rpc import RpcError
 
     error = named_module(
@@ -55,13 +60,14 @@ def _msgpackrpc() -> ModuleType:
 
 
 def named_module(name: str, **attributes: object) -> ModuleType:
+    """A module of this name with these attributes."""
     module = ModuleType(name)
     vars(module).update(attributes)
     return module
 
 
-class Exchanged(Loader, MetaPathFinder):
-    """Finds modules of ours by names of others; counts the wall time that making them takes."""
+class ModuleFinder(Loader, MetaPathFinder):
+    """Finds our modules under other names; `spent_s` counts the wall time that making them takes."""
 
     def __init__(self, modules: Modules) -> None:
         self._modules, self._clock = modules, MonotonicClock()
@@ -81,10 +87,10 @@ class Exchanged(Loader, MetaPathFinder):
 
 
 @contextmanager
-def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[Exchanged]:
-    """Let imports find these modules: `everywhere`, or where files that belong to no library import them."""
+def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[ModuleFinder]:
+    """Let imports find the modules `everywhere`, and those `in_scripts` in files that belong to no library."""
     before = {name: sys.modules.pop(name, None) for name in everywhere}
-    finder = Exchanged(everywhere)
+    finder = ModuleFinder(everywhere)
     sys.meta_path.insert(0, finder)
     original = builtins.__import__
 
@@ -113,7 +119,7 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
 
 
 def of_a_script(namespace: Mapping[str, object] | None) -> bool:
-    """Whether a module's names are those of a file that neither Python, nor a package, nor this one installed."""
+    """Whether a module's namespace belongs to a file of neither Python, nor an installed package, nor this package."""
     file = (namespace or {}).get("__file__")
     if not file:
         return False
@@ -122,7 +128,7 @@ def of_a_script(namespace: Mapping[str, object] | None) -> bool:
 
 
 def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:
-    """Whether the call under way is one of a file that belongs to no library, be it `through` Python's own modules."""
+    """Whether a file that belongs to no library makes the present call, directly or `through` Python's own modules."""
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))

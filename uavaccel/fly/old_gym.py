@@ -1,7 +1,7 @@
-"""A stand-in for OpenAI's gym of AirSim's time, 0.21, on Gymnasium: for scripts where no gym is installed.
+"""A stand-in for OpenAI's gym 0.21, of AirSim's time, on Gymnasium: for scripts where no gym is installed.
 
-Environments keep the old interface: `reset()` returns an observation, `step()` four values. Libraries of today, such as
-stable-baselines3, see Gymnasium's: what `make` returns speaks as its caller does, a script's own file or a library.
+Environments keep the old interface: `reset()` returns an observation, `step()` four values. Present libraries, such as
+stable-baselines3, see Gymnasium's interface: an environment from `make` decides by its caller, the script or a library.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from gymnasium.utils import seeding
 from uavaccel.fly.modules import named_module, of_a_script
 
 Action: TypeAlias = Any
-"""As an environment of the script's wants it."""
+"""An action as the script's environment expects it."""
 
 OldStep = tuple[object, float, bool, Mapping[str, object]]
 """Observation, reward, done and info."""
 
 
 class Env:
-    """gym.Env: what a script's own environments derive from."""
+    """gym.Env, from which a script's own environments derive."""
 
     metadata: Mapping[str, Sequence[str]] = {"render.modes": []}
     reward_range = (-float("inf"), float("inf"))
@@ -62,7 +62,7 @@ class Env:
 
 
 class Adapted(gymnasium.Env[object, object]):
-    """An old environment, for libraries of today; to a script's own file it stays an old one."""
+    """An old environment with Gymnasium's interface for libraries, and the old one for the script's own files."""
 
     def __init__(self, env: Env) -> None:
         self.env = env
@@ -167,14 +167,14 @@ def register(
     kwargs: Mapping[str, object] | None = None,
     **options: object,
 ) -> None:
-    """Keep where an environment is made; `kwargs` are its arguments."""
+    """Register how an environment is made; `kwargs` are its arguments."""
     _registered[id] = entry_point, kwargs or {}
 
 
 def make(id: str, **arguments: object) -> Adapted:
-    """An environment that was registered; "module:id" imports the module first, which registers it.
+    """Make a registered environment; for "module:id" the module, which registers it, is imported first.
 
-    Raises ValueError for an id that nobody registered.
+    Raises ValueError for an unknown id.
     """
     module, _, name = id.rpartition(":")
     if module:
@@ -189,7 +189,7 @@ def make(id: str, **arguments: object) -> Adapted:
 
 
 def modules() -> dict[str, ModuleType]:
-    """gym, and shimmy, by which stable-baselines3 takes old environments."""
+    """The modules of gym, and shimmy, through which stable-baselines3 accepts old environments."""
     registration = named_module("gym.envs.registration", register=register, make=make)
     envs = named_module("gym.envs", registration=registration)
     core = named_module("gym.core", Env=Env, Wrapper=Wrapper, ObservationWrapper=ObservationWrapper)

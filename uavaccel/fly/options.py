@@ -1,4 +1,4 @@
-"""What a flight of a script is asked to be, and how the process that flies it is told."""
+"""The options of a script's flight, as its process gets them, and its summary; where settings.json is found."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from pathlib import Path
 from typing import Self, TypedDict
 
 THINK_S = {"wall": 0.0, "virtual": 0.001, "lockstep": 0.0}
-"""By timing, the script's wall time that a flight charges before each call.
+"""The script's wall time that a flight charges before each call, by timing.
 
-In `wall` the script takes what it takes, in `lockstep` nothing takes any time; in `virtual` one that calls in a loop
-would otherwise do so as often as the wire carries it, which no script does.
+In `wall` the script takes its own time, and in `lockstep` nothing takes time; in `virtual` a script that calls in a
+loop would otherwise do so as fast as messages travel, which no script does.
 """
 
 SUMMARY = "flight.json"
-DIFFERENCE = "difference.txt"  # in it, how a flight differs from its reference; not there where it does not
-HEEDED = "interrupted"  # in the temporary folder: the script has got an interruption
-SCRATCH = "uavaccel-fly-"  # then the number of the process to which a temporary folder belongs
+DIFFERENCE = "difference.txt"  # says how a flight differs from its reference; missing if it does not
+INTERRUPT_SEEN = "interrupted"  # a file in the temporary folder: the script has received an interruption
+SCRATCH = "uavaccel-fly-"  # prefix of a temporary folder, before the number of its process
+NAME = "settings.json"
+AIRSIM = Path("Documents", "AirSim", NAME)  # in the user's home
+_KEYS = {"SettingsVersion", "SimMode", "Vehicles", "ClockSpeed", "SeeDocsAt"}
 
 
 class FlightSummary(TypedDict, total=False):
-    """What a flight says of itself in SUMMARY: SI units, NED; `position_m` is None where no client connected."""
+    """The summary of a flight, in the file SUMMARY: SI units, NED; `position_m` is None if no client connected."""
 
     clock_speed: float
     calls: int
@@ -41,9 +44,9 @@ class FlightSummary(TypedDict, total=False):
 class FlightOptions:
     """One flight of one script.
 
-    `think_s` is wall time that the script takes before each call, None the timing's; `until_s` ends it after so many
-    seconds of its wall clock times ClockSpeed; `reference` is a finished flight whose messages this one's have to
-    equal. `scratch` is a temporary folder; `settings_found`: nobody named the settings, they were found.
+    `think_s` is the wall time that the script takes before each call, by default the timing's. `until_s` ends the
+    flight when its wall time times ClockSpeed reaches it. `reference` is the folder of a finished flight whose messages
+    this one's must equal. `scratch` is a temporary folder. `settings_found`: the settings were found, not named.
     """
 
     script: Path
@@ -64,7 +67,7 @@ class FlightOptions:
 
     @property
     def thinks_s(self) -> float:
-        """Wall time before each call."""
+        """The wall time that is charged before each call."""
         return THINK_S[self.timing] if self.think_s is None else self.think_s
 
     def to_json(self) -> str:
@@ -80,3 +83,18 @@ class FlightOptions:
             if "Path" in str(field.type) and values[field.name] is not None:
                 values[field.name] = Path(values[field.name])
         return cls(**values | {"arguments": tuple(values["arguments"])})
+
+
+def found_settings(script: Path) -> Path | None:
+    """The settings.json that AirSim would read: beside the script, or else in the user's documents; None if neither."""
+    places = (script.absolute().parent / NAME, Path.home() / AIRSIM)
+    return next((path for path in places if _is_airsims(path)), None)
+
+
+def _is_airsims(path: Path) -> bool:
+    """Whether a file exists and has one of AirSim's keys: other programs use this file name too."""
+    try:
+        mapping = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(mapping, dict) and bool(_KEYS & mapping.keys())

@@ -1,6 +1,6 @@
-"""Changes to modules for as long as a script flies, each made when that module is first imported.
+"""Temporary changes to modules, each made when its module is first imported.
 
-So a script pays for the modules that it uses, and for no others.
+A script so pays only for the modules that it uses.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Act = Callable[[ModuleType], None]
 
 
 class Patches:
-    """What is changed in a `with` block of it, and taken back after."""
+    """Changes that last for the `with` block of this object."""
 
     def __init__(self) -> None:
         self._undo = ExitStack()
@@ -32,7 +32,7 @@ class Patches:
         self._undo.close()
 
     def set(self, owner: object, name: str, value: object) -> None:
-        """Let an attribute be another one."""
+        """Replace an attribute of a module, a class or an object."""
         missing = object()
         before = getattr(owner, "__dict__", {}).get(name, missing)  # a method of a class as it stands there
         if before is missing and not isinstance(
@@ -46,11 +46,11 @@ class Patches:
             self._undo.callback(setattr, owner, name, before)
 
     def undo(self, act: Callable[[], object]) -> None:
-        """Do something when the block is left."""
+        """Call a function at the end of the block."""
         self._undo.callback(act)
 
     def when_imported(self, name: str, act: Act) -> None:
-        """Change a module by `act(module)`, now if it has been imported, else when it is."""
+        """Call `act(module)` now if the module has been imported, and otherwise when it is."""
         if name in sys.modules:
             act(sys.modules[name])
         else:
@@ -58,7 +58,7 @@ class Patches:
 
 
 class _Finder(MetaPathFinder):
-    """Finds what the others find, and acts on it once it is there."""
+    """Finds what the other finders find, and acts on the module once it has been executed."""
 
     def __init__(self) -> None:
         self.acts: dict[str, list[Act]] = {}

@@ -1,9 +1,9 @@
-"""The process in which a script flies; it leaves its flight in a folder.
+"""The process in which a script flies; it writes the flight to a folder.
 
     python -m uavaccel.fly.process OPTIONS PARENT
 
-OPTIONS are those of `FlightOptions.to_json`, PARENT the number of the process that started it, without which it ends.
-Exit status: the script's. Where a flight is not as its reference, the file DIFFERENCE is in its folder.
+OPTIONS is the result of `FlightOptions.to_json`; PARENT is the number of the starting process, with which it ends. The
+exit status is the script's. A flight that differs from its reference writes the file DIFFERENCE.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
-from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions
+from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
 from uavaccel.parent import end_with_parent
@@ -34,10 +34,10 @@ def main() -> None:
     options = FlightOptions.from_json(sys.argv[1])
     end_with_parent(int(sys.argv[2]), lambda: _clear_away(options))
     for kind in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(kind, lambda number, frame: _heed(options, frame))
+        signal.signal(kind, lambda number, frame: _interrupt(options, frame))
     sys.unraisablehook = unraisable
     try:
-        status = _fly_and_tell(options)
+        status = _fly_or_differ(options)
     except Exception as error:
         if (mistake := mistake_of(error)) is None:
             raise
@@ -48,7 +48,7 @@ def main() -> None:
     sys.exit(status)
 
 
-def _fly_and_tell(options: FlightOptions) -> int:
+def _fly_or_differ(options: FlightOptions) -> int:
     try:
         return fly(options)
     except DifferenceError as error:
@@ -56,15 +56,15 @@ def _fly_and_tell(options: FlightOptions) -> int:
         return _complain(str(error), 1)
 
 
-def _heed(options: FlightOptions, frame: FrameType | None) -> None:
-    """SIGTERM and Ctrl-C alike interrupt the script; whoever started it sees that it knows."""
+def _interrupt(options: FlightOptions, frame: FrameType | None) -> None:
+    """Interrupt the script at SIGTERM and at Ctrl-C; the file INTERRUPT_SEEN tells the starting process that it did."""
     if options.scratch is not None:
-        (options.scratch / HEEDED).touch()
+        (options.scratch / INTERRUPT_SEEN).touch()
     signal.default_int_handler(signal.SIGINT, frame)
 
 
 def _clear_away(options: FlightOptions) -> None:
-    """Whoever would do that was killed."""
+    """Remove the temporary folder when the starting process, which would do so, was killed."""
     os.write(2, b"uavaccel: error: the process that started this flight was killed; the script ends too\n")
     if options.scratch is not None:
         shutil.rmtree(options.scratch, ignore_errors=True)
@@ -78,7 +78,7 @@ def _complain(text: str, status: int) -> int:
 
 def fly(options: FlightOptions) -> int:
     """Fly a script, and write messages, trajectory and summary; returns its exit status. Raises UserError."""
-    compiled(options.script)  # what is no Python is said before anything is built
+    compiled(options.script)  # a syntax error is reported before anything is built
     settings = settings_of(options)
     given = 1.0 if settings is None else settings.clock_speed
     clock_speed = given if options.clock_speed is None else options.clock_speed
@@ -91,7 +91,7 @@ def fly(options: FlightOptions) -> int:
                 "numpy", lambda numpy: numpy.random.seed(seed)
             )  # the generator that scripts use
         outcome = flight.run()
-    for kind in (signal.SIGINT, signal.SIGTERM):  # what was flown is kept
+    for kind in (signal.SIGINT, signal.SIGTERM):  # nothing interrupts writing what was flown
         signal.signal(kind, signal.SIG_IGN)
     flush_output()
     flight.end()
@@ -107,7 +107,7 @@ def fly(options: FlightOptions) -> int:
 
 
 def _write(path: Path, text: str) -> None:
-    """The whole file or none: whoever started this process reads it."""
+    """Write the whole file or none: the starting process reads it."""
     from uavaccel.files import replacing
 
     with replacing(path) as file:
@@ -115,7 +115,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def settings_of(options: FlightOptions) -> Settings | None:
-    """Those of the file that there is, if any. Raises UserError where one that was named is none."""
+    """The settings of the options' file, if any. Raises UserError if a file that was named is invalid."""
     if options.settings is None:
         return None
     from uavaccel.wire.settings import read_settings

@@ -11,21 +11,20 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from uavaccel.child import LOOK_S, Patience, describe_end, start_python
 from uavaccel.fly.messages import DifferenceError
-from uavaccel.fly.options import DIFFERENCE, HEEDED, SUMMARY, FlightOptions, FlightSummary
+from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
-from uavaccel.fly.watch import LOOK_S, Patience, ended_how
 
-HEED_S, END_S = 0.5, 5.0  # of an interruption: until the script has got it, and until it has ended
-
-
-class StoppedError(Exception):
-    """A script's process has been stopped for too long."""
+HEED_S, END_S = 0.5, 5.0  # after an interruption: until the script has received it, and until it has ended
 
 
 @dataclass(frozen=True)
-class Flown:
-    """A flight that has ended: exit status of the script, and the summary that `process` wrote, if it came so far."""
+class FlightResult:
+    """A flight that has ended: the script's exit status, and the summary of its process if that was written.
+
+    `differs` says whether its messages are not those of its reference.
+    """
 
     status: int
     summary: FlightSummary | None
@@ -36,65 +35,59 @@ class Flown:
         return self.status == INTERRUPTED and not (self.summary or {}).get("finished")
 
 
-def fly(options: FlightOptions, quiet: bool = False) -> Flown:
-    """Fly once. What the script prints appears at once, unless `quiet`; Ctrl-C and SIGTERM end the script."""
+def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
+    """Fly a script once. Its output is shown as it comes, unless `quiet`; Ctrl-C and SIGTERM end the script."""
     options.folder.mkdir(parents=True, exist_ok=True)
     for name in (SUMMARY, DIFFERENCE):
         (options.folder / name).unlink(missing_ok=True)
-    heeded = None if options.scratch is None else options.scratch / HEEDED
-    if heeded is not None:
-        heeded.unlink(missing_ok=True)
-    with subprocess.Popen(
-        [sys.executable, "-m", "uavaccel.fly.process", options.to_json(), str(os.getpid())],
-        env={**os.environ, "PYTHONHASHSEED": "0"},  # else the order of sets differs from run to run
+    seen = None if options.scratch is None else options.scratch / INTERRUPT_SEEN
+    if seen is not None:
+        seen.unlink(missing_ok=True)
+    with start_python(
+        *("-m", "uavaccel.fly.process", options.to_json(), str(os.getpid())),
+        environment={"PYTHONHASHSEED": "0"},  # otherwise the order of sets differs from run to run
         stdout=subprocess.DEVNULL if quiet else None,
+        own_session=False,  # a script may handle the terminal's Ctrl-C
     ) as process:
         try:
-            status = _wait(process, heeded)
+            status = _wait(process, seen)
         finally:
             process.kill()  # whatever else has happened here
     summary = options.folder / SUMMARY
     done = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
     if status == 0 and done is None:
         _say("the script ended its process by itself; its flight was not kept")
-    return Flown(status, done, (options.folder / DIFFERENCE).exists())
+    return FlightResult(status, done, (options.folder / DIFFERENCE).exists())
 
 
-def _wait(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
-    """The script's status. Says what ended its process, if that was none of its own doing."""
+def _wait(process: subprocess.Popen[bytes], seen: Path | None) -> int:
+    """The script's exit status. Says what ended its process, if the script did not."""
+    patience, stopped = Patience(process), False
     try:
-        status = _status_of(process)
-        how = ended_how(status)
+        while (status := process.poll()) is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK_S)
+            if patience.is_over() and not stopped:
+                stopped = True
+                process.kill()
     except KeyboardInterrupt:
-        return _interrupt(process, heeded)
-    except StoppedError:
-        process.kill()
-        process.wait()
-        status, how = -signal.SIGKILL, "was stopped, and killed since it did not go on"
+        return _interrupt(process, seen)
     if status < 0:
+        how = "was stopped, and killed since it did not go on" if stopped else describe_end(status)
         _say(f"error: the script's process {how}")
         return 128 - status
     return status
 
 
-def _status_of(process: subprocess.Popen[bytes]) -> int:
-    patience = Patience(process)
-    while True:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.wait(LOOK_S)
-        if patience.is_over():
-            raise StoppedError
+def _interrupt(process: subprocess.Popen[bytes], seen: Path | None) -> int:
+    """Let an interrupted script end, which keeps what was flown; kill it if it does not, or at a second Ctrl-C.
 
-
-def _interrupt(process: subprocess.Popen[bytes], heeded: Path | None) -> int:
-    """A terminal sends Ctrl-C to the script too, which ends, and keeps what it flew; another sender does not.
-
-    A script that does not end, or a second Ctrl-C, ends its process.
+    A terminal sends Ctrl-C to the script too; another sender does not, and then it is passed on.
     """
     try:
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(HEED_S)
-        if heeded is None or not heeded.exists():
+        if seen is None or not seen.exists():
             process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(END_S - 1.0)
@@ -110,14 +103,14 @@ def _say(line: str) -> None:
     print(f"uavaccel: {line}", file=sys.stderr, flush=True)
 
 
-def check(options: FlightOptions, first: Path) -> Flown:
+def check(options: FlightOptions, first: Path) -> FlightResult:
     """Fly again, and compare with the flight in the folder `first`: every message, and the trajectory to the byte.
 
     The flight stops at the first message that differs. Raises DifferenceError where only the trajectories do.
     """
     from uavaccel.fly.trajectory import equal
 
-    flown = fly(replace(options, reference=first), quiet=True)
-    if flown.summary is not None and not flown.interrupted and not equal(options.folder, first):
+    result = fly(replace(options, reference=first), quiet=True)
+    if result.summary is not None and not result.interrupted and not equal(options.folder, first):
         raise DifferenceError("the messages of both flights are equal, but the trajectories are not")
-    return flown
+    return result

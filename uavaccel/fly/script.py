@@ -1,4 +1,4 @@
-"""A script run as `python script.py` runs it: its name, arguments, folder and tracebacks."""
+"""Runs a script as `python script.py` does: with its name, arguments, folder and tracebacks."""
 
 from __future__ import annotations
 
@@ -12,16 +12,59 @@ from typing import NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.fly.tracebacks import hide_ours
+from uavaccel.fly.patches import Patches
 from uavaccel.units import NS_PER_S
 
+_OURS = str(Path(__file__).parent)
 INTERRUPTED = 130  # exit status
 
 
-class FlightOver(BaseException):
-    """The script has flown as long as it was allowed to; no `except Exception` of its own holds that up.
+def hide_ours(error: BaseException | None) -> None:
+    """Remove this package's frames, such as its import hook's, from an exception and its causes.
 
-    Raised by every call from then on. A script that catches even this for ever ends its process.
+    The first frame stays: it belongs to whoever prints the exception.
+    """
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        hide_frames(error.__traceback__)
+        if error.__cause__ is not None:
+            hide_ours(error.__cause__)
+        error = error.__context__
+
+
+def hide_frames(trace: TracebackType | None) -> None:
+    """Remove this package's frames from a traceback, except its first frame."""
+    while trace is not None:
+        while trace.tb_next is not None and trace.tb_next.tb_frame.f_code.co_filename.startswith(_OURS):
+            trace.tb_next = trace.tb_next.tb_next
+        trace = trace.tb_next
+
+
+def hide_frames_everywhere(patches: Patches) -> None:
+    """Remove them from tracebacks that the script itself prints or logs, too; of a UserError only its line is left."""
+    kind = traceback.TracebackException
+    original: Callable[..., None] = kind.__init__
+
+    def init(
+        self: traceback.TracebackException,
+        exc_type: type[BaseException],
+        exc_value: BaseException,
+        exc_traceback: TracebackType | None,
+        **options: object,
+    ) -> None:
+        hide_frames(exc_traceback)
+        if isinstance(exc_value, UserError):
+            exc_traceback = None
+        original(self, exc_type, exc_value, exc_traceback, **options)
+
+    patches.set(kind, "__init__", init)
+
+
+class FlightOver(BaseException):
+    """Ends the script at the end of its flight; a BaseException, which its `except Exception` does not catch.
+
+    Every call raises it from then on. The process of a script that catches it again and again is ended.
     """
 
     MOST = 1000
@@ -39,23 +82,25 @@ class FlightOver(BaseException):
 
 
 def unraisable(event: sys.UnraisableHookArgs) -> None:
-    """sys.unraisablehook: an end that reaches a destructor is no news."""
+    """A sys.unraisablehook that ignores the end of the flight in destructors."""
     if not isinstance(event.exc_value, FlightOver):
         sys.__unraisablehook__(event)
 
 
-class Outcome(NamedTuple):
-    """How a script ended: exit status, whether of itself, and the machine's wall time that it took."""
+class ScriptResult(NamedTuple):
+    """How a script ended: its exit status, whether it finished by itself, and the machine's wall time that it took."""
 
     status: int
     finished: bool
     wall_s: float
 
 
-def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> Outcome:
-    """Run the file as `__main__`, and `outlive` what it has started. What it raises is shown as its own traceback.
+def run_script(
+    path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None
+) -> ScriptResult:
+    """Run the file as `__main__`, then call `outlive` to wait for its threads; prints the tracebacks of exceptions.
 
-    Raises UserError where it cannot be read, or is no Python.
+    Raises UserError if the file cannot be read or is not Python.
     """
     code, clock = compiled(path), MonotonicClock()
     begun_ns = clock.now_ns()
@@ -66,7 +111,7 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
         status, finished = 0, False
     except KeyboardInterrupt:
         status, finished = INTERRUPTED, False
-    return Outcome(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
+    return ScriptResult(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
 
 
 def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
@@ -90,7 +135,7 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
 
 
 def compiled(path: Path) -> CodeType:
-    """The script's code. Raises UserError."""
+    """Compile the script. Raises UserError if it cannot be read or is not Python."""
     try:
         source = path.read_bytes()
     except OSError as error:
@@ -103,7 +148,7 @@ def compiled(path: Path) -> CodeType:
 
 
 def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
-    """The trace from the script's first frame on."""
+    """The traceback from the script's first frame on."""
     first = trace
     while first is not None and first.tb_frame.f_code.co_filename != file:
         first = first.tb_next
@@ -118,7 +163,7 @@ def _status_of(end: SystemExit) -> int:
 
 
 def flush_output() -> None:
-    """Let nothing that the script printed come after what is printed about it."""
+    """Flush what the script has printed before anything is printed about it."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -1,6 +1,7 @@
-"""What scripts of AirSim's time need on a modern, headless Python: NumPy's old names, windows, keys, gym 0.21.
+"""The environment of a script: AirSim's client, other clocks, and stand-ins for what a modern, headless Python lacks.
 
-What changes a module does so when the script, or a library of its, imports that module.
+Scripts of AirSim's time expect old names of NumPy, windows, keys and gym 0.21. A module is changed when the script, or
+one of its libraries, imports it.
 """
 
 from __future__ import annotations
@@ -10,18 +11,25 @@ import functools
 import importlib.util
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from uavaccel.fly.modules import Modules, named_module
+from uavaccel.fly.children import client_for_children, forked_children
+from uavaccel.fly.keys import key_modules
+from uavaccel.fly.modules import ModuleFinder, Modules, client_modules, importing, named_module
 from uavaccel.fly.patches import Patches
+from uavaccel.fly.script import hide_frames_everywhere
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-OLD_NAMES = {  # of NumPy, gone since 1.24 and 2.0, and what they mean: of Python, or NumPy's name of today
+    from uavaccel.airsim.connection import Connect
+
+OLD_NAMES = {  # NumPy's names that 1.24 and 2.0 removed, and what they mean: Python's types, or NumPy's present names
     "bool": bool,
     "complex": complex,
     "float": float,
@@ -48,19 +56,51 @@ NO_KEY = -1  # of cv2.waitKey
 WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
 
 
-def supply(patches: Patches, sleep: Callable[[float], None]) -> None:
-    """Put all of them in place; waiting for a key in a window takes its time by `sleep`."""
+@contextmanager
+def script_environment(
+    connect: Connect,
+    in_scripts: Mapping[str, ModuleType],
+    scratch: Path | None,
+    port: int | None,
+    forked: Callable[[], None],
+) -> Iterator[tuple[Patches, ModuleFinder]]:
+    """Let the script in the `with` block find our client, which connects by `connect`, and everything that it lacks.
+
+    Its own files import the modules `in_scripts`, `time` among them. Its child processes use the server on `port`,
+    through modules in the folder `scratch`; a forked process first calls `forked`. Yields the patches, which are undone
+    at the end of the block, and the finder of the client's modules.
+    """
+    clock = in_scripts["time"]
+    sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+    with ExitStack() as stack:
+        patches = stack.enter_context(Patches())
+        _supply_old_interfaces(patches, sleep)
+        hide_frames_everywhere(patches)
+        patches.when_imported(
+            "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
+        )
+        finder = stack.enter_context(importing(client_modules() | old_modules(), in_scripts))
+        stack.enter_context(key_modules(sleep, now_s))
+        stack.enter_context(client_for_children(scratch, port))
+        stack.enter_context(forked_children(forked))
+        yield patches, finder
+
+
+def _supply_old_interfaces(patches: Patches, sleep: Callable[[float], None]) -> None:
+    """Supply what old scripts expect; waiting for a key in a window uses `sleep`."""
     os.environ["MPLBACKEND"] = "Agg"
     patches.set(builtins, "input", _no_input)
     patches.when_imported("numpy", lambda module: supply_numpy(patches, module))
     patches.when_imported("cv2", lambda module: supply_windows(patches, module, sleep))
-    patches.when_imported("matplotlib.pyplot", lambda module: supply_pause(patches, module, sleep))
+    patches.when_imported(
+        "matplotlib.pyplot", lambda module: patches.set(module, "pause", lambda interval: sleep(interval))
+    )
     for name in ("uavaccel.airsim", "uavaccel.airsim.utils"):
         patches.when_imported(name, lambda module: patches.set(module, "wait_key", no_key))
 
 
 def supply_numpy(patches: Patches, numpy: ModuleType) -> None:
-    """NumPy's old names, and `fromstring` of bytes."""
+    """Supply NumPy's old names, and `fromstring` for bytes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         missing = {name: now for name, now in OLD_NAMES.items() if not hasattr(numpy, name)}
@@ -84,7 +124,7 @@ def supply_numpy(patches: Patches, numpy: ModuleType) -> None:
 
 
 def supply_windows(patches: Patches, cv2: ModuleType, sleep: Callable[[float], None]) -> None:
-    """OpenCV's windows, shown nowhere; no key is ever pressed."""
+    """Replace OpenCV's windows by ones that are shown nowhere; no key is ever pressed."""
 
     def wait_key(delay: int = 0) -> int:
         sleep(max(delay, 0) / 1000)
@@ -96,18 +136,13 @@ def supply_windows(patches: Patches, cv2: ModuleType, sleep: Callable[[float], N
         patches.set(cv2, name, wait_key)
 
 
-def supply_pause(patches: Patches, pyplot: ModuleType, sleep: Callable[[float], None]) -> None:
-    """Matplotlib's pause between two pictures, shown nowhere."""
-    patches.set(pyplot, "pause", lambda interval: sleep(interval))
-
-
 def old_modules() -> Modules:
-    """scipy.misc, whose images went in SciPy 1.2; gym 0.21 and its adapter where no gym is installed."""
+    """scipy.misc, whose image functions SciPy 1.2 removed; gym 0.21 and its adapter where no gym is installed."""
     found: dict[str, Callable[[], ModuleType]] = {
         "scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)
     }
     if importlib.util.find_spec("gym") is None:
-        found |= {name: lambda name=name: _of_gym(name) for name in (*GYM, "shimmy")}  # type: ignore[misc]
+        found |= {name: lambda name=name: _gym()[name] for name in (*GYM, "shimmy")}  # type: ignore[misc]
     return found
 
 
@@ -118,12 +153,8 @@ def _gym() -> dict[str, ModuleType]:
     return old_gym.modules()
 
 
-def _of_gym(name: str) -> ModuleType:
-    return _gym()[name]
-
-
 def _read_image(name: str) -> NDArray[np.generic]:
-    """Red first. Raises FileNotFoundError where there is no image."""
+    """The pixels of an image file, red first. Raises FileNotFoundError if there is no image."""
     import cv2
 
     pixels = cv2.imread(str(name))
@@ -133,7 +164,7 @@ def _read_image(name: str) -> NDArray[np.generic]:
 
 
 def _save_image(name: str, image: ArrayLike) -> None:
-    """Stretched to 0 to 255 where it is not of bytes, red first."""
+    """Write an image, red first; one that is not of bytes is scaled to 0 to 255."""
     import cv2
     import numpy as np
 
@@ -145,13 +176,13 @@ def _save_image(name: str, image: ArrayLike) -> None:
 
 
 def _no_input(prompt: object = "") -> str:
-    """As if Enter were pressed."""
+    """Replaces `input`: answers as if Enter were pressed."""
     print(prompt)
     return ""
 
 
 def no_key(message: str = "") -> str:
-    """As if Enter were pressed."""
+    """Replaces `airsim.wait_key`: answers as if Enter were pressed."""
     if message:
         print(message)
     return "\n"

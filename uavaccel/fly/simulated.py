@@ -1,4 +1,4 @@
-"""A flight on a simulated wall clock: the script's connection, its time and its waits, the waits of its threads."""
+"""A flight on a simulated wall clock: the script's connection, its clock, and the waits of its threads."""
 
 from __future__ import annotations
 
@@ -9,41 +9,37 @@ from typing import TYPE_CHECKING
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
 from uavaccel.errors import UserError
-from uavaccel.fly import shims
-from uavaccel.fly.children import REFUSAL, children_finding, forked_children
+from uavaccel.fly.children import REFUSAL
 from uavaccel.fly.executors import end_pools, let_executors_take_turns
-from uavaccel.fly.keys import key_modules
 from uavaccel.fly.messages import MessageLog
-from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
-from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import FlightOver, Outcome, run_script
-from uavaccel.fly.threads import ThreadKinds
-from uavaccel.fly.tracebacks import hide_frames_everywhere
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
+from uavaccel.fly.shims import script_environment
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import LOOK_NS, Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import Future
-    from uavaccel.fly.world import FlownWorld
+    from uavaccel.fly.world import ScriptWorld
     from uavaccel.wire.rpc import Received
     from uavaccel.wire.settings import Settings
-    from uavaccel.wire.transport import Call
+    from uavaccel.wire.transport import PendingCall
 
-READING_NS = 10_000  # what a look at the clock costs the script, so that a loop that waits for a time ends
-FREE_CALLS = (
-    100  # of a script that takes no time to think: so many calls since the last wait are taken for granted;
-)
-POLL_NS = round(
-    THINK_S["virtual"] * NS_PER_S
-)  # each one more costs that, so that a loop that waits for a state ends
-PATIENCE_NS = 3600 * NS_PER_S  # simulated time of a wait after which it is worth a line: AirSim's have no end
+READING_NS = 10_000  # what reading the clock costs the script, so that a loop that waits for a time ends
+# In `lockstep` so many calls since the last wait are free; each further one costs POLL_NS, so that a loop that waits
+# for a state ends.
+FREE_CALLS = 100
+POLL_NS = round(THINK_S["virtual"] * NS_PER_S)
+PATIENCE_NS = (
+    3600 * NS_PER_S
+)  # simulated duration of a wait that is reported: AirSim's commands have no time-out
 
 
 class SimulatedFlight:
-    """What a script lives in. The same script and options give the same messages and trajectory, byte for byte.
+    """Runs a script on a simulated clock. Equal scripts and options give equal messages and trajectories, to the byte.
 
-    `options.until_s` bounds wall time times ClockSpeed: the call, sleep or look at the clock that reaches it raises
+    `options.until_s` bounds wall time times ClockSpeed: the call, sleep or reading of the clock that reaches it raises
     FlightOver. The simulation is made when a client connects.
     """
 
@@ -59,92 +55,82 @@ class SimulatedFlight:
         self._until_ns = None if until_s is None else round(until_s * NS_PER_S / clock_speed)
         self._patience_ns = round(PATIENCE_NS / clock_speed)
         self._calls_since_wait, self._slept_ns = 0, 0
-        self._made_s = 0.0  # of wall time, before anything could be flown
+        self._made_s = 0.0  # wall time that making the simulation took
         self._over = False
         self._turns = Turns(self._clock, self._until_ns)
         self._is_child = False
 
     @cached_property
-    def _flown(self) -> FlownWorld:
+    def _world(self) -> ScriptWorld:
         assert isinstance(self._clock, VirtualClock)
         machine = MonotonicClock()
         begun_ns = machine.now_ns()
-        from uavaccel.fly.world import FlownWorld
+        from uavaccel.fly.world import ScriptWorld
         from uavaccel.wire.settings import Settings
 
-        flown = FlownWorld(self._options, self._settings or Settings(), self._clock_speed, self._clock)
+        world = ScriptWorld(self._options, self._settings or Settings(), self._clock_speed, self._clock)
         self._made_s += (machine.now_ns() - begun_ns) / NS_PER_S
-        return flown
+        return world
 
-    def _is_flown(self) -> bool:
-        return "_flown" in vars(self)
+    def _has_world(self) -> bool:
+        return "_world" in vars(self)
 
-    def run(self) -> Outcome:
-        """Run the script with our client, its clock and what its Python lacks. Raises UserError."""
-        kinds = ThreadKinds(self._turns)
+    def run(self) -> ScriptResult:
+        """Run the script in its environment. Raises UserError."""
+        kinds, options = ThreadClasses(self._turns), self._options
         clock = time_module(self.epoch_now_ns, self.pass_time)
         in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | kinds.modules()
-        options = self._options
         with contextlib.ExitStack() as stack:
-            patches = stack.enter_context(Patches())
-            shims.supply(patches, self.pass_time)
-            hide_frames_everywhere(patches)
+            environment = script_environment(self._connect, in_scripts, options.scratch, None, self._forked)
+            patches, client = stack.enter_context(environment)
             let_executors_take_turns(patches, self._turns, kinds, clock)
-            patches.when_imported(
-                "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", self._connect)
-            )
-            modules = client_modules() | shims.old_modules()
-            client = stack.enter_context(importing(modules, in_scripts))
-            stack.enter_context(key_modules(self.pass_time, clock.monotonic))
-            stack.enter_context(children_finding(options.scratch, None))
-            stack.enter_context(forked_children(self._forked))
             if options.film:
                 from uavaccel.fly.film import filming
 
-                stack.enter_context(filming(self._flown.simulation, self._flown.world, options.folder))
+                stack.enter_context(filming(self._world.simulation, self._world.world, options.folder))
             outcome = run_script(options.script, options.arguments, lambda: self._outlive(kinds))
-            self._catch_up()  # what the script still waited for
+            self._catch_up()  # to the end of the script's last wait
             return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
 
     def end(self) -> None:
-        """Write what was flown, and say what was refused. Calls from then on, of destructors, raise FlightOver."""
+        """Write the trajectory, and print which calls were refused. Later calls, of destructors, raise FlightOver."""
         self._over = True
-        if not self._is_flown():
+        if not self._has_world():
             return
-        api = self._flown.api
+        api = self._world.api
         api.recorder.stop()
-        self._flown.trajectory.write(self._options.folder)
+        self._world.trajectory.write(self._options.folder)
         if refused := api.refusals.lines():
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
 
     def summary(self) -> FlightSummary:
-        """How long, and where to: SI units, NED; no place where no client connected."""
-        flown: FlightSummary = {"simulated_s": 0.0, "position_m": None, "refused": []}
-        if self._is_flown():
-            flown = self._flown.summary()
+        """The flight's durations and its last position: SI units, NED; no position if no client connected."""
+        summary: FlightSummary = {"simulated_s": 0.0, "position_m": None, "refused": []}
+        if self._has_world():
+            summary = self._world.summary()
         return {
-            **flown,
+            **summary,
             "script_s": self._clock.now_ns() / NS_PER_S,
             "slept_s": self._slept_ns / NS_PER_S,
             "think_s": self._think_ns / NS_PER_S,
         }
 
     def _forked(self) -> None:
-        """In a process that was forked off: its copy of the world is no world, and its clock is the machine's."""
+        """In a forked process: drop its copy of the world, and use the machine's clock."""
         self._is_child, self._until_ns, self._clock = True, None, MonotonicClock()
         self._turns.forked(self._clock)
         self._log.abandon()
-        vars(self).pop("_flown", None)
+        vars(self).pop("_world", None)
 
     def _connect(self, host: str, port: int, timeout_s: float) -> SimulatedFlight:
         self._check_process()
-        self._flown  # noqa: B018  makes it
+        self._world  # noqa: B018  makes it
         return self
 
     # --- the script's clock -----------------------------------------------------------------------
 
     def epoch_now_ns(self) -> int:
-        """What the script reads."""
+        """The time that the script reads."""
         from uavaccel.wire.types import stamp
 
         self._clock.charge(READING_NS)
@@ -152,13 +138,13 @@ class SimulatedFlight:
         return stamp(self._clock.now_ns())
 
     def pass_time(self, seconds: float) -> None:
-        """The script waits so long; the simulation goes on. Raises ValueError below 0, as time.sleep does."""
+        """Let the script wait while the simulation runs. Raises ValueError below 0, as time.sleep does."""
         self._turns.check_thread()
         if seconds < 0:
             raise ValueError("sleep length must be non-negative")
         wait_ns = round(seconds * NS_PER_S)
         self._calls_since_wait = 0
-        if not (self._is_flown() and self._flown.simulation.paused):
+        if not (self._has_world() and self._world.simulation.paused):
             self._slept_ns += wait_ns
         end_ns = self._clock.now_ns() + wait_ns
         self._turns.wait_until(end_ns if self._until_ns is None else min(end_ns, self._until_ns))
@@ -181,15 +167,15 @@ class SimulatedFlight:
     def close(self) -> None:
         pass
 
-    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> tuple[Call, int]:
-        from uavaccel.fly.sent import as_sent
+    def _send(self, method: str, params: tuple[object, ...], blocking: bool) -> tuple[PendingCall, int]:
+        from uavaccel.airsim.connection import as_sent
 
         self._check_process()
         self._turns.check_thread()
         self._think()
-        sent, flown = [as_sent(value) for value in params], self._flown
-        number = self._log.call(self._clock.now_ns(), flown.simulation.time_ns, method, sent)
-        return flown.transport.send(method, sent, blocking), number
+        sent, world = [as_sent(value) for value in params], self._world
+        number = self._log.call(self._clock.now_ns(), world.simulation.time_ns, method, sent)
+        return world.transport.send(method, sent, blocking), number
 
     def _think(self) -> None:
         if self._over:
@@ -200,54 +186,54 @@ class SimulatedFlight:
         if self._calls_since_wait > FREE_CALLS:
             self._clock.charge(self._poll_ns)
 
-    def _join(self, future: Future, call: Call, number: int) -> None:
+    def _join(self, future: Future, call: PendingCall, number: int) -> None:
         self._check_process()
         self._turns.check_thread()
         self._wait(call, number)
-        future.answer(call.error, call.value)  # refusals tell of an error already
+        future.answer(call.error, call.value)  # an error has been reported as a refusal
 
-    def _wait(self, call: Call, number: int) -> None:
-        from uavaccel.fly.sent import as_received
+    def _wait(self, call: PendingCall, number: int) -> None:
+        from uavaccel.airsim.connection import as_received
 
         if call.deferred is not None:
             self._calls_since_wait = 0
         patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
-        flown = self._flown
-        while not flown.transport.wait(
+        world = self._world
+        while not world.transport.wait(
             call, earliest(patient_until_ns, self._until_ns, self._turns.earliest_ns())
         ):
             self._stop_at_the_end()
             if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
                 patient_until_ns = None
-                if not flown.simulation.paused:
-                    self._say_that_it_waits(call.method)
+                if not world.simulation.paused:
+                    self._report_long_wait(call.method)
             else:
                 self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
         call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 
-    def _expected_ns(self, call: Call) -> int:
-        """When the answer is there, or may be due, or the flight ends."""
+    def _expected_ns(self, call: PendingCall) -> int:
+        """When the answer arrives or may become due, or the flight ends."""
         event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
         if event_ns is None:
-            event_ns = self._flown.simulation.next_event_wall_ns()
+            event_ns = self._world.simulation.next_event_wall_ns()
         expected_ns = now_ns + LOOK_NS if event_ns is None else max(now_ns, event_ns)
         return earliest(expected_ns, self._until_ns) or now_ns
 
-    def _say_that_it_waits(self, method: str) -> None:
-        from uavaccel.fly.world import tell
+    def _report_long_wait(self, method: str) -> None:
+        from uavaccel.fly.world import warn
 
         waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {method}"
-        tell(f"{waited}; the vehicle is at {self._flown.whereabouts()}")
+        warn(f"{waited}; the vehicle is at {self._world.whereabouts()}")
 
-    def _outlive(self, kinds: ThreadKinds) -> None:
-        """The script's first thread is done; wait for the others, but for daemons."""
+    def _outlive(self, kinds: ThreadClasses) -> None:
+        """Wait for the script's other threads, except daemons, when its first one is done."""
         end_pools()
         self._turns.until(lambda: all(thread.is_daemon for thread in kinds.running))
 
     def _catch_up(self) -> None:
-        if self._is_flown():
-            self._flown.transport.catch_up()
+        if self._has_world():
+            self._world.transport.catch_up()
 
     def _stop_at_the_end(self) -> None:
         if self._until_ns is not None and self._clock.now_ns() >= self._until_ns:
@@ -260,5 +246,5 @@ class SimulatedFlight:
 
 
 def earliest(*times_ns: int | None) -> int | None:
-    """The first of the times that there are."""
+    """The earliest of those times that are not None."""
     return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)

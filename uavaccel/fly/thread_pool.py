@@ -1,22 +1,23 @@
-"""multiprocessing's ThreadPool on a simulated clock: its calls, on an executor whose threads take turns.
+"""multiprocessing's ThreadPool on a simulated clock: a pool that submits its calls to an executor.
 
-Python's own waits for its threads by pipes of the system, for which no simulated clock stops.
+Python's own ThreadPool waits for its threads through pipes, which do not follow a simulated clock.
 """
 
 from __future__ import annotations
 
 import concurrent.futures
-import multiprocessing
+import multiprocessing.pool
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Self
-
-Options = Mapping[str, object] | None
+from typing import Any
 
 
-class Result:
-    """What calls come to: a list of them, or the only one's. Times are seconds of the script."""
+class PoolResult:
+    """The asynchronous result of a pool: the list of its calls' values, or the value of a `single` call.
+
+    Time-outs are in seconds of the script's clock.
+    """
 
     def __init__(
         self,
@@ -41,7 +42,7 @@ class Result:
             self._tell_error(failed)
 
     def get(self, timeout: float | None = None) -> object:
-        """Raises what a call raised, multiprocessing.TimeoutError where they take longer."""
+        """Wait for the result. Raises a call's exception, or multiprocessing.TimeoutError after `timeout`."""
         self.wait(timeout)
         if not self.ready():
             raise multiprocessing.TimeoutError
@@ -60,8 +61,8 @@ class Result:
         return not any(future.exception() for future in self._futures)
 
 
-class ThreadPool:
-    """`multiprocessing.pool.ThreadPool`, for threads that take turns."""
+class ThreadPool(multiprocessing.pool.Pool):
+    """`multiprocessing.pool.ThreadPool` on an executor; what a pool derives from these methods is Python's own."""
 
     def __init__(
         self,
@@ -73,63 +74,42 @@ class ThreadPool:
         self._executor = concurrent.futures.ThreadPoolExecutor(
             processes or os.cpu_count() or 1, "ThreadPool", begin
         )
+        self._state, self._pool = multiprocessing.pool.CLOSE, ()  # it has no workers of its own to end
 
-    def apply(
+    def _check_running(self) -> None:
+        pass
+
+    def apply_async(  # type: ignore[override]
         self,
         func: Callable[..., object],
         args: Iterable[object] = (),
-        kwds: Options = None,
-    ) -> object:
-        return self.apply_async(func, args, kwds).get()
-
-    def apply_async(
-        self,
-        func: Callable[..., object],
-        args: Iterable[object] = (),
-        kwds: Options = None,
+        kwds: Mapping[str, object] | None = None,
         callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
-    ) -> Result:
+    ) -> PoolResult:
         future = self._executor.submit(func, *args, **(kwds or {}))
-        return Result([future], True, callback, error_callback)
+        return PoolResult([future], True, callback, error_callback)
 
-    def map(
-        self, func: Callable[..., object], iterable: Iterable[object], chunksize: int | None = None
-    ) -> object:
-        return self.map_async(func, iterable).get()
-
-    def map_async(
+    def _map_async(
         self,
         func: Callable[..., object],
-        iterable: Iterable[object],
+        iterable: Iterable[Any],
+        mapper: object,
         chunksize: int | None = None,
         callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
-    ) -> Result:
-        return self.starmap_async(func, ((item,) for item in iterable), chunksize, callback, error_callback)
+    ) -> PoolResult:
+        """What map, starmap and their asynchronous variants call."""
+        starred = mapper is vars(multiprocessing.pool)["starmapstar"]
+        futures = [self._executor.submit(func, *(item if starred else (item,))) for item in iterable]
+        return PoolResult(futures, False, callback, error_callback)
 
-    def starmap(
-        self, func: Callable[..., object], iterable: Iterable[Iterable[object]], chunksize: int | None = None
-    ) -> object:
-        return self.starmap_async(func, iterable).get()
-
-    def starmap_async(
-        self,
-        func: Callable[..., object],
-        iterable: Iterable[Iterable[object]],
-        chunksize: int | None = None,
-        callback: Callable[[object], object] | None = None,
-        error_callback: Callable[[BaseException], object] | None = None,
-    ) -> Result:
-        futures = [self._executor.submit(func, *items) for items in iterable]
-        return Result(futures, False, callback, error_callback)
-
-    def imap(
+    def imap(  # type: ignore[override]
         self, func: Callable[..., object], iterable: Iterable[object], chunksize: int = 1
     ) -> Iterator[object]:
         return self._executor.map(func, iterable)
 
-    def imap_unordered(
+    def imap_unordered(  # type: ignore[override]
         self, func: Callable[..., object], iterable: Iterable[object], chunksize: int = 1
     ) -> Iterator[object]:
         futures = [self._executor.submit(func, item) for item in iterable]
@@ -143,9 +123,3 @@ class ThreadPool:
 
     def join(self) -> None:
         self._executor.shutdown(wait=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.terminate()

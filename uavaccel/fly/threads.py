@@ -1,6 +1,6 @@
 """Stand-ins for `threading` and `queue` whose threads take turns on a simulated clock (uavaccel.fly.turns).
 
-Only one thread of a script ever runs, so locks are plain flags.
+Only one thread of a script runs at a time, so that locks are plain flags.
 """
 
 from __future__ import annotations
@@ -11,23 +11,34 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from types import ModuleType
-from typing import Self, TypeVar
+from typing import TypeVar
 
-from uavaccel.fly.script import FlightOver
-from uavaccel.fly.tracebacks import hide_ours
+from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
 
 Class = TypeVar("Class", bound=type)
 
 
 def bound(kind: Class, turns: Turns) -> Class:
-    """A class whose objects wait by `turns`."""
+    """A subclass whose objects wait through `turns`."""
     return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
 
 
-class Lock:
-    turns: Turns
+class Guard:
+    """Base of what a `with` block acquires and releases."""
 
+    turns: Turns
+    acquire: Callable[..., bool]
+    release: Callable[[], None]
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class Lock(Guard):
     def __init__(self) -> None:
         self._held = False
 
@@ -49,12 +60,6 @@ class Lock:
 
     def _is_free(self) -> bool:
         return not self._held
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
 
 
 class RLock(Lock):
@@ -78,9 +83,7 @@ class RLock(Lock):
             super().release()
 
 
-class Condition:
-    turns: Turns
-
+class Condition(Guard):
     def __init__(self, lock: Lock | None = None) -> None:
         self._lock = bound(RLock, self.turns)() if lock is None else lock
         self.acquire, self.release = self._lock.acquire, self._lock.release
@@ -110,36 +113,19 @@ class Condition:
     def notify_all(self) -> None:
         self._sleepers.clear()
 
-    def __enter__(self) -> Self:
-        self.acquire()
-        return self
 
-    def __exit__(self, *exception: object) -> None:
-        self.release()
-
-
-class Event:
+class Event(threading.Event):
     turns: Turns
 
     def __init__(self) -> None:
-        self._flag = False
-
-    def is_set(self) -> bool:
-        return self._flag
-
-    def set(self) -> None:
-        self._flag = True
-
-    def clear(self) -> None:
-        self._flag = False
+        super().__init__()
+        self._cond = bound(Condition, self.turns)()
 
     def wait(self, timeout: float | None = None) -> bool:
         return self.turns.until(self.is_set, timeout)
 
 
-class Semaphore:
-    turns: Turns
-
+class Semaphore(Guard):
     def __init__(self, value: int = 1) -> None:
         self._value = value
 
@@ -151,12 +137,6 @@ class Semaphore:
 
     def release(self, n: int = 1) -> None:
         self._value += n
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
 
 
 class Barrier(threading.Barrier):
@@ -170,7 +150,7 @@ class Barrier(threading.Barrier):
 
 
 class Thread(threading.Thread):
-    """A thread that runs in its turns. The process does not wait for it; the flight does, unless it is a daemon."""
+    """A thread that runs in turns. Not the process but the flight waits for its end, unless it is a daemon."""
 
     turns: Turns
     running: list[Thread]
@@ -257,8 +237,8 @@ class PriorityQueue(Queue, queue.PriorityQueue[object]):  # type: ignore[type-va
     pass
 
 
-class ThreadKinds:
-    """The stand-ins, by the name of the module and their own, and the script's threads that run."""
+class ThreadClasses:
+    """The stand-ins by module and name, bound to one flight, and the script's running threads."""
 
     def __init__(self, turns: Turns) -> None:
         self.running: list[Thread] = []
@@ -275,12 +255,12 @@ class ThreadKinds:
         }
 
     def modules(self) -> dict[str, ModuleType]:
-        """`threading` and `queue` for a script."""
+        """The modules `threading` and `queue` for a script."""
         return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
 
 
 def changed(module: ModuleType, names: Mapping[str, object]) -> ModuleType:
-    """A copy of a module in which some names are others."""
+    """A copy of a module with some of its names replaced."""
     copy = ModuleType(module.__name__, module.__doc__)
     vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
     vars(copy).update(names)

@@ -1,4 +1,4 @@
-"""Where the vehicle was: samples at a fixed simulated interval, as arrays and as a table."""
+"""The trajectory of a flight: samples at a fixed simulated interval, as arrays and as a table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLUMNS = "time_s,north_m,east_m,down_m,q_w,q_x,q_y,q_z,v_north_m_s,v_east_m_s,v
 
 
 class Trajectory:
-    """Samples of one vehicle in the order in which they were flown."""
+    """The samples of one vehicle in the order of their times."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[float, ...]] = []
@@ -28,13 +28,13 @@ class Trajectory:
         self._rows.append((*state.position_m, *state.orientation_wxyz, *state.linear_velocity_m_s))
 
     def write(self, folder: Path) -> None:
-        """time_ns (n,), position_m (n, 3) NED, orientation_wxyz (n, 4), velocity_m_s (n, 3); and the same as CSV."""
+        """Write time_ns (n,), position_m (n, 3) NED, orientation_wxyz (n, 4) and velocity_m_s (n, 3), also as CSV."""
         rows = np.array(self._rows, np.float64).reshape(-1, 10)
         write_trajectory(folder, np.array(self._time_ns, np.int64), rows)
 
 
 def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-    """The files of a trajectory; `rows` (n, 10) are position, orientation wxyz and velocity."""
+    """Write a trajectory's files; `rows` (n, 10) are position, orientation wxyz and velocity."""
     arrays = {"time_ns": time_ns, "position_m": rows[:, :3], "orientation_wxyz": rows[:, 3:7]}
     write_arrays(folder / FILE_NAME, arrays | {"velocity_m_s": rows[:, 7:]})
     table = np.column_stack([time_ns / NS_PER_S, rows])
@@ -43,7 +43,7 @@ def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.
 
 
 def largest_difference_m(folder: Path, reference: Path) -> float:
-    """Largest distance between two flights' positions at equal simulated times, up to the end of the shorter."""
+    """The largest distance between two flights' positions at equal simulated times, up to the end of the shorter."""
     one, other = _positions(folder), _positions(reference)
     shared = np.intersect1d(one[0], other[0], return_indices=True)
     if not len(shared[0]):

@@ -1,6 +1,6 @@
-"""Threads of a script on a simulated clock: one runs at a time, until it waits; then the next to wake does.
+"""Schedules the threads of a script on a simulated clock: one runs until it waits, then the next one to wake runs.
 
-So a script with threads flies the same every time: who runs, and when, is decided by the simulated clock alone.
+The simulated clock alone decides which thread runs when, so that a script with threads flies the same every time.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from uavaccel.fly.script import FlightOver
 from uavaccel.parent import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
-FOREIGN_S = 1e-3  # of the machine's time, between two looks at what threads that take no turns have done
-OURS = {END_WITH_PARENT}  # such threads that do nothing for a script
-LOOK_NS = 1_000_000  # a thread whose answer depends on another one's doing looks so often
+FOREIGN_S = 1e-3  # the machine's time between two checks of what threads outside of the turns have done
+OURS = {END_WITH_PARENT}  # names of such threads that do nothing for a script
+LOOK_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
 
 
 @dataclass(eq=False)
 class Turn:
-    """A thread that waits: for a time, for something to happen, or for whichever is first.
+    """A waiting thread: it waits for a time, for an event, or for whichever comes first.
 
-    Of two that may go on, the one that has waited longer does. `outside` waits for what the machine may bring, such as
-    a message on a socket: for when nobody else can go on.
+    Of two threads that may continue, the one that has waited longer does. `outside` waits for events of the machine,
+    such as data on a socket; it is called when no thread can continue.
     """
 
     wake_ns: float
@@ -37,15 +37,15 @@ class Turn:
     begins: threading.Event = field(default_factory=threading.Event)
 
     def due(self, now_ns: int) -> tuple[float, int]:
-        """When it may go on, and its place among those that may then."""
+        """When the thread may continue, and its place among those that may continue then."""
         ready = self.wake_ns > now_ns and self.happened is not None and self.happened()
         return (now_ns if ready else self.wake_ns), self.order
 
 
 class Turns:
-    """Hands the run of a script from thread to thread. Made in the first thread, which runs.
+    """Passes the execution of a script from thread to thread. Made in the main thread, which runs first.
 
-    At `limit_ns` of the clock waits end with FlightOver.
+    Waits end with FlightOver at the clock's `limit_ns`.
     """
 
     def __init__(self, clock: WallClock, limit_ns: int | None = None) -> None:
@@ -54,31 +54,29 @@ class Turns:
         self._waiting: list[Turn] = []
         self._order = 0
         self._threads = {threading.get_ident()}
-        self._strangers = WeakSet(
-            threading.enumerate()
-        )  # they ran before the script did, and do nothing for it
+        self._strangers = WeakSet(threading.enumerate())  # threads older than the script do nothing for it
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
 
     def earliest_ns(self) -> int | None:
-        """When the next other thread wants to run; None if there is none, or none that time alone would wake."""
+        """When the next waiting thread may run; None if time alone wakes no thread."""
         wake_ns = min((turn.due(self.now_ns())[0] for turn in self._waiting), default=inf)
         return None if wake_ns == inf else int(wake_ns)
 
     def is_mine(self) -> bool:
-        """Whether the calling thread is one of those that take turns."""
+        """Whether the calling thread takes turns."""
         return threading.get_ident() in self._threads
 
     def check_thread(self) -> None:
-        """Raises UserError in a thread that takes no turns."""
+        """Raise UserError in a thread that does not take turns."""
         if not self.is_mine():
             raise UserError(
                 "a library's thread calls the simulation; on a simulated clock the script's own may: --timing wall"
             )
 
     def wait_until(self, wall_ns: int) -> None:
-        """Let the others run until it is the caller's turn again, not before `wall_ns`."""
+        """Let other threads run until it is the caller's turn again, at `wall_ns` or later."""
         self._wait(self.announce(wall_ns))
 
     def until(
@@ -87,9 +85,9 @@ class Turns:
         timeout_s: float | None = None,
         outside: Callable[[], object] | None = None,
     ) -> bool:
-        """Let the others run until something has happened, or the time is over: then False.
+        """Let other threads run until something has happened; False if the time-out passes first.
 
-        Raises RuntimeError where nobody is left who could let it happen, FlightOver where that is not before the limit.
+        Raises RuntimeError if no thread is left that could let it happen, and FlightOver at the limit.
         """
         if happened():
             return True
@@ -108,25 +106,25 @@ class Turns:
         return False
 
     def announce(self, wall_ns: int | None = None) -> Turn:
-        """Somebody waits for a time, or for now."""
+        """Queue a thread that waits for a time, or for its first turn."""
         self._order += 1
         turn = Turn(self.now_ns() if wall_ns is None else wall_ns, self._order)
         self._waiting.append(turn)
         return turn
 
     def begin(self, turn: Turn) -> None:
-        """In a new thread: wait for its first turn."""
+        """Wait for the first turn of a new thread, which calls this."""
         turn.begins.wait()
         self._threads.add(threading.get_ident())
 
     def end(self) -> None:
-        """The calling thread runs no more."""
+        """End the calling thread's turns."""
         self._threads.discard(threading.get_ident())
         if self._waiting:
             self._following().begins.set()
 
     def forked(self, clock: WallClock) -> None:
-        """In a process that was forked off: its one thread lives on a clock of its own, and nobody else waits."""
+        """In a forked process, go on with its only thread on another clock."""
         self._clock, self._limit_ns = clock, inf
         self._waiting.clear()
         self._threads = {threading.get_ident()}
@@ -138,7 +136,7 @@ class Turns:
             mine.begins.wait()
 
     def _following(self) -> Turn:
-        """Whoever goes on next, out of the queue, and the clock at that time."""
+        """Take the next thread out of the queue, and advance the clock to its time."""
         while True:
             now_ns = self.now_ns()
             following = min(self._waiting, key=lambda turn: turn.due(now_ns))
@@ -146,12 +144,12 @@ class Turns:
             if wake_ns < inf or not self._wait_outside():
                 break
         self._waiting.remove(following)
-        if wake_ns < inf:  # else nobody can go on, and the one that has waited longest is told
+        if wake_ns < inf:  # otherwise no thread can continue, and the longest-waiting one raises
             self._clock.sleep_until(int(wake_ns))
         return following
 
     def _wait_outside(self) -> bool:
-        """Wait for what the machine, or a thread that takes no turns, may bring; False where neither can."""
+        """Wait for events of the machine, or of a thread outside of the turns; False if there can be none."""
         outside = next((turn.outside for turn in self._waiting if turn.outside is not None), None)
         if outside is not None:
             outside()

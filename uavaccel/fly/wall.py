@@ -1,12 +1,12 @@
-"""A flight in wall time: a server in a process of its own, and the script with the machine's clock.
+"""A flight in wall time: a server in its own process, and the script on the machine's clock.
 
-Messages and trajectory are measured, and never the same twice. The trajectory is the server's own recording: a script
-that starts or stops recordings itself cuts it short.
+Messages and trajectory are measured, and differ from flight to flight. The trajectory is the server's recording: a
+script that starts or stops recordings itself cuts it short.
 """
 
 from __future__ import annotations
 
-import contextlib
+import io
 import os
 import signal
 import subprocess
@@ -20,23 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.airsim.connection import Connect, Future, SocketConnection
+from uavaccel.airsim.connection import Future, SocketConnection, as_sent
+from uavaccel.child import Watch, end_within, start_python
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
-from uavaccel.fly import shims
-from uavaccel.fly.children import LOOPBACK, children_finding, forked_children
-from uavaccel.fly.keys import key_modules
 from uavaccel.fly.messages import MessageLog
-from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import FlightOptions, FlightSummary
-from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import FlightOver, Outcome, run_script
-from uavaccel.fly.sent import as_sent
-from uavaccel.fly.tracebacks import hide_frames_everywhere
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
+from uavaccel.fly.shims import script_environment
 from uavaccel.fly.trajectory import write_trajectory
-from uavaccel.fly.watch import Watch
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.rpc import Received
+from uavaccel.wire.rpc import LOOPBACK, Received
 from uavaccel.wire.settings import Settings
 
 RECORDINGS = "recordings"
@@ -50,10 +44,9 @@ main()
 
 
 class LoggedConnection:
-    """A connection over TCP whose messages are logged with the wall time since the flight's start.
+    """A connection over TCP that logs its messages with the wall time since the start of the flight.
 
-    In a process that was forked off it is another one, whose messages are not. Raises FlightOver once the server has
-    gone.
+    A forked process opens a connection of its own, which logs nothing. Calls raise FlightOver once the server has gone.
     """
 
     def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
@@ -69,7 +62,7 @@ class LoggedConnection:
 
     def call_async(self, method: str, *params: object) -> Future:
         if os.getpid() != self._pid:
-            self._connection, self._pid, self._log = self._open(), os.getpid(), _Unheard()
+            self._connection, self._pid, self._log = self._open(), os.getpid(), _NoLog()
         with self._lock:
             number = self._log.call(self._now_ns(), None, method, [as_sent(value) for value in params])
         with self._ending():
@@ -86,7 +79,7 @@ class LoggedConnection:
 
     @contextmanager
     def _ending(self) -> Iterator[None]:
-        """Let a call that finds the server gone end the flight."""
+        """End the flight if a call finds that the server has gone."""
         if self._watch.lost:
             raise FlightOver
         try:
@@ -103,8 +96,8 @@ class LoggedConnection:
         return self._clock.now_ns() - self._start_ns
 
 
-class _Unheard(MessageLog):
-    """Of a process that was forked off."""
+class _NoLog(MessageLog):
+    """The log of a forked process, which keeps nothing."""
 
     def __init__(self) -> None:
         self.calls = 0
@@ -114,7 +107,7 @@ class _Unheard(MessageLog):
 
 
 class WallFlight:
-    """A script and a server, two processes on one clock."""
+    """Runs a script against a server: two processes on the machine's clock."""
 
     def __init__(
         self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
@@ -123,8 +116,8 @@ class WallFlight:
         self._settings = None if settings is None else options.settings
         self._slept_s = 0.0
 
-    def run(self) -> Outcome:
-        """Run the script against a server, at most for `until_s`. Raises UserError."""
+    def run(self) -> ScriptResult:
+        """Run the script against a server, for `until_s` at most. Raises UserError."""
         options = self._options
         with serving(options, self._clock_speed, settings=self._settings) as served:
             recorder = SocketConnection(LOOPBACK, served.port, ANSWER_S)
@@ -133,35 +126,21 @@ class WallFlight:
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
                 return LoggedConnection(served.port, timeout_s, self._log, served.watch)
 
-            with contextlib.ExitStack() as stack:
-                self._prepare(stack, connect, served.port)
-                stack.enter_context(stopping_after(options.until_s, self._clock_speed))
+            clock = {"time": counted_time_module(self._slept)}
+            with (
+                script_environment(connect, clock, options.scratch, served.port, self._log.abandon),
+                stopping_after(options.until_s, self._clock_speed),
+            ):
                 outcome = run_script(options.script, options.arguments)
         if served.watch.lost:
             raise UserError(f"{served.watch.lost}; the script ends too")
         return outcome
 
-    def _prepare(self, stack: contextlib.ExitStack, connect: Connect, port: int) -> None:
-        """What the script, and what it starts, find until `stack` is left."""
-        patches = stack.enter_context(Patches())
-        clock = counted_time_module(self._slept)
-        sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
-        shims.supply(patches, sleep)
-        hide_frames_everywhere(patches)
-        patches.when_imported(
-            "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
-        )
-        modules = client_modules() | shims.old_modules()
-        stack.enter_context(importing(modules, {"time": clock}))
-        stack.enter_context(key_modules(sleep, now_s))
-        stack.enter_context(children_finding(self._options.scratch, port))
-        stack.enter_context(forked_children(self._log.abandon))
-
     def _slept(self, seconds: float) -> None:
         self._slept_s += seconds
 
     def end(self) -> None:
-        """Write what the server recorded."""
+        """Write the trajectory that the server recorded."""
         self._time_ns, poses = recorded(self._options.folder)
         self._poses = poses
         speeds = (
@@ -172,7 +151,7 @@ class WallFlight:
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
 
     def summary(self) -> FlightSummary:
-        """How long, and where to: SI units, NED."""
+        """The flight's durations and its last position: SI units, NED."""
         times = self._time_ns / NS_PER_S
         return {
             "simulated_s": float(times[-1] - times[0]) if len(times) else 0.0,
@@ -183,7 +162,7 @@ class WallFlight:
 
 
 class Served(NamedTuple):
-    """A server: where it listens, and who looks after it."""
+    """A server's port, and the watch on its process."""
 
     port: int
     watch: Watch
@@ -193,9 +172,9 @@ class Served(NamedTuple):
 def serving(
     options: FlightOptions, clock_speed: float, port: int = 0, settings: Path | None = None
 ) -> Iterator[Served]:
-    """A server for one flight, on `port` or a free one. Raises UserError if it does not start.
+    """Run a server for one flight, on `port` or a free one. Raises UserError if it does not start.
 
-    Where it ends, or is stopped, before the `with` block does, that raises FlightOver in the first thread.
+    FlightOver is raised in the main thread if the server ends, or is stopped, within the `with` block.
     """
     arguments = ["serve", "--port", str(port), "--clock", f"{clock_speed:g}"]
     arguments += ["--profile", options.profile, "--scene", options.scene]
@@ -203,14 +182,14 @@ def serving(
     if settings:
         arguments += ["--settings", str(settings)]
     program = _SERVE.format(parent=os.getpid())
-    command = [sys.executable, "-c", program, *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as server:
+    with start_python("-c", program, *arguments, stdout=subprocess.PIPE) as server:
         assert server.stdout is not None
-        line = server.stdout.readline()
+        lines = io.TextIOWrapper(server.stdout)
+        line = lines.readline()
         if "listening on" not in line:
             raise UserError(f"the server did not start: {line.strip() or 'see above'}")
-        teller = threading.Thread(target=_tell_warnings, args=(server.stdout,), daemon=True)
-        teller.start()
+        printer = threading.Thread(target=_print_warnings, args=(lines,), daemon=True)
+        printer.start()
         with _interrupted_by(signal.SIGUSR1) as interrupt:
             watch = Watch(server, "the server's process", interrupt)
             try:
@@ -219,21 +198,14 @@ def serving(
                 )
             finally:
                 watch.end()
-                _end(server)
-                teller.join()
-
-
-def _end(server: subprocess.Popen[str]) -> None:
-    server.send_signal(signal.SIGINT)
-    try:
-        server.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        server.kill()
+                server.send_signal(signal.SIGINT)
+                end_within(server, _END_S)
+                printer.join()
 
 
 @contextmanager
 def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
-    """What other threads call to raise FlightOver in the first one."""
+    """A function for other threads that raises FlightOver in the main thread."""
     first = threading.main_thread().ident or 0
     before = signal.signal(number, _stop)
     try:
@@ -246,14 +218,14 @@ def _stop(*_: object) -> None:
     raise FlightOver
 
 
-def _tell_warnings(lines: Iterator[str]) -> None:
+def _print_warnings(lines: Iterator[str]) -> None:
     for line in lines:
         if line.startswith(("warning", "  ", "stopped")):
             print(f"uavaccel: {line.rstrip()}", file=sys.stderr, flush=True)
 
 
 def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """time_ns (n,) and pose (n, 7) of the server's recordings, in the order of their times."""
+    """The samples of the server's recordings in the order of their times: time_ns (n,) and pose (n, 7)."""
     rows = [
         line.split("\t")[1:9]
         for file in sorted((folder / RECORDINGS).rglob("airsim_rec.txt"))
@@ -265,7 +237,7 @@ def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @contextmanager
 def stopping_after(simulated_s: float | None, clock_speed: float) -> Iterator[None]:
-    """Raise FlightOver in the `with` block after so much wall time times ClockSpeed."""
+    """Raise FlightOver in the `with` block once wall time times ClockSpeed reaches `simulated_s`."""
     if simulated_s is None:
         yield
         return

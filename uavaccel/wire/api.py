@@ -1,6 +1,6 @@
-"""The calls that one simulation answers: those of AirSim, and a few of our own.
+"""The table of calls that a simulation answers: AirSim's, and a few of this project.
 
-The same table serves the socket server and the in-process transport, so a call means the same in every timing.
+The socket server and the in-process transport share it, so that a call means the same in every timing.
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp, MultirotorRpcLibServer.cpp.
 """
 
@@ -13,24 +13,18 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.attitude_api import AttitudeApi
-from uavaccel.wire.calls import BoundCall, CallContext, Calls, WireCall
-from uavaccel.wire.camera_api import CameraApi
-from uavaccel.wire.detection_api import DetectionApi
-from uavaccel.wire.flight_api import FlightApi
+from uavaccel.wire.calls import BoundCall, CallContext, Calls, PartialResult, WireCall
+from uavaccel.wire.flight_api import AttitudeApi, FlightApi
 from uavaccel.wire.game_api import GameApi
-from uavaccel.wire.image_api import ImageApi
-from uavaccel.wire.notices import Notices
-from uavaccel.wire.object_api import ObjectApi
+from uavaccel.wire.image_api import CameraApi, ImageApi
+from uavaccel.wire.notices import Notices, Refusals
+from uavaccel.wire.object_api import DetectionApi, ObjectApi
 from uavaccel.wire.recorder import Recorder
-from uavaccel.wire.recording_api import RecordingApi
-from uavaccel.wire.refusals import Refusals
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
-from uavaccel.wire.simulator_api import SimulatorApi
-from uavaccel.wire.steps import Steps
+from uavaccel.wire.simulator_api import RecordingApi, SimulatorApi
 from uavaccel.wire.vehicle_api import VehicleApi
 from uavaccel.wire.vehicles import populate
 from uavaccel.wire.world_api import WorldApi
@@ -54,7 +48,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Api:
-    """The calls that one simulation answers. `recordings`: the folder for what startRecording records."""
+    """Answers calls on one simulation. `recordings` is startRecording's folder; `say` shows a line to the user."""
 
     def __init__(
         self,
@@ -78,26 +72,26 @@ class Api:
             self.methods |= group(self._context).bound()
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """The result of a call handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
+        """The result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
-        The simulation has to be advanced to `wall_ns` before.
+        The simulation must have been advanced to `wall_ns`.
         """
         result = self.begin(method, params, wall_ns)
-        if not isinstance(result, Steps):
+        if not isinstance(result, PartialResult):
             return result
-        while self.go_on(result, method, params):
+        while self.advance(result, method, params):
             pass
         return result.made
 
-    def go_on(self, steps: Steps, method: str, params: Sequence[object]) -> bool:
-        """Make one more piece of what `begin` gave; False when it is whole. Raises rpc.RpcError."""
+    def advance(self, partial: PartialResult, method: str, params: Sequence[object]) -> bool:
+        """Make one more item of a result that `begin` returned; False when it is complete. Raises rpc.RpcError."""
         try:
-            return steps.advance()
-        except Exception as error:  # costs the caller its call and nobody else
+            return partial.advance()
+        except Exception as error:  # fails this call alone
             raise self._failed(method, params, error) from error
 
     def begin(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """As `call`, but what takes long is begun only: `Steps`, with which to `go_on`."""
+        """Like `call`, but a long result is returned as a `PartialResult`, to be completed by `advance`."""
         bound = self.methods.get(method)
         if bound is None:
             self.refusals.add(method, "is not known here")
@@ -110,7 +104,7 @@ class Api:
             self.simulation.note(f"handle {method}", wall_ns)
         try:
             return bound.handler(*call.arguments(params)) if params else bound.handler()
-        except Exception as error:  # costs the caller its call and nobody else, as in rpclib
+        except Exception as error:  # fails this call alone, as in rpclib
             raise self._refused(call, self._failed(method, params, error)) from error
 
     def _refused(self, call: WireCall, error: rpc.RpcError) -> rpc.RpcError:
@@ -119,7 +113,7 @@ class Api:
         return error
 
     def _failed(self, method: str, params: Sequence[object], error: Exception) -> rpc.RpcError:
-        """What the client is told. What is not the client's mistake is logged, once for a call and a kind of error."""
+        """The error for the client. One that is not the client's mistake is logged, once per method and exception."""
         if isinstance(error, ValueError | UserError):
             return rpc.threw(method, len(params), str(error))
         if (method, type(error)) not in self._logged:

@@ -1,6 +1,6 @@
-"""What a client may send: the types of wire calls' parameters, and how a value becomes one of them or is refused.
+"""The parameter types of wire calls, and the coercions that convert or refuse a client's values.
 
-A coercion takes the value and the parameter's name. It raises ValueError that names it.
+A coercion takes a value and the parameter's name, which the ValueError that it raises mentions.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from uavaccel.sim.vehicle.goal import Yaw
 from uavaccel.wire.rpc import Received
 
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
-FARTHEST_M = 1e6  # a place that physics still resolves
+FARTHEST_M = 1e6  # the farthest place that the physics resolves
 Coercion = Callable[[object, str], object]
 Same = TypeVar("Same")
 
 
 def coercion_of(annotation: object) -> Coercion:
-    """The coercion to an annotated type, or to one of `PLAIN`. Raises TypeError where there is none."""
+    """The coercion of an annotated type, or of one in `PLAIN`. Raises TypeError for any other."""
     if get_origin(annotation) is Annotated:
         coercion: Coercion = annotation.__metadata__[0]  # type: ignore[attr-defined]
         return coercion
@@ -33,12 +33,12 @@ def coercion_of(annotation: object) -> Coercion:
 
 
 def unchanged(value: Same, name: str) -> Same:
-    """Whatever it is: the call looks at it."""
+    """Any value: the call itself checks it."""
     return value
 
 
 def number(value: object, name: str) -> float:
-    """A finite number of single precision's range."""
+    """A finite number in the range of single precision."""
     if type(value) is not float and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise ValueError(f"{name} must be a number, not {type(value).__name__}")
     if not abs(value) <= LARGEST:
@@ -55,25 +55,26 @@ def whole(value: object, name: str) -> int:
 
 
 def flag(value: object, name: str) -> bool:
-    """True or false, or 1 or 0 as msgpack of C++ writes them."""
+    """A truth value, or 1 or 0, as clients in C++ may pack it."""
     if not isinstance(value, bool | int):
         raise ValueError(f"{name} must be true or false, not {type(value).__name__}")
     return bool(value)
 
 
 def truthy(value: object, name: str) -> bool:
-    """Anything, as Python takes it for true or false."""
+    """The truth value of anything, by Python's rules."""
     return bool(value)
 
 
 def text(value: object, name: str) -> str:
+    """A text."""
     if not isinstance(value, str):
         raise ValueError(f"{name} must be a text, not {type(value).__name__}")
     return value
 
 
 def object_name(value: object, name: str) -> str:
-    """A text that may name an object."""
+    """A text that can be the name of an object."""
     named = text(value, name)
     if len(named) > LONGEST_NAME:
         raise ValueError(f"{name} must have at most {LONGEST_NAME} characters, not {len(named)}")
@@ -81,7 +82,7 @@ def object_name(value: object, name: str) -> str:
 
 
 def coordinate(value: object, name: str) -> float:
-    """Metres from the origin."""
+    """A distance from the origin in metres."""
     metres = number(value, name)
     if abs(metres) > FARTHEST_M:
         raise ValueError(f"{name} must be within {FARTHEST_M:g} m, not {metres:g}")
@@ -106,7 +107,7 @@ def vector(value: Received, name: str) -> Vector:
 
 
 def pose(value: Received, name: str) -> Pose:
-    """A Pose, its orientation of length 1; NaN is allowed."""
+    """A Pose with its orientation normalised; NaN is allowed."""
     try:
         position, orientation = value["position"], value["orientation"]
         x, y, z = (float(position[key]) for key in ("x_val", "y_val", "z_val"))
@@ -121,13 +122,14 @@ def pose(value: Received, name: str) -> Pose:
 
 
 def finite(given: Pose) -> Pose:
-    """The pose itself. Raises ValueError where it has NaN."""
+    """The pose itself. Raises ValueError if a part of it is NaN."""
     if math.isnan(sum(given.position_m) + sum(given.orientation_wxyz)):
         raise ValueError("pose must be finite")
     return given
 
 
 def finite_pose(value: object, name: str) -> Pose:
+    """A Pose with its orientation normalised, without NaN."""
     return finite(pose(value, name))
 
 
@@ -148,7 +150,7 @@ def geo_point(value: Received, name: str) -> GeoPoint:
 
 
 def wind(value: object, name: str) -> Vector:
-    """A Vector3r in m/s that physics can follow."""
+    """A Vector3r in m/s, no stronger than the physics can simulate."""
     speeds = vector(value, name)
     if not math.hypot(*speeds) <= STRONGEST_WIND_M_S:
         raise ValueError(f"{name} must be at most {STRONGEST_WIND_M_S:g} m/s, not {math.hypot(*speeds):g}")
@@ -156,7 +158,7 @@ def wind(value: object, name: str) -> Vector:
 
 
 def yaw_mode(value: object, name: str) -> Yaw:
-    """A YawMode, which has degrees, or degrees per second."""
+    """A YawMode, in degrees or degrees per second."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} must be a map, not {type(value).__name__}")
     is_rate = flag(value.get("is_rate", True), f"{name}.is_rate")
@@ -164,7 +166,7 @@ def yaw_mode(value: object, name: str) -> Yaw:
 
 
 def vehicle_name(value: object, name: str) -> str:
-    """Whoever looks for the vehicle says that there is none of that name."""
+    """Any value as a vehicle's name: the call itself refuses an unknown one."""
     return value if isinstance(value, str) else str(value)
 
 

@@ -1,4 +1,4 @@
-"""Which of AirSim's calls are done, accepted or refused here, as a page.
+"""Writes docs/airsim-calls.md: which of AirSim's calls are done, accepted or refused here.
 
 python -m uavaccel.wire.call_table > docs/airsim-calls.md
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from uavaccel.wire.api import GROUPS
 from uavaccel.wire.calls import WireCall
 
-OWN = "uavaccel"  # begins the names of the calls that are not AirSim's
+OWN = "uavaccel"  # prefix of the calls that are not AirSim's
 HEAD = """# AirSim's calls
 
 Every call of AirSim v1.8.1's Python client, by its name on the wire. *Done*: it does here what it does there.
@@ -28,7 +28,7 @@ def sections() -> dict[str, list[WireCall]]:
 
 
 def page() -> str:
-    """The page, in Markdown."""
+    """The page in Markdown."""
     answers = [call.status for calls in sections().values() for call in calls]
     done, accepted, refused = (
         sum(answer.startswith(word) for answer in answers) for word in ("done", "accepted", "refused")

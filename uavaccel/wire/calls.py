@@ -1,18 +1,18 @@
-"""A wire call is one method: a decorator names it, and its annotations check what a client sends.
+"""Declares wire calls: a decorator names a method's call, and its annotations check the client's arguments.
 
     class WorldApi(Calls, title="World"):
         @call("simSetWind")
         def set_wind(self, wind: Wind) -> None:
             self.simulation.world.set_wind(wind)
 
-How many arguments it takes, how they are coerced (uavaccel.wire.arguments), which latency it has, whether a client may
-miss its refusal, and its line in docs/airsim-calls.md follow from that.
+The number of arguments, their coercion (uavaccel.wire.arguments), the call's latency, whether a client may overlook its
+refusal, and its line in docs/airsim-calls.md follow from the declaration.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar, get_type_hints
 
@@ -20,6 +20,7 @@ from uavaccel.wire.arguments import coercion_of
 from uavaccel.wire.latency import DEFAULT, Channel
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.recorder import Recorder
+from uavaccel.wire.rpc import bulk_bytes
 from uavaccel.wire.scenery import Scenery
 
 MOST_IGNORED = 16  # arguments of a call without effect
@@ -27,12 +28,32 @@ Method = TypeVar("Method", bound=Callable[..., object])
 AnyChannel = Channel | Callable[[Sequence[object]], Channel]
 
 
-class WireCall:
-    """What a decorated method says about its call.
+class PartialResult:
+    """A list result that is made item by item, so that others need not wait for all of it; making an item may raise.
 
-    `channel` is the kind of latency that it has, or a function of the parameters that tells. AirSim's clients join a
-    `joined` one and never look at its error. One that `leaves_state` leaves a paused simulation in its state.
-    `status` is what docs/airsim-calls.md says of it.
+    `held_bytes` is about the packed size of the items made so far.
+    """
+
+    def __init__(self, pieces: Iterator[object]) -> None:
+        self._pieces = pieces
+        self.made: list[object] = []
+        self.held_bytes = 0
+
+    def advance(self) -> bool:
+        """Make one more item; False when there is none left."""
+        for piece in self._pieces:
+            self.held_bytes += bulk_bytes(piece)
+            self.made.append(piece)
+            return True
+        return False
+
+
+class WireCall:
+    """The declaration of a call.
+
+    `channel` is its kind of latency, or a function that derives it from the parameters. AirSim's clients only `join` a
+    `joined` call and do not look at its error. A call that `leaves_state` does not change a paused simulation. `status`
+    is its entry in docs/airsim-calls.md.
     """
 
     def __init__(
@@ -58,14 +79,14 @@ class WireCall:
         return self._channel if isinstance(self._channel, str) else self._channel(params)
 
     def arguments(self, params: Sequence[object]) -> list[object]:
-        """What the method takes for a client's parameters. Raises ValueError that names the first that is wrong."""
+        """The method's arguments for a client's parameters. Raises ValueError that names the first wrong one."""
         return [coerce(value, name) for value, (coerce, name) in zip(params, self._coercions, strict=False)]
 
 
 def call(
     name: str, channel: AnyChannel = DEFAULT, *, joined: bool = False, leaves_state: bool = False
 ) -> Callable[[Method], Method]:
-    """Make a method of a `Calls` class the wire call `name`."""
+    """Declare a method of a `Calls` class as the wire call `name`."""
 
     def declare(method: Method) -> Method:
         method.wire_call = WireCall(name, method, channel, joined, leaves_state)  # type: ignore[attr-defined]
@@ -75,12 +96,12 @@ def call(
 
 
 def command(name: str, *, leaves_state: bool = False) -> Callable[[Method], Method]:
-    """As `call`, for a flight command: its reply is the callback that `join` waits for."""
+    """Declare a flight command, like `call`: its reply is the completion for which `join` waits."""
     return call(name, "move", joined=True, leaves_state=leaves_state)
 
 
 class WithoutEffect:
-    """A call, named by the attribute, that does nothing: it answers with `answer`, or says why it is `refused`."""
+    """A call named after its attribute that does nothing: it returns `answer`, or raises why it is `refused`."""
 
     def __init__(self, answer: object = None, refused: str = "") -> None:
         self._answer, self._refused = answer, refused
@@ -102,7 +123,7 @@ class WithoutEffect:
 
 @dataclass
 class CallContext:
-    """What the calls on one simulation share; `wall_ns` is when the present one is handled."""
+    """The state that all calls on one simulation share; `wall_ns` is when the present call is handled."""
 
     scenery: Scenery
     notices: Notices
@@ -111,7 +132,7 @@ class CallContext:
 
 
 class Calls:
-    """Calls on one simulation, in the section `title` of docs/airsim-calls.md."""
+    """A group of calls on one simulation; `title` is its section in docs/airsim-calls.md."""
 
     title: ClassVar[str] = ""
     calls: ClassVar[dict[str, WireCall]] = {}
@@ -128,17 +149,17 @@ class Calls:
 
     @property
     def wall_ns(self) -> int:
-        """When the present call is handled."""
+        """The wall time at which the present call is handled."""
         return self.context.wall_ns
 
     def bound(self) -> dict[str, BoundCall]:
-        """By wire name, ready to be called."""
+        """The group's calls by wire name, bound to this object."""
         return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
 
 
 @dataclass
 class BoundCall:
-    """A call and the method of one simulation's `Calls` that answers it."""
+    """A call, and the bound method that answers it."""
 
     call: WireCall
     handler: Callable[..., object]

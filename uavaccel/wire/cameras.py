@@ -1,4 +1,4 @@
-"""The cameras of a vehicle: AirSim's five, and those of the settings; where each is mounted and what it sees.
+"""The cameras of a vehicle: AirSim's five and those of the settings, with their mounts and lenses.
 
 Sources: AirSim v1.8.1, AirSimSettings.hpp (keys and defaults), FlyingPawn.cpp (names), BP_FlyingPawn.uasset (mounts).
 """
@@ -33,17 +33,17 @@ NARROWEST_DEG, WIDEST_DEG = 0.1, 179.0  # fields of view that a projection can h
 
 
 class CaptureSettings(AirSimKeys):
-    """What one type of image is taken with."""
+    """The lens for one type of image."""
 
     image_type: Annotated[int, Field(ge=-1, le=9)] = SCENE
-    """AirSim's; -1 is what its window shows."""
+    """AirSim's number of the type; -1 is the view of its window."""
     width: Pixels = Lens().width
     height: Pixels = Lens().height
     fov_degrees: Annotated[float | None, Field(alias="FOV_Degrees", ge=NARROWEST_DEG, le=WIDEST_DEG)] = None
 
 
 class CameraSettings(AirSimKeys):
-    """A camera of settings.json; what is left out stays as it is. Metres FRD, degrees."""
+    """A camera of settings.json, in metres FRD and degrees; keys that are left out change nothing."""
 
     capture_settings: list[CaptureSettings] = Field(default_factory=list)
     x: float | None = None
@@ -54,7 +54,7 @@ class CameraSettings(AirSimKeys):
     yaw: float | None = None
 
     def lenses(self, before: Mapping[int, Lens]) -> dict[int, Lens]:
-        """By image type; `before` holds for those that are not given."""
+        """The lenses by image type, on the basis of the lenses `before`."""
         lenses = dict(before)
         for given in self.capture_settings:
             lens = lenses.get(given.image_type, Lens())
@@ -66,7 +66,7 @@ class CameraSettings(AirSimKeys):
         return lenses
 
     def mount(self, before: Pose) -> Pose:
-        """On the vehicle; `before` holds for a place, or an attitude, of which nothing is given."""
+        """The mount on the vehicle, on the basis of the mount `before`."""
         place = [
             old if new is None else new
             for new, old in zip((self.x, self.y, self.z), before.position_m, strict=True)
@@ -78,8 +78,8 @@ class CameraSettings(AirSimKeys):
 
 
 @dataclass
-class MountedAs:
-    """One camera: where on the vehicle of the number `carrier`, or in the world if it is `external`, and its lenses."""
+class CameraMount:
+    """One camera: its lenses, and its mount on the vehicle number `carrier`, or in the world if it is `external`."""
 
     name: str
     mount: Pose
@@ -89,20 +89,20 @@ class MountedAs:
     distortion: dict[str, float] = field(default_factory=lambda: dict.fromkeys(DISTORTION, 0.0))
 
     def eye(self, vehicle: Pose) -> Pose:
-        """Where it is in the world, NED, for a pose of the vehicle."""
+        """The camera's pose in the world, NED, for a pose of the vehicle."""
         return self.mount if self.external else vehicle.of(self.mount)
 
     def lens(self, image_type: int) -> Lens:
         return self.lenses.get(image_type, Lens())
 
     def set_fov(self, fov_deg: float) -> None:
-        """Of all types of image, as AirSim does."""
+        """Set the field of view of all types of image, as AirSim does."""
         types = {SCENE, *range(10), *self.lenses}
         self.lenses = {kind: self.lens(kind)._replace(fov_deg=fov_deg) for kind in types}
 
 
 class Cameras:
-    """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` hold for each that is `given`."""
+    """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` apply to each `given` one."""
 
     def __init__(
         self,
@@ -114,16 +114,16 @@ class Cameras:
         lenses = defaults.lenses({})
         mounts = {} if external else MOUNTS
         self._cameras = {
-            name: MountedAs(name, mount, dict(lenses), carrier=carrier) for name, mount in mounts.items()
+            name: CameraMount(name, mount, dict(lenses), carrier=carrier) for name, mount in mounts.items()
         }
         for alias, settings in given.items():
             name = full_name(alias)
-            before = self._cameras.get(name) or MountedAs(name, Pose(), dict(lenses))
+            before = self._cameras.get(name) or CameraMount(name, Pose(), dict(lenses))
             mount, own = settings.mount(before.mount), settings.lenses(before.lenses)
-            self._cameras[name] = MountedAs(name, mount, own, external, carrier)
+            self._cameras[name] = CameraMount(name, mount, own, external, carrier)
 
-    def named(self, name: object) -> MountedAs:
-        """The camera that a client calls so. Raises ValueError."""
+    def named(self, name: object) -> CameraMount:
+        """The camera of a client's name for it. Raises ValueError if there is none."""
         found = self._cameras.get(full_name(str(name)))
         if found is None:
             numbers = {full: number for number, full in ALIASES.items() if number.isdecimal()}
@@ -132,10 +132,10 @@ class Cameras:
         return found
 
     def lenses(self) -> list[Lens]:
-        """All that pictures are taken through."""
+        """All lenses of all cameras."""
         return [Lens(), *(lens for camera in self._cameras.values() for lens in camera.lenses.values())]
 
 
 def full_name(name: str) -> str:
-    """AirSim's numbers and short names stand for names."""
+    """The camera's name for one of AirSim's numbers or short names."""
     return ALIASES.get(name, name)

@@ -1,4 +1,4 @@
-"""Our client: the commands' `MissionClient` over any transport, speaking AirSim's wire and our own few calls."""
+"""The client of this project: the commands' `MissionClient` over any transport, and our own calls for games."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.game_api import Collision, SpeedReport, decode_state
 from uavaccel.wire.image_api import decode_image
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.transport import Call, Transport
+from uavaccel.wire.transport import PendingCall, Transport
 
 START_HEIGHT_M = -10.0  # NED z: 10 m up
 _MAX_DEGREE_OF_FREEDOM = 0
@@ -21,9 +21,9 @@ _EXACT = True  # beyond AirSim's arguments: a time that does not fit an exact pr
 
 
 class Client:
-    """The calls of one connection to a simulation. They raise rpc.RpcError with the server's text.
+    """The calls of one connection to a simulation; they raise rpc.RpcError with the server's text.
 
-    Several clients may share a transport: what is known of the state belongs to it (transport.KnownState).
+    Several clients may share a transport, to which the known state belongs (transport.KnownState).
     """
 
     def __init__(self, transport: Transport, clock_speed: float = 1.0) -> None:
@@ -31,7 +31,7 @@ class Client:
         self.clock_speed = float(clock_speed)
 
     def call(self, method: str, *params: object) -> Received:
-        """Call any method of the wire and wait for its result."""
+        """Call any method of the wire, and wait for its result."""
         call = self.transport.send(method, params, blocking=True)
         self.transport.wait(call)
         return call.result()
@@ -41,7 +41,7 @@ class Client:
 
     # --- MissionClient ----------------------------------------------------------------------------
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> Call:
+    def move_async(self, goal: VelocityGoal, t_move_s: float) -> PendingCall:
         vx, vy, vz = goal.velocity_m_s
         yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
@@ -49,12 +49,12 @@ class Client:
             ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
         )
         params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "", _EXACT)
-        stands = self.transport.known.state is not None  # then nothing is gained by sending it at once
+        stands = self.transport.known.state is not None  # sending it at once would gain nothing
         call = self.transport.send(method, params, blocking=False, coalesced=stands)
         call.expected_ns = self._wall_after(t_move_s * NS_PER_S)
         return call
 
-    def join(self, future: Call, deadline_ns: int | None = None) -> bool:
+    def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:
         if not self.transport.wait(future, deadline_ns):
             return False
         future.result()
@@ -86,7 +86,7 @@ class Client:
     # --- games ------------------------------------------------------------------------------------
 
     def start_game(self, clock_speed: float, height_m: float = START_HEIGHT_M) -> Kinematics:
-        """A settled hover at NED z `height_m`, paused, API control on, recording on."""
+        """Start a game: a settled hover at NED z `height_m`, paused, with API control and recording on."""
         self.clock_speed = float(clock_speed)
         return decode_state(self.call("uavaccelStartGame", clock_speed, height_m))
 
@@ -95,19 +95,19 @@ class Client:
         self.call("uavaccelSetLane", lane)
 
     def image(self, kind: str) -> AnyImage:
-        """The front camera's picture of this moment: gray, colour, depth or segmentation; 144 rows of 256 pixels.
+        """The front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
 
-        A known state stays known.
+        The known state stays known.
         """
         return decode_image(self.call("uavaccelImage", kind))
 
     def collision(self) -> Collision | None:
-        """What the vehicle has first touched since the game's start. A known state stays known."""
+        """The vehicle's first collision since the start of the game, if any. The known state stays known."""
         collision: Collision | None = self.call("uavaccelCollision") or None
         return collision
 
     def speed(self) -> SpeedReport:
-        """Requested and achieved speed since the game's start."""
+        """The requested and the achieved speed since the start of the game."""
         speed: SpeedReport = self.call("uavaccelSpeed")
         return speed
 
@@ -119,7 +119,7 @@ class Client:
         return Recording(samples, commands, reply["tick_ns"], reply["dropped"], reply["commands_dropped"])
 
     def trace(self, enabled: bool) -> list[tuple[str, int, int]]:
-        """Switch the server's trace on or off; returns its events so far: (event, wall ns, simulated ns)."""
+        """Switch the server's trace on or off, and return its events so far: (event, wall ns, simulated ns)."""
         return [tuple(event) for event in self.call("uavaccelTrace", enabled)]
 
     def close(self) -> None:

@@ -1,12 +1,14 @@
-"""AirSim's flight commands: their arguments, and what each answers.
+"""AirSim's flight commands, from paths down to attitudes, body rates, motors, the remote control and the gains.
 
-Sources: AirSim v1.8.1, MultirotorRpcLibServer.cpp (names, orders), MultirotorApiBase.cpp (what they do and answer).
-A command that is interrupted answers False; one for a time answers True at its end, one for a place once it is there.
+Sources: AirSim v1.8.1, MultirotorRpcLibServer.cpp (names, orders), MultirotorApiBase.cpp and SimpleFlightApi.hpp
+(behaviour, answers). A command returns False if it is interrupted; otherwise one with a duration returns True at its
+end, one to a place on arrival. Attitudes are in radians, FRD; throttle and motors range from 0 to 1.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import numpy as np
@@ -26,22 +28,25 @@ from uavaccel.sim.flight.tasks import (
 from uavaccel.sim.flight.tasks import facing as facing_along
 from uavaccel.sim.sensors.earth import GeoPoint, geographic
 from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
+from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
 from uavaccel.units import euler_from_quaternion
-from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, number, place
+from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.geodesy import ned_of
 
 FORWARD_ONLY = 1
-LONGEST_S = 1e9  # what is asked to last longer lasts so long: AirSim's clients write 3e38 for ever
+LONGEST_S = 1e9  # longer durations are cut to this: AirSim's clients send 3e38 for ever
 TAKEOFF_M, TAKEOFF_M_S = 2.0, 0.5
 AUTO_LOOKAHEAD, ADAPTIVE = -1.0, 1.0
 
 Answer = DeferredReply | bool
+LARGEST_GAIN = 1e3  # thousands of times SimpleFlight's gains
+STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
 
 def seconds(value: object, name: str) -> float:
-    """A duration, as long as LONGEST_S at most."""
+    """A duration in seconds, at most LONGEST_S."""
     return min(number(value, name), LONGEST_S)
 
 
@@ -62,7 +67,7 @@ class FlightApi(Calls, title="Flight"):
 
     @command("takeoff")
     def takeoff(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
-        """2 m up from where the vehicle is. Raises ValueError while it moves."""
+        """Climb 2 m. Raises ValueError while the vehicle moves."""
         pilot = self._taken(vehicle)
         now = pilot.kinematics()
         if (speed := math.hypot(*now.linear_velocity_m_s)) > AT_REST_M_S:
@@ -74,17 +79,17 @@ class FlightApi(Calls, title="Flight"):
 
     @command("land")
     def land(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
-        """Down at .2 m/s until the vehicle sinks no more."""
+        """Sink at 0.2 m/s until the ground stops the vehicle."""
         return self._start(self._taken(vehicle), Land(timeout_sec))
 
     @command("goHome")
     def go_home(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
-        """To the origin of the vehicle's frame, at .5 m/s."""
+        """Fly to the origin of the vehicle's frame at 0.5 m/s."""
         return self._fly_to(self._taken(vehicle), (0.0, 0.0, 0.0), TAKEOFF_M_S, timeout_sec)
 
     @call("hover", joined=True)
     def hover(self, vehicle: VehicleName = "") -> Answer:
-        """End the running command; the goal timeout brings position hold. AirSim's, a path of no length, is False."""
+        """End the running command; position hold follows after the goal time-out. Returns False, as in AirSim."""
         self._taken(vehicle)
         return False
 
@@ -138,7 +143,7 @@ class FlightApi(Calls, title="Flight"):
         adaptive_lookahead: float,
         vehicle: VehicleName = "",
     ) -> Answer:
-        """Degrees, and metres over the sea."""
+        """Fly to a place given in degrees and metres above sea level."""
         origin_m = self.scenery.flying_pilot(vehicle).vehicle.origin_m
         home = geographic(origin_m, self.scenery.settings.home)
         north, east, down = ned_of(GeoPoint(latitude, longitude, altitude), home)
@@ -175,7 +180,7 @@ class FlightApi(Calls, title="Flight"):
     def rotate_to_yaw(
         self, yaw: float, timeout_sec: float, margin: float, vehicle: VehicleName = ""
     ) -> Answer:
-        """Degrees; where the vehicle is."""
+        """Turn to a heading in degrees without moving."""
         pilot = self._taken(vehicle)
         if timeout_sec <= 0:
             return True
@@ -185,7 +190,7 @@ class FlightApi(Calls, title="Flight"):
 
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
-        """Degrees per second; where the vehicle is."""
+        """Turn at a rate in degrees per second without moving."""
         pilot = self.scenery.flying_pilot(vehicle)
         goal = goals.position(pilot.kinematics().position_m, Yaw(math.radians(yaw_rate)))
         return fly_for(pilot, goal, duration, self.wall_ns)
@@ -204,7 +209,7 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "",
         exact: bool = False,
     ) -> Answer:
-        """`exact`, of our own client, refuses a duration that an exact profile's tick does not divide."""
+        """With `exact`, which our own client sends, refuse a duration that an exact profile's tick does not divide."""
         goal = goals.velocity((vx, vy, vz), facing(vx, vy, drivetrain, yaw_mode))
         return fly_for(self.scenery.flying_pilot(vehicle), goal, duration, self.wall_ns, exact=exact)
 
@@ -220,7 +225,7 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "",
         exact: bool = False,
     ) -> Answer:
-        """Alone of all, it answers False to a duration of 0."""
+        """Fly at a height; for a duration of 0 this command alone returns False."""
         goal = goals.velocity_z(vx, vy, z, facing(vx, vy, drivetrain, yaw_mode))
         pilot = self.scenery.flying_pilot(vehicle)
         return fly_for(pilot, goal, duration, self.wall_ns, at_once=False, exact=exact)
@@ -236,7 +241,7 @@ class FlightApi(Calls, title="Flight"):
         yaw_mode: YawMode,
         vehicle: VehicleName = "",
     ) -> Answer:
-        """The vehicle's heading at the beginning counts, and stays."""
+        """Fly in the frame of the vehicle's heading at the start of the command."""
         pilot = self.scenery.flying_pilot(vehicle)
         north, east = turned(pilot.kinematics(), vx, vy)
         goal = goals.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
@@ -253,7 +258,7 @@ class FlightApi(Calls, title="Flight"):
         yaw_mode: YawMode,
         vehicle: VehicleName = "",
     ) -> Answer:
-        """As move_by_velocity_body_frame, at a height."""
+        """Fly at a height in the frame of the vehicle's heading at the start of the command."""
         pilot = self.scenery.flying_pilot(vehicle)
         north, east = turned(pilot.kinematics(), vx, vy)
         goal = goals.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
@@ -270,7 +275,7 @@ class FlightApi(Calls, title="Flight"):
         yaw_mode: YawMode,
         vehicle: VehicleName = "",
     ) -> Answer:
-        """As the sticks of moveByRC say."""
+        """Fly by the sticks that moveByRC sets."""
         pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
         if duration <= 0:
             return True
@@ -281,7 +286,7 @@ class FlightApi(Calls, title="Flight"):
     # --- in common --------------------------------------------------------------------------------
 
     def _taken(self, vehicle: str) -> Pilot:
-        """The vehicle's pilot; the command that ran is over."""
+        """The vehicle's pilot, whose running command is cancelled."""
         pilot = self.scenery.flying_pilot(vehicle)
         pilot.cancel(self.wall_ns)
         return pilot
@@ -299,9 +304,9 @@ class FlightApi(Calls, title="Flight"):
 def fly_for(
     pilot: Pilot, goal: Goal, duration_s: float, wall_ns: int, at_once: bool = True, exact: bool = False
 ) -> Answer:
-    """Fly towards one goal for a time; `at_once` is what a duration of 0 or less answers.
+    """Fly towards one goal for a time; for a duration of 0 or less return `at_once`.
 
-    Raises UserError if an exact one does not fit the profile.
+    Raises UserError if an exact duration does not fit the profile.
     """
     if duration_s <= 0:
         pilot.cancel(wall_ns)
@@ -317,6 +322,119 @@ def facing(north: float, east: float, drivetrain: float, yaw_mode: Yaw) -> Yaw:
 
 
 def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
-    """North and east of what is ahead of the vehicle and to its right."""
+    """A horizontal vector, given ahead of the vehicle and to its right, as north and east."""
     yaw = euler_from_quaternion(now.orientation_wxyz)[2]
     return ahead * math.cos(yaw) - right * math.sin(yaw), ahead * math.sin(yaw) + right * math.cos(yaw)
+
+
+def gains(value: object, name: str) -> Vector:
+    """The gains of three axes."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(f"{name} must be a list of three gains")
+    a, b, c = (number(each, name) for each in value)
+    if max(abs(a), abs(b), abs(c)) > LARGEST_GAIN:
+        raise ValueError(f"{name} must be within {LARGEST_GAIN:g}, not {value}")
+    return a, b, c
+
+
+def sticks(value: object, name: str) -> Sticks:
+    """The sticks in an RCData."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a map, not {type(value).__name__}")
+    positions = np.zeros(STICKS)
+    for index, stick in enumerate(STICK_NAMES):
+        positions[index] = number(value.get(stick, 0.0), stick)
+    positions[RATE_MODE] = int(number(value.get("switches", 0), "switches")) & 1
+    positions[VALID] = flag(value.get("is_valid", False), "is_valid")
+    return positions
+
+
+Gains = Annotated[Vector, gains]
+
+
+def _fly(calls: Calls, goal: Goal, duration_s: float, vehicle: str) -> Answer:
+    return fly_for(calls.scenery.flying_pilot(vehicle), goal, duration_s, calls.wall_ns)
+
+
+def _by_angles(name: str, yaw_is_rate: bool, z_mode: int) -> Callable[..., Answer]:
+    """Declare a command for an attitude, whose yaw may be a rate and whose z may be a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll: float,
+        pitch: float,
+        yaw: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        return _fly(self, goals.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
+
+    return move
+
+
+def _by_rates(name: str, z_mode: int) -> Callable[..., Answer]:
+    """Declare a command for body rates, whose z may be a throttle."""
+
+    @command(name)
+    def move(
+        self: Calls,
+        roll_rate: float,
+        pitch_rate: float,
+        yaw_rate: float,
+        z: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        return _fly(self, goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
+
+    return move
+
+
+def _set_gains(name: str, level: str) -> Callable[..., None]:
+    """Declare a call that sets the gains of one level of the cascade."""
+
+    @call(name)
+    def set_gains(self: Calls, kp: Gains, ki: Gains, kd: Gains, vehicle: VehicleName = "") -> None:
+        self.scenery.flying_pilot(vehicle).vehicle.set_gains(level, kp, ki, kd)
+
+    return set_gains
+
+
+class AttitudeApi(Calls, title="Flight"):
+    move_by_angles_z = _by_angles("moveByRollPitchYawZ", False, POSITION)
+    move_by_angles_throttle = _by_angles("moveByRollPitchYawThrottle", False, THROTTLE)
+    move_by_yaw_rate_z = _by_angles("moveByRollPitchYawrateZ", True, POSITION)
+    move_by_yaw_rate_throttle = _by_angles("moveByRollPitchYawrateThrottle", True, THROTTLE)
+    move_by_rates_z = _by_rates("moveByAngleRatesZ", POSITION)
+    move_by_rates_throttle = _by_rates("moveByAngleRatesThrottle", THROTTLE)
+    set_rate_gains = _set_gains("setAngleRateControllerGains", "rate")
+    set_angle_gains = _set_gains("setAngleLevelControllerGains", "angle")
+    set_velocity_gains = _set_gains("setVelocityControllerGains", "velocity")
+    set_position_gains = _set_gains("setPositionControllerGains", "position")
+
+    @command("moveByMotorPWMs")
+    def move_by_motor_pwms(
+        self,
+        front_right_pwm: float,
+        rear_left_pwm: float,
+        front_left_pwm: float,
+        rear_right_pwm: float,
+        duration: Seconds,
+        vehicle: VehicleName = "",
+    ) -> Answer:
+        goal = goals.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
+        return _fly(self, goal, duration, vehicle)
+
+    @call("moveByRC")
+    def move_by_rc(self, rcdata: Annotated[Sticks, sticks], vehicle: VehicleName = "") -> None:
+        """Set the sticks, which fly the vehicle while API control is off, and in moveByManual."""
+        self.scenery.flying_pilot(vehicle).move_sticks(rcdata)
+
+
+def stick_map(sticks: Sticks) -> dict[str, object]:
+    """The fields of RCData that the sticks determine."""
+    valid = bool(sticks[VALID])
+    names = zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True)
+    return {**dict(names), "switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}

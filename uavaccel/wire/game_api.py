@@ -1,4 +1,4 @@
-"""Our own calls for games: start one in a lane, fly it for simulated time, and read what became of it.
+"""Our own calls for games: they start a game in a lane, fly it for simulated time, and read its results.
 
 A state on the wire is a flat list of numbers (`encode_state`), smaller and packed faster than AirSim's maps.
 """
@@ -19,14 +19,14 @@ FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
 
 def nanoseconds(value: object, name: str) -> int:
-    """A whole number, however large."""
+    """A duration in whole nanoseconds, of any length."""
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise ValueError(f"{name} must be a whole number of nanoseconds, 0 or more, not {value!r}")
     return value
 
 
 def clock_speed(value: object, name: str) -> float:
-    """At most FASTEST; the simulation refuses what is not above 0."""
+    """A ClockSpeed of at most FASTEST; the simulation refuses 0 and below."""
     speed = number(value, name)
     if speed > FASTEST:
         raise ValueError(f"{name} must be at most {FASTEST:g}, not {speed:g}")
@@ -37,7 +37,7 @@ ClockSpeed = Annotated[float, clock_speed]
 
 
 class Collision(TypedDict):
-    """The first touch of a game: simulated ns and NED."""
+    """The first collision of a game: simulated ns and NED."""
 
     time_ns: int
     object: str
@@ -45,7 +45,7 @@ class Collision(TypedDict):
 
 
 class SpeedReport(TypedDict):
-    """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
+    """The requested and the achieved speed since the last reset, and the failure that ended the flight, if any."""
 
     clock_speed: float
     real_time_factor: float
@@ -58,19 +58,19 @@ class SpeedReport(TypedDict):
 class GameApi(Calls, title="Games"):
     @call("uavaccelState", "state")
     def state(self) -> list[float]:
-        """The present state (`encode_state`)."""
+        """Return the present state (`encode_state`)."""
         return encode_state(self.simulation.kinematics())
 
     @call("uavaccelContinueFor", "continue_for")
     def continue_for(self, duration_ns: Annotated[int, nanoseconds]) -> DeferredReply:
-        """Run for simulated nanoseconds, pause, reply the state (`encode_state`)."""
+        """Run for simulated nanoseconds, pause, and return the state (`encode_state`)."""
         reply = self.simulation.continue_for(duration_ns, self.wall_ns)
         reply.encode = encode_state
         return reply
 
     @call("uavaccelStartGame")
     def start(self, clock_speed: ClockSpeed, height_m: Coordinate = START_M[2]) -> list[float]:
-        """A settled hover at a NED z over the origin, paused, API control on, recording; replies the state."""
+        """Start a game in a settled hover at a NED z, paused, recording, with API control; returns the state."""
         simulation, wall_ns = self.simulation, self.wall_ns
         simulation.set_clock_speed(clock_speed, wall_ns)
         self.context.recorder.keep()
@@ -86,17 +86,17 @@ class GameApi(Calls, title="Games"):
 
     @call("uavaccelSetLane")
     def set_lane(self, lane: object) -> None:
-        """Lay out a lane, from a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
+        """Lay out a lane given by a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
         layout, world = lane_layout(lane), self.simulation.world
         moves = layout.scenery != world.scenery
         world.set_lane(layout)
-        if moves:  # what is kept of the model before
+        if moves:  # the scene has a new model
             self.simulation.frames.forget()
             self.scenery.forget()
 
     @call("uavaccelCollision", leaves_state=True)
     def collision(self) -> Collision | dict[str, object]:
-        """When, what and where the first touch was, simulated ns and NED; empty without one."""
+        """Return time, object and position of the first collision, in simulated ns and NED; empty without one."""
         world = self.simulation.world
         touch = world.lead.contact_log.first
         if touch is None:
@@ -109,7 +109,7 @@ class GameApi(Calls, title="Games"):
 
     @call("uavaccelSpeed", leaves_state=True)
     def speed(self) -> SpeedReport:
-        """Requested and achieved speed since the last reset, and what ended the flight, if anything did."""
+        """Return the requested and the achieved speed since the last reset, and the failure, if any."""
         speed = self.simulation.speed
         return {
             "clock_speed": float(self.simulation.clock_speed),
@@ -122,7 +122,7 @@ class GameApi(Calls, title="Games"):
 
     @call("uavaccelRecording", leaves_state=True)
     def recording(self) -> dict[str, object]:
-        """The game's samples and command log since the last reset, as raw little-endian arrays."""
+        """Return the game's samples and command log since the last reset, as raw little-endian arrays."""
         recording = self.simulation.recording()
         return {
             "samples": recording.samples.astype("<f8").tobytes(),
@@ -134,7 +134,7 @@ class GameApi(Calls, title="Games"):
 
     @call("uavaccelTrace", leaves_state=True)
     def trace(self, enabled: bool) -> list[list[object]]:
-        """Switch the trace on or off; replies, and forgets, the events so far: [event, wall ns, simulated ns]."""
+        """Switch the trace on or off; returns and clears the events so far: [event, wall ns, simulated ns]."""
         trace = self.simulation.trace
         trace.enabled = enabled
         events = [list(event) for event in trace.events]
@@ -143,7 +143,7 @@ class GameApi(Calls, title="Games"):
 
 
 def encode_state(kinematics: Kinematics) -> list[float]:
-    """Time in ns, position, wxyz, velocity, body rate and both accelerations: 20 numbers."""
+    """A state as 20 numbers: time in ns, position, wxyz, velocity, body rate and both accelerations."""
     return [
         kinematics.time_ns,
         *kinematics.position_m,

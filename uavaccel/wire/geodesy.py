@@ -1,4 +1,4 @@
-"""From latitude and longitude to NED around a home, on the WGS 84 ellipsoid.
+"""Converts latitude and longitude to NED around a home, on the WGS 84 ellipsoid.
 
 Source: AirSim v1.8.1, EarthUtils.hpp (GeodeticToNed, GeodeticToEcef), which moveToGPS uses; in doubles here, where its
 single precision resolves half a metre.
@@ -19,7 +19,7 @@ ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 
 def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
-    """The point, NED in m, seen from `home`."""
+    """The point in metres NED from `home`."""
     x, y, z = _earth_centred(point) - _earth_centred(home)
     latitude, longitude = math.radians(home.latitude), math.radians(home.longitude)
     outwards = x * math.cos(longitude) + y * math.sin(longitude)

@@ -1,43 +1,142 @@
-"""AirSim's calls about images, and our own for one bare picture.
+"""AirSim's calls about cameras and images, and our own for one raw image.
 
 Image, pose and time stamp belong to the same tick: a picture is of the moment at which the call is handled.
 Sources: AirSim v1.8.1, ImageCaptureBase.hpp, RpcLibAdaptorsBase.hpp, WorldSimApi. Formats: airsim's clients expect
 uncompressed images as blue, green, red bytes, compressed ones as PNG, float images as a row-major list.
 """
 
+# ruff: noqa: N815  the names are AirSim's
+
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
-from uavaccel.wire.arguments import Truthy, VehicleName, whole
-from uavaccel.wire.calls import Calls, call
-from uavaccel.wire.cameras import SCENE, Cameras, MountedAs
-from uavaccel.wire.image_files import Pixels, png
-from uavaccel.wire.pictures import Scene, known_type
+from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
+from uavaccel.wire.calls import Calls, PartialResult, WithoutEffect, call
+from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
+from uavaccel.wire.pictures import Pixels, Scene, encoded, known_type
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.steps import Steps
 
+NEAR_CM = 10.0  # GNearClippingPlane
+NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
 MOST_IMAGES = 64  # of one call
-OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not drawn here
-AT_ONCE = 4  # of more, each is drawn for itself, and the server looks after others between
-PIXELS_AT_ONCE = 1 << 18  # and so of more pixels
+OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not available here
+AT_ONCE = 4  # of more images each is drawn by itself, and the server serves other clients in between
+PIXELS_AT_ONCE = 1 << 18  # the same for pixels
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
 
-class ImageRequest(NamedTuple):
-    """What is asked for, by the name that the client gave the camera."""
+class CameraApi(Calls, title="Cameras and images"):
+    @call("simGetCameraInfo")
+    def info(
+        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
+    ) -> dict[str, object]:
+        """Return the pose in NED, the field of view in degrees, and the projection of NED centimetres."""
+        mounted = self._named(camera_name, vehicle, external)
+        kinematics, lens = self.scenery.truth(vehicle), mounted.lens(SCENE)
+        eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
+        local = eye._replace(position_m=self.scenery.vehicle(vehicle).local(eye.position_m))
+        matrix = {"matrix": projection(lens).tolist()}
+        return {"pose": types.pose_map(local), "fov": lens.fov_deg, "proj_mat": matrix}
 
-    camera: MountedAs
+    @call("simSetCameraPose")
+    def set_pose(
+        self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False
+    ) -> None:
+        """Set the pose relative to the vehicle, FRD; parts that are NaN stay as they are."""
+        mounted = self._named(camera_name, vehicle, external)
+        position, orientation = pose
+        keep = [any(map(math.isnan, part)) for part in (position, orientation)]
+        mounted.mount = Pose(
+            mounted.mount.position_m if keep[0] else position,
+            mounted.mount.orientation_wxyz if keep[1] else orientation,
+        )
+
+    @call("simSetCameraFov")
+    def set_fov(
+        self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
+    ) -> None:
+        """Set the horizontal field of view of all types of image."""
+        mounted = self._named(camera_name, vehicle, external)
+        if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
+            raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
+        mounted.set_fov(fov_degrees)
+
+    @call("simGetDistortionParams")
+    def distortion(
+        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
+    ) -> list[float]:
+        """Return K1, K2, K3, P1, P2."""
+        return list(self._named(camera_name, vehicle, external).distortion.values())
+
+    @call("simSetDistortionParam")
+    def set_distortion(
+        self,
+        camera_name: object,
+        param_name: object,
+        value: float,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> None:
+        """Keep a parameter, which can be read again; pictures stay undistorted."""
+        known = self._named(camera_name, vehicle, external).distortion
+        if not isinstance(param_name, str) or param_name not in known:
+            raise ValueError(f"no distortion parameter {param_name!r}; there are {', '.join(known)}")
+        known[param_name] = value
+        self.notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
+
+    def _named(self, camera: object, vehicle: str, external: bool) -> CameraMount:
+        return self.scenery.cameras(vehicle, external).named(camera)
+
+    simGetPresetLensSettings = WithoutEffect(refused=NO_LENS)
+    simGetLensSettings = WithoutEffect(refused=NO_LENS)
+    simSetPresetLensSettings = WithoutEffect(refused=NO_LENS)
+    simGetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simSetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simGetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simSetFilmbackSettings = WithoutEffect(refused=NO_LENS)
+    simGetFocalLength = WithoutEffect(refused=NO_LENS)
+    simSetFocalLength = WithoutEffect(refused=NO_LENS)
+    simEnableManualFocus = WithoutEffect(refused=NO_LENS)
+    simGetFocusDistance = WithoutEffect(refused=NO_LENS)
+    simSetFocusDistance = WithoutEffect(refused=NO_LENS)
+    simGetFocusAperture = WithoutEffect(refused=NO_LENS)
+    simSetFocusAperture = WithoutEffect(refused=NO_LENS)
+    simEnableFocusPlane = WithoutEffect(refused=NO_LENS)
+    simGetCurrentFieldOfView = WithoutEffect(refused=NO_LENS)
+
+
+def projection(lens: Lens) -> NDArray[np.float64]:
+    """AirSim's proj_mat (4, 4), for homogeneous north, east, down in the camera's frame.
+
+    Divided by the fourth row they give picture coordinates from -1 to 1, of the point on the opposite side: AirSim
+    turns north into the south that Unreal's matrix takes for ahead (PIPCamera.cpp, getProjectionMatrix).
+    """
+    half = math.tan(math.radians(lens.fov_deg) / 2)
+    across, up = max(1.0, lens.height / lens.width), max(1.0, lens.width / lens.height)
+    matrix = np.zeros((4, 4))
+    matrix[0, 1], matrix[1, 2] = across / half, -up / half
+    matrix[2, 3], matrix[3, 0] = NEAR_CM, -1.0
+    return matrix
+
+
+class ImageRequest(NamedTuple):
+    """One requested image; `camera_name` is the client's name for the camera."""
+
+    camera: CameraMount
     camera_name: str
     image_type: int
     pixels_as_float: bool
@@ -45,7 +144,7 @@ class ImageRequest(NamedTuple):
 
 
 def image_requests(value: object, name: str) -> list[object]:
-    """A list that is not too long."""
+    """A list of at most MOST_IMAGES requests."""
     if not isinstance(value, list) or len(value) > MOST_IMAGES:
         raise ValueError(f"{name} must be a list of at most {MOST_IMAGES} ImageRequest")
     return value
@@ -54,9 +153,9 @@ def image_requests(value: object, name: str) -> list[object]:
 class ImageApi(Calls, title="Cameras and images"):
     @call("uavaccelImage", "image", leaves_state=True)
     def raw_image(self, kind: object) -> dict[str, object]:
-        """One picture of this moment at AirSim's default size, as bytes, with its shape and NumPy type.
+        """Return the present picture at AirSim's default size as bytes, with its shape and NumPy type.
 
-        Gray or segmentation (H, W), colour (H, W, 3), or depth.
+        Gray, segmentation and depth have the shape (H, W), colour (H, W, 3).
         """
         if kind not in PICTURES:
             raise ValueError(f"no picture {str(kind)!r}; there are {', '.join(PICTURES)}")
@@ -72,29 +171,29 @@ class ImageApi(Calls, title="Cameras and images"):
         requests: Annotated[list[object], image_requests],
         vehicle: VehicleName = "",
         external: Truthy = False,
-    ) -> list[dict[str, object]] | Steps:
-        """All of one moment; what cannot be drawn is said in its response alone."""
+    ) -> list[dict[str, object]] | PartialResult:
+        """Return images of one moment; the response of one that cannot be drawn says why."""
         cameras = self.scenery.cameras(vehicle, external)
         asked = [image_request(request, cameras) for request in requests]
         if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
             return [self._response(request, self.scenery.truth(vehicle)) for request in asked]
         scene, kinematics = self.scenery.pictures.kept(), self.scenery.truth(vehicle)
-        return Steps(self._response(request, kinematics, scene) for request in asked)
+        return PartialResult(self._response(request, kinematics, scene) for request in asked)
 
     @call("simGetImage", "image")
     def get_image(
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
-        """One PNG."""
+        """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
-        return png(self.scenery.pictures.bgr(mounted, image_type))
+        return encoded(".png", self.scenery.pictures.bgr(mounted, image_type))
 
     def _response(
         self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None
     ) -> dict[str, object]:
         image, message = self._drawn(request, scene)
         as_float, compress = request.pixels_as_float, request.compress
-        data = b"" if as_float or message else png(image) if compress else image.tobytes()
+        data = b"" if as_float or message else encoded(".png", image) if compress else image.tobytes()
         eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         return {
             "image_data_uint8": data,
@@ -111,11 +210,11 @@ class ImageApi(Calls, title="Cameras and images"):
             "image_type": request.image_type,
         }
 
-    def _local(self, camera: MountedAs, place_m: Vector) -> Vector:
+    def _local(self, camera: CameraMount, place_m: Vector) -> Vector:
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
-        """The picture; or an empty one, and why."""
+        """The picture and an empty text; or an empty picture and the reason."""
         try:
             known_type(request.image_type)
         except ValueError as error:
@@ -133,7 +232,7 @@ def _pixels(request: ImageRequest) -> int:
 
 
 def image_request(value: object, cameras: Cameras) -> ImageRequest:
-    """An ImageRequest of the wire, whose type need not be known. Raises ValueError."""
+    """The wire's ImageRequest; its type of image is not checked. Raises ValueError."""
     if not isinstance(value, Mapping):
         raise ValueError("an ImageRequest must be a map")
     name = str(value.get("camera_name", ""))
@@ -143,7 +242,7 @@ def image_request(value: object, cameras: Cameras) -> ImageRequest:
 
 
 def lane_layout(lane: object) -> LaneLayout:
-    """The layout that a seed, a seed with a difficulty, or a mapping of obstacles stands for. Raises UserError."""
+    """The lane layout for a seed, a seed with a difficulty, or a mapping of obstacles. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")
     seed = lane["seed"] if isinstance(lane, Mapping) else lane

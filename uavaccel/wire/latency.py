@@ -1,8 +1,8 @@
 """The latency model of a simulated wall clock: how long messages take, drawn from measured quantiles.
 
-A call costs a request (from the client being ready to issue it to the server handling it) and a reply (from handled,
-or due, to the client being ready again). A channel is a kind of call that has quantiles of its own. How fast the ends
-answer depends on how long they slept before, so a channel may have quantiles for each of several waits.
+A call costs a request (from the client being ready to send it to the server handling it) and a reply (from the call
+being handled, or due, to the client being ready again). A channel is a kind of call with its own quantiles. How fast
+either end responds depends on how long it slept before, so a channel may have quantiles for several waits.
 """
 
 from __future__ import annotations
@@ -48,18 +48,20 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _row(value: object) -> object:
+def _quantile_row(value: object) -> object:
     if _is_number(value):
         raise ValueError("a factor needs the model that ships: leave out `quantiles` and rows of one's own")
     return tuple(value) if isinstance(value, list) else value
 
 
-Row = Annotated[tuple[float, ...], BeforeValidator(_row, json_schema_input_type=tuple[float, ...] | float)]
-Tables = dict[str, Row]  # microseconds at the quantiles, by channel
+QuantileRow = Annotated[
+    tuple[float, ...], BeforeValidator(_quantile_row, json_schema_input_type=tuple[float, ...] | float)
+]
+Tables = dict[str, QuantileRow]  # microseconds at the quantiles, by channel
 
 
 def after_wait(channel: str, wait_ns: int) -> str:
-    """The channel's name once the last command, or continue-for, has been waited for so long: "pause@10ms"."""
+    """The channel's name after a wait of this length for a command or a continue-for, for example "pause@10ms"."""
     return f"{channel}@{WAITS_MS[bisect_left(BETWEEN_NS, wait_ns)]}ms"
 
 
@@ -125,14 +127,12 @@ ZERO_LATENCY = LatencyConfig()
 
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
-    """The model that ships for a profile: measured by `uavaccel calibrate`, or AirSim's as experiments/fit_airsim.py
-    found it.
-    """
+    """The shipped model of a profile: `uavaccel calibrate` measured it; experiments/fit_airsim.py fitted AirSim's."""
     return read_latency(experiment(SHIPPED[profile]))
 
 
 def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
-    """The model that ships for the profile of a configuration's fields."""
+    """The shipped model for the key `profile` among a configuration's fields."""
     return shipped_latency(str(fields.get("profile", "native")))
 
 
@@ -149,7 +149,7 @@ class _LatencyFile(Config):
 
 
 def _completed(block: Mapping[str, object], shipped: Mapping[str, object]) -> dict[str, object]:
-    """The shipped model's block with the keys of `block` in it, however deep; factors multiply their channel's rows."""
+    """The shipped model's block, updated recursively with the keys of `block`; factors scale their channel's rows."""
     result = dict(shipped)
     for key, value in block.items():
         if isinstance(value, Mapping) and isinstance(below := result.get(key), Mapping):
@@ -162,9 +162,9 @@ def _completed(block: Mapping[str, object], shipped: Mapping[str, object]) -> di
 def _scaled(
     direction: str, factors: Mapping[str, float], tables: Mapping[str, Sequence[float]]
 ) -> dict[str, Sequence[float]]:
-    """A direction's rows, those of each channel named times its factor, after any wait unless one is named.
+    """A direction's rows with each named channel's multiplied by its factor, for all waits unless one is named.
 
-    A channel that has no row of its own gets one, of what it was drawn from.
+    A channel without a row of its own gets the scaled row from which it was drawn before.
     """
     result = dict(tables)
     for channel, factor in factors.items():
@@ -181,7 +181,7 @@ def _scaled(
 
 
 def _changes_what_ships(block: Mapping[str, object]) -> bool:
-    """Whether a block has neither quantiles nor rows of its own."""
+    """Whether a block only changes the shipped model: it has neither quantiles nor rows."""
     rows = [block[direction] for direction in DIRECTIONS if direction in block]
     return "quantiles" not in block and all(
         isinstance(each, Mapping) and each and all(map(_is_number, each.values())) for each in rows
@@ -210,9 +210,10 @@ for the `profile`, a field that has to stand before it. A block without `quantil
 
 
 class Latency:
-    """Draws latencies in nanoseconds; one generator per channel, so the order on one never disturbs another."""
+    """Draws latencies in nanoseconds from one generator per channel, so that channels do not affect each other."""
 
     def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
+        self.platform = config.platform
         self._config = config
         self._seed = seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
@@ -222,7 +223,7 @@ class Latency:
         self.stall_ns = round(config.platform.stall_us * 1e3)
 
     def waited(self, wait_ns: int) -> None:
-        """A command or a continue-for took so long, and both ends may have slept."""
+        """Note how long a command or a continue-for was waited for, while both ends may have slept."""
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
@@ -240,12 +241,12 @@ class Latency:
         return self._draw("timer", "", {"": self._config.timer_us})
 
     def frame_ns(self) -> int:
-        """How long a frame is waited for: even up to two periods."""
+        """How long a frame is waited for: uniform from 0 to two periods."""
         longest_us = 2 * self._config.platform.frame_ns() / 1e3
         return self._draw("frame", "", {"": tuple(longest_us * share for share in self._config.quantiles)})
 
     def _fault_ns(self, direction: str) -> int:
-        """How long a fault of the connection holds up the next message of a direction."""
+        """How long a fault of the connection delays the next message of a direction."""
         faults, key = self._faults, ("fault", direction)
         if faults is None:
             return 0
@@ -256,7 +257,7 @@ class Latency:
         return next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
-        if self._config is ZERO_LATENCY:  # which flights by the million draw from
+        if self._config is ZERO_LATENCY:  # the fast path of millions of flights
             return 0
         name = channel if self._wait_ns is None else after_wait(channel, self._wait_ns)
         if name not in tables:
@@ -269,7 +270,7 @@ class Latency:
         return next(stream)
 
     def _stream(self, name: str, table: Numbers, drawn: int) -> Iterator[int]:
-        """The latencies of one channel after the first `drawn` of them."""
+        """One channel's latencies after the first `drawn` ones."""
         if not any(table):
             while True:
                 yield 0
@@ -279,21 +280,21 @@ class Latency:
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
 
     def _generator(self, name: str, drawn: int) -> np.random.Generator:
-        """A generator of its own by the name, `drawn` numbers on: a number takes one step."""
+        """The generator of this name, advanced by `drawn` numbers: one step each."""
         key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
         generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
         generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]
         return generator
 
     def get_state(self) -> State:
-        """Where the draws stand, and what they are drawn from."""
+        """The state of all generators, and the quantiles from which they draw."""
         entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
         state: State = {"config": self._config.model_dump_json(), "wait_ns": optional(self._wait_ns)}
         state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
         return state | prefixed("drawn", {" ".join(key): count for key, count in self._drawn.items()})
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave. Raises UserError if these are not the quantiles that it drew from."""
+        """Restore what `get_state` returned. Raises UserError if it was taken with other quantiles."""
         if str(state["config"]) != self._config.model_dump_json():
             raise UserError("latency: the state was saved with other quantiles; open the session with those")
         entropy = [int(number) for number in state["entropy"]]

@@ -1,37 +1,53 @@
-"""AirSim's calls about a scene's objects: found, moved, scaled, spawned, destroyed, given segmentation IDs.
+"""AirSim's calls about a scene's objects: poses, scales, spawning, segmentation IDs, and detection by cameras.
 
-Source: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts).
+Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComponent.cpp. An object is detected if a
+ray from the camera meets it at one of the points of its bounding box.
 """
 
 # ruff: noqa: N815  the names are AirSim's
 
 from __future__ import annotations
 
+import fnmatch
 import math
+from collections import defaultdict
+from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.poses import Pose
+from uavaccel.sim.scene.bounds import LONGEST_NAME
 from uavaccel.sim.scene.objects import ASSETS
+from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, finite
-from uavaccel.wire.calls import Calls, WithoutEffect, call
+from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, VehicleName, finite
+from uavaccel.wire.calls import CallContext, Calls, WithoutEffect, call
+from uavaccel.wire.cameras import CameraMount
+from uavaccel.wire.pictures import known_type
 from uavaccel.wire.vehicles import put_at
 
 NAN = math.nan
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
 NO_EDITOR = "there is no Unreal engine"
+DEFAULT_RADIUS_M = 200.0
+MOST_NAMES = 256  # patterns per filter
+INSIDE = 0.98  # of the way from a box's centre to its corners: rays to the very edge may miss it
 
 
 class ObjectApi(Calls, title="Objects"):
-    """Poses are the world's."""
+    """Calls about objects; poses are in the world's frame."""
 
     @call("simListSceneObjects")
     def listed(self, name_regex: ObjectName = ".*") -> list[str]:
-        """Objects and vehicles."""
+        """List the objects and vehicles whose names match."""
         return self.scenery.named_like(name_regex)
 
     @call("simGetObjectPose")
     def pose(self, object_name: ObjectName, ned: object = True) -> dict[str, dict[str, float]]:
-        """Of an object or a vehicle; not a number for what is not there. Always NED."""
+        """Return the pose of an object or a vehicle, always NED; NaN if there is none of that name."""
         for vehicle in self.simulation.world.vehicles:
             if object_name == vehicle.name:
                 return types.pose_map(vehicle.kinematics(in_world=True))
@@ -39,19 +55,19 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simSetObjectPose")
     def set_pose(self, object_name: ObjectName, pose: AnyPose, teleport: object = True) -> bool:
-        """It is put there at once, whatever is on the way."""
+        """Teleport an object or a vehicle; returns whether there is one."""
         for pilot in self.simulation.pilots:
             if object_name == pilot.vehicle.name:
                 local = pose._replace(position_m=pilot.vehicle.local(pose.position_m))
                 self.simulation.world.teleport(pilot.vehicle, *put_at(pilot, local))
                 return True
         if self.scenery.objects.geom(object_name) is None:
-            return False  # as AirSim: its pose, not a number, may be what is set
+            return False  # as in AirSim, even for a pose that is NaN
         return self.scenery.objects.set_pose(object_name, finite(pose))
 
     @call("simGetObjectScale")
     def scale(self, object_name: ObjectName) -> dict[str, float]:
-        """0 for what is not there."""
+        """Return the scale of an object; 0 if there is none of that name."""
         return types.vector_map(self.scenery.objects.scale(object_name) or (0.0, 0.0, 0.0))
 
     @call("simSetObjectScale")
@@ -68,7 +84,7 @@ class ObjectApi(Calls, title="Objects"):
         physics_enabled: Truthy = False,
         is_blueprint: object = False,
     ) -> str:
-        """Returns the name that it has got."""
+        """Add an object, and return the name that it was given."""
         name = self.scenery.objects.spawn(object_name, asset_name, pose, scale)
         self.scenery.segmentation.spawned(name)
         if physics_enabled:
@@ -85,7 +101,7 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simLoadLevel")
     def load_level(self, level_name: object) -> bool:
-        """True for the scene that is there. Raises ValueError for another."""
+        """Return True for the present scene. Raises ValueError for any other."""
         scene = self.simulation.world.scene
         if level_name != scene:
             raise ValueError(
@@ -102,11 +118,126 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simGetSegmentationObjectID")
     def segmentation_id(self, mesh_name: ObjectName) -> int:
-        """-1 for what is not there."""
+        """Return the segmentation ID of an object; -1 if there is none of that name."""
         return self.scenery.segmentation.id(self.scenery.named(mesh_name))
 
-    simSwapTextures = WithoutEffect([])  # of the objects whose textures were swapped
+    simSwapTextures = WithoutEffect([])  # the names of the objects whose textures were swapped
     simSetObjectMaterial = WithoutEffect(refused=NO_EDITOR)
     simSetObjectMaterialFromTexture = WithoutEffect(refused=NO_EDITOR)
     simGetMeshPositionVertexBuffers = WithoutEffect(refused=NO_EDITOR)
     simCreateVoxelGrid = WithoutEffect(refused="a client does not write files on the server")
+
+
+@dataclass
+class DetectionFilter:
+    """The objects that one camera detects: name patterns with * and ?, within a radius."""
+
+    patterns: list[str] = field(default_factory=list)
+    radius_m: float = DEFAULT_RADIUS_M
+
+    def matches(self, name: str) -> bool:
+        return any(fnmatch.fnmatchcase(name.lower(), pattern.lower()) for pattern in self.patterns)
+
+
+class DetectionApi(Calls, title="Objects"):
+    def __init__(self, context: CallContext) -> None:
+        super().__init__(context)
+        self._filters: dict[tuple[str, bool, int, int], DetectionFilter] = defaultdict(DetectionFilter)
+
+    @call("simAddDetectionFilterMeshName")
+    def add_name(
+        self,
+        camera_name: object,
+        image_type: int,
+        mesh_name: object,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> None:
+        found = self._filter(camera_name, image_type, vehicle, external)[1]
+        name = str(mesh_name)
+        if len(found.patterns) >= MOST_NAMES or len(name) > LONGEST_NAME:
+            raise ValueError(f"there may be {MOST_NAMES} names of {LONGEST_NAME} characters, not more")
+        if name not in found.patterns:
+            found.patterns.append(name)
+
+    @call("simSetDetectionFilterRadius")
+    def set_radius(
+        self,
+        camera_name: object,
+        image_type: int,
+        radius_cm: float,
+        vehicle: VehicleName = "",
+        external: Truthy = False,
+    ) -> None:
+        self._filter(camera_name, image_type, vehicle, external)[1].radius_m = radius_cm / 100
+
+    @call("simClearDetectionMeshNames")
+    def clear(
+        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
+    ) -> None:
+        self._filter(camera_name, image_type, vehicle, external)[1].patterns.clear()
+
+    @call("simGetDetections")
+    def detections(
+        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
+    ) -> list[dict[str, object]]:
+        mounted, found = self._filter(camera_name, image_type, vehicle, external)
+        kinematics = self.scenery.truth(vehicle)
+        eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
+        names = [name for name in self.scenery.objects.names() if found.matches(name)]
+        seen = (self._detection(name, eye, mounted.lens(image_type), found.radius_m) for name in names)
+        return [one for one in seen if one is not None]
+
+    def _filter(
+        self, camera: object, image_type: int, vehicle: str, external: bool
+    ) -> tuple[CameraMount, DetectionFilter]:
+        mounted = self.scenery.cameras(vehicle, external).named(camera)
+        kind = known_type(image_type)
+        return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, kind]
+
+    def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, object] | None:
+        objects = self.scenery.objects
+        pose = objects.pose(name) or Pose()
+        corners = objects.corners(name)
+        if np.linalg.norm(np.array(pose.position_m) - eye.position_m) > radius_m:
+            return None
+        box = picture_box(eye.inwards(corners), lens)
+        if box is None or not self._is_visible(name, corners, eye):
+            return None
+        (left, top), (right, bottom) = box
+        inside = eye.inwards(corners)
+        low, high = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
+        return {
+            "name": name,
+            "geo_point": types.geo_map(geographic(pose.position_m, self.scenery.settings.home)),
+            "box2D": {
+                "min": {"x_val": left, "y_val": top},
+                "max": {"x_val": right, "y_val": bottom},
+            },
+            "box3D": {"min": types.vector_map(low), "max": types.vector_map(high)},
+            "relative_pose": types.pose_map(eye.inwards_pose(pose)),
+        }
+
+    def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose) -> bool:
+        world = self.simulation.world
+        middle = corners.mean(axis=0)
+        points = np.vstack(
+            [middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)]
+        )
+        ways = points - np.array(eye.position_m)
+        lengths = np.linalg.norm(ways, axis=1)
+        far = lengths > 0
+        hits = cast(world.model, world.data, eye.position_m, ways[far] / lengths[far, None])
+        return bool((hits.geoms == self.scenery.objects.geom(name)).any())
+
+
+def picture_box(corners: NDArray[np.float64], lens: Lens) -> tuple[list[float], list[float]] | None:
+    """The first and last pixel of a box with corners (8, 3) in the camera's frame; None outside of the picture."""
+    ahead = corners[corners[:, 0] > 1e-3]
+    if not len(ahead):
+        return None
+    focal = lens.width / 2 / np.tan(np.radians(lens.fov_deg) / 2)
+    size = np.array([lens.width, lens.height], float)
+    pixels = size / 2 + focal * ahead[:, 1:] / ahead[:, :1]
+    low, high = np.clip(pixels.min(axis=0), 0, size), np.clip(pixels.max(axis=0), 0, size)
+    return None if (low >= high).any() else (low.tolist(), high.tolist())

@@ -1,4 +1,4 @@
-"""AirSim's types of image, drawn for one camera at the moment of the call.
+"""Draws AirSim's types of image for one camera, at the moment of the call, and encodes them as files.
 
 Sources: AirSim v1.8.1, docs/image_apis.md (what the numbers of each type mean), ImageCaptureBase.hpp (types),
 Examples/DataCollection/StereoImageGenerator.hpp (disparity).
@@ -10,6 +10,7 @@ import math
 from enum import IntEnum
 from typing import TypeAlias
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,14 @@ from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import vehicle_pose
 from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
-from uavaccel.wire.cameras import MountedAs
+from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.segmentation import Segmentation, colours
+
+Pixels = NDArray[np.uint8] | NDArray[np.float32]
 
 
 class ImageType(IntEnum):
-    """AirSim's numbers."""
+    """AirSim's numbers of its types of image."""
 
     SCENE = 0
     DEPTH_PLANAR = 1
@@ -36,7 +39,7 @@ class ImageType(IntEnum):
 
 
 Scene: TypeAlias = NDArray[np.float64] | None
-"""What there was to see, as `Pictures.kept` gives it; None for the present."""
+"""The positions of everything at an earlier moment, from `Pictures.kept`; None is the present."""
 MOST_PIXELS = 1 << 23  # of one picture: more than 3840 x 2160
 RAYS_AT_ONCE = 1 << 16
 DEPTH_VIS_FAR_M = 100.0
@@ -50,7 +53,7 @@ _DEPTHS = (
 
 
 class Pictures:
-    """Images of one simulation. `render` False refuses them all, and costs nothing."""
+    """Draws the images of one simulation. With `render` False it refuses them all, and costs nothing."""
 
     def __init__(
         self, simulation: Simulation, largest: tuple[int, int], segmentation: Segmentation, render: bool
@@ -61,18 +64,18 @@ class Pictures:
         self.render = render
         self._drawn_later: mujoco.MjData | None = None
 
-    def floats(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
-        """One number per pixel (height, width): metres, shares, or the first channel of another image from 0 to 1.
+    def floats(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
+        """An image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1.
 
-        Of the present, or of a `scene` that was kept.
+        It shows the present, or a `scene` from `kept`.
         """
         kind, shown = known_type(image_type), self._shown(scene)
         if kind in _DEPTHS:
             return self._depth(camera, kind, shown)
         return (self.bgr(camera, kind, scene)[..., 2] / np.float32(255)).astype(np.float32)
 
-    def bgr(self, camera: MountedAs, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
-        """Blue, green, red (height, width, 3); of the present, or of a `scene` that was kept."""
+    def bgr(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
+        """An image (height, width, 3) of blue, green and red; it shows the present, or a `scene` from `kept`."""
         kind, shown = known_type(image_type), self._shown(scene)
         if kind == ImageType.SCENE:
             return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
@@ -88,18 +91,18 @@ class Pictures:
         return _gray(np.rint(share * 255).astype(np.uint8))
 
     def kept(self) -> NDArray[np.float64]:
-        """What there is to see now, to be drawn later."""
+        """The present scene, to be drawn later."""
         pose: NDArray[np.float64] = self._shown(None).qpos.copy()
         return pose
 
     def warm_up(self) -> None:
-        """Draw once, so that the first image that is asked for takes no longer than others. Raises UserError."""
-        front = MountedAs("front_center", FRONT_CENTER, {})
+        """Draw once, so that the first requested image takes no longer than others. Raises UserError without OpenGL."""
+        front = CameraMount("front_center", FRONT_CENTER, {})
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
             self.bgr(front, image_type)
 
-    def _depth(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
-        """Metres, or for the two that are shares from 0 to 1."""
+    def _depth(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
+        """The depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
         pointed = self._pointed(camera, kind, scene)
         if kind == ImageType.DEPTH_PERSPECTIVE:
             return pointed.depth_perspective(scene)
@@ -111,16 +114,16 @@ class Pictures:
             depth_m = np.minimum(np.float32(BASELINE_M / (2 * half_width)) / depth_m, np.float32(1.0))
         return depth_m
 
-    def _object_ids(self, camera: MountedAs, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
+    def _object_ids(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.int64]:
         return self._segmentation.ids(self._pointed(camera, kind, scene).segmentation(scene))
 
-    def _normals(self, camera: MountedAs, scene: mujoco.MjData) -> NDArray[np.uint8]:
-        """North, east and up of the surface's normal as red, green and blue: -1 is 0, 1 is 255; the sky is black."""
+    def _normals(self, camera: CameraMount, scene: mujoco.MjData) -> NDArray[np.uint8]:
+        """The surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
         lens = camera.lens(ImageType.SURFACE_NORMALS)
         self._check_drawable(lens)
         eye = camera.eye(vehicle_pose(scene, camera.carrier))
         picture, rows = np.empty((lens.height, lens.width, 3), np.uint8), max(RAYS_AT_ONCE // lens.width, 1)
-        for top in range(0, lens.height, rows):  # a ray takes a hundred bytes on its way
+        for top in range(0, lens.height, rows):  # casting takes a hundred bytes per ray
             directions = pixel_rays(lens, range(top, min(top + rows, lens.height))) @ eye.matrix().T
             hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
             rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
@@ -128,8 +131,8 @@ class Pictures:
             picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]
         return picture
 
-    def _pointed(self, camera: MountedAs, image_type: int, scene: mujoco.MjData) -> MountedCamera:
-        """What draws, pointed. Raises ValueError where rendering is switched off, UserError without OpenGL."""
+    def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
+        """The renderer, pointed as the camera is. Raises ValueError if rendering is off, UserError without OpenGL."""
         lens = camera.lens(image_type)
         self._check_drawable(lens)
         width, height = self._largest
@@ -148,7 +151,7 @@ class Pictures:
             )
 
     def _shown(self, scene: Scene) -> mujoco.MjData:
-        """What there is to see: what was kept, the present, or what a modelled renderer shows."""
+        """The scene to draw: a kept one, the present, or the frame that a modelled renderer shows."""
         world = self._simulation.world
         if scene is None:
             return self._simulation.frames.scene(world.data)
@@ -161,12 +164,12 @@ class Pictures:
 
 
 def can_draw(lens: Lens) -> bool:
-    """Whether its pictures are not too large."""
+    """Whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 
 
 def known_type(image_type: int) -> ImageType:
-    """Raises ValueError for a type that is not drawn here."""
+    """The type of image of this number. Raises ValueError for a type that is not available here."""
     try:
         return ImageType(image_type)
     except ValueError:
@@ -175,7 +178,7 @@ def known_type(image_type: int) -> ImageType:
 
 
 def pixel_rays(lens: Lens, rows: range) -> NDArray[np.float64]:
-    """Unit vectors (rows, width, 3), FRD, through the middles of the pixels of some rows."""
+    """Unit vectors (rows, width, 3), FRD, through the centres of the pixels in some rows."""
     pixel = 2 * math.tan(math.radians(lens.fov_deg) / 2) / lens.width
     right = (np.arange(lens.width) + 0.5 - lens.width / 2) * pixel
     down = (np.array(rows) + 0.5 - lens.height / 2) * pixel
@@ -185,3 +188,17 @@ def pixel_rays(lens: Lens, rows: range) -> NDArray[np.float64]:
 
 def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image[..., None], 3, axis=2)
+
+
+def encoded(suffix: str, image: Pixels) -> bytes:
+    """The bytes of an image file of blue, green, red pixels: ".png" or ".ppm". Raises ValueError."""
+    done, data = cv2.imencode(suffix, image)
+    if not done:
+        raise ValueError("the image could not be compressed")
+    return data.tobytes()
+
+
+def pfm(numbers: NDArray[np.float32]) -> bytes:
+    """A portable float map: one number per pixel, little endian, the bottom row first."""
+    height, width = numbers.shape
+    return f"Pf\n{width} {height}\n-1.0\n".encode() + numbers[::-1].astype("<f4").tobytes()

@@ -1,4 +1,4 @@
-"""What a modelled simulator costs beside its messages: its ticks, its frames, and a connection that fails at times."""
+"""The model of the simulator's side: what its ticks and frames cost, and the faults of its connection."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algori
 
 
 class FrameConfig(Config):
-    """Unreal's frames (uavaccel.sim.frames)."""
+    """The model of Unreal's frames (uavaccel.sim.frames)."""
 
     hz: Annotated[float, Field(ge=0.0, le=1e5)] = 0.0
-    """Frames per wall second; 0: an image is drawn when it is asked for."""
+    """Frames per wall second; with 0 an image is drawn when it is requested."""
 
     @field_validator("hz")
     @classmethod
@@ -33,16 +33,16 @@ class FrameConfig(Config):
         return hz
 
     stale_pose: bool = False
-    """Images show the pose of the last frame before a pause."""
+    """Whether images show the pose of the last frame before a pause."""
     after_continue: bool = False
-    """The reply of a continue-for waits for a frame too, the simulation paused."""
+    """Whether the reply of a continue-for also waits for a frame, while the simulation is paused."""
 
 
 class FaultConfig(Config):
-    """Shares of the messages, of either direction, that something happens to."""
+    """The fractions of messages, in either direction, that suffer a fault."""
 
     dropped: Share = 0.0
-    """Lost, and sent again after TCP's least time-out of 200 ms."""
+    """Lost, and sent again after TCP's minimum time-out of 200 ms."""
     stalled: Share = 0.0
     """Held until a delayed acknowledgement comes, 40 ms."""
     late: Share = 0.0
@@ -51,26 +51,26 @@ class FaultConfig(Config):
 
 
 class PlatformConfig(Config):
-    """The simulator's side of a modelled wall clock; by default it costs nothing and nothing fails."""
+    """The simulator's side of a modelled wall clock; by default it costs nothing and has no faults."""
 
     tick_us: LatencyUs = 0.0
-    """Wall time that a tick of physics takes; the speed saturates at the tick over it."""
+    """Wall time of a physics tick; the speed saturates at the tick's duration divided by it."""
     integer_clock_speed: bool = False
-    """A ClockSpeed above 1 loses its fraction, as in AirSim."""
+    """Whether a ClockSpeed above 1 loses its fraction, as in AirSim."""
     stall_us: LatencyUs = 0.0
-    """A request that follows a command whose reply is still out waits so long after it: 40 000 for AirSim's client
-    on a connection with Nagle's algorithm and delayed acknowledgements."""
+    """Delay of a request that follows a command without a reply yet: 40 000 for AirSim's client on a connection with
+    Nagle's algorithm and delayed acknowledgements."""
     frames: FrameConfig = FrameConfig()
     faults: FaultConfig = FaultConfig()
     goal_timeout_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.06
-    """AirSim's api_goal_timeout: simulated time without a new goal after which position hold sets in."""
+    """AirSim's api_goal_timeout: simulated time without a new goal after which position hold begins."""
     exact_pauses: bool = False
-    """A continue-for ends on the tick, as in the profile `native`, and not with a wall timer."""
+    """Whether a continue-for ends on the tick, as in the profile `native`, instead of by a wall timer."""
     scalable_clock: bool = False
-    """AirSim's ScalableClock: the period of the loop stays 3 ms of wall time, and the step grows with ClockSpeed."""
+    """Whether the clock is AirSim's ScalableClock: a loop of 3 ms of wall time, whose step grows with ClockSpeed."""
 
     def profile(self, name: str, clock_speed: float) -> Profile:
-        """The profile of that name, changed as the keys above say; `native` stays as it is."""
+        """The profile of that name, modified by the keys above; `native` is not modified."""
         if name != AIRSIM.name:
             return PROFILES[name]
         step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
@@ -82,16 +82,16 @@ class PlatformConfig(Config):
         return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
 
     def frame_ns(self) -> int:
-        """From one frame to the next; 0 without frames."""
+        """The period of the frames; 0 without frames."""
         return round(1e9 / self.frames.hz) if self.frames.hz else 0
 
     def new_frames(self, wait_ns: Callable[[], int]) -> Frames:
-        """The frames of one game; `wait_ns` draws how long one is waited for."""
+        """The frames of one game; `wait_ns` draws how long a frame is waited for."""
         return Frames(self.frame_ns(), self.frames.stale_pose, self.frames.after_continue, wait_ns)
 
 
 def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:
-    """What each message of a stream is held up by; one number is drawn for each."""
+    """The delays of a stream's messages; one number is drawn for each message."""
     at = np.cumsum([faults.dropped, faults.stalled, faults.late])
     delays = (RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0)
     while True:

@@ -1,4 +1,4 @@
-"""AirSim's recorder on the wire: startRecording, stopRecording, and what is written between them.
+"""AirSim's recorder: what startRecording and stopRecording write to files.
 
 Source of the format: AirSim v1.8.1, RecordingFile.cpp and PawnSimApi.cpp (tab separated; time in whole milliseconds;
 ground truth in the vehicle's NED frame; images in a folder beside, named in the last column).
@@ -19,8 +19,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
-from uavaccel.wire.image_files import image_file
-from uavaccel.wire.pictures import known_type
+from uavaccel.wire.pictures import encoded, known_type, pfm
 from uavaccel.wire.scenery import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
@@ -32,9 +31,9 @@ FOLDERS_AT_ONCE = 20
 class Recorder:
     """Starts and stops a simulation's recorder.
 
-    With a `folder` the samples go to a file in a dated folder below it, and the images that the settings list beside
-    it; without one the samples stay in the simulation's bounded buffer. `say` tells where. What writes raises OSError,
-    and closes the file.
+    With a `folder`, the samples and the images that the settings list are written to a dated folder in it, which `say`
+    names; without one the samples stay in the simulation's bounded buffer. Methods that write raise OSError, after
+    which the file is closed.
     """
 
     def __init__(self, scenery: Scenery, folder: Path | None, say: Callable[[str], None]) -> None:
@@ -52,7 +51,7 @@ class Recorder:
         self._folders, self._counted_ns = 0, 0
 
     def _check_cameras(self) -> None:
-        """Raise UserError, naming the key, for an image of the settings that cannot be taken."""
+        """Raise UserError, naming the key, for an image in the settings that cannot be taken."""
         for number, wanted in enumerate(self._settings.cameras):
             try:
                 self._scenery.cameras().named(wanted.camera_name)
@@ -61,9 +60,10 @@ class Recorder:
                 raise UserError(f"Recording.Cameras.{number}: {error}") from None
 
     def start(self, wall_ns: int = 0) -> None:
-        """Begin a recording, and a file of its own; one that runs is stopped.
+        """Start a recording with a file of its own; stops a running one.
 
-        Raises ValueError for more than FOLDERS_AT_ONCE files, and one for each second of wall time besides.
+        Raises ValueError for more than FOLDERS_AT_ONCE recordings in quick succession: one per wall second is allowed
+        in the long run.
         """
         if self._folder is not None:
             self._count_folder(wall_ns)
@@ -82,7 +82,7 @@ class Recorder:
             raise
 
     def _count_folder(self, wall_ns: int) -> None:
-        """Else a client would fill the disk with folders, a hundred a second."""
+        """Limit the rate of recordings: a client could fill the disk with a hundred folders per second."""
         passed = (wall_ns - self._counted_ns) // NS_PER_S
         self._folders = max(self._folders - passed, 0)
         self._counted_ns += passed * NS_PER_S
@@ -93,7 +93,7 @@ class Recorder:
         self._folders += 1
 
     def stop(self) -> None:
-        """End it; the file has all samples."""
+        """Stop the recording, and write all samples to the file."""
         self._simulation.world.stop_recording()
         self._simulation.records_game = True
         self._stop_watching()
@@ -104,7 +104,7 @@ class Recorder:
             self._file = None
 
     def keep(self) -> None:
-        """Move the samples to the file, before the buffer is full or a reset empties it."""
+        """Write the samples to the file; to be called before the buffer is full or a reset empties it."""
         if self._file is None:
             return
         rows = self._simulation.world.take_samples()
@@ -112,18 +112,18 @@ class Recorder:
             self._file.writelines(self._line(row) for row in rows if self._is_new(row))
             self._file.flush()
         except OSError:
-            self._file = None  # what is lost is lost; the flight goes on
+            self._file = None  # the flight continues without a recording
             raise
 
     def go_through(self, reset: Callable[[bool], None]) -> None:
-        """Let `reset`, which is told whether there is a recording, go by; the recording begins its grid anew."""
+        """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""
         self.keep()
         reset(self._simulation.world.recording)
         if self._simulation.world.recording:
             self._watch()
 
     def _watch(self) -> None:
-        """Take the images that the settings list at each sample from now on."""
+        """Take the images that the settings list, at each sample from now on."""
         world = self._simulation.world
         self._stop_watching()
         if self._file is None or not self._settings.cameras or not self._scenery.render:
@@ -135,7 +135,7 @@ class Recorder:
         )
 
     def _take_images_or_end(self, tick: int) -> None:
-        """In the middle of a flight, which goes on."""
+        """Take the images; an error ends the recording of images, and not the flight."""
         try:
             self._take_images(tick)
         except (OSError, ValueError, UserError) as error:
@@ -151,22 +151,26 @@ class Recorder:
         stamp = types.stamp(self._simulation.time_of(tick))
         names = []
         for wanted in self._settings.cameras:
-            suffix, content = image_file(self._scenery, wanted)
-            camera = self._scenery.cameras().named(wanted.camera_name).name
-            parts = (self._vehicle, camera, str(wanted.image_type), str(stamp))
+            camera, pictures = self._scenery.cameras().named(wanted.camera_name), self._scenery.pictures
+            suffix = ".pfm" if wanted.pixels_as_float else ".png" if wanted.compress else ".ppm"
+            if wanted.pixels_as_float:
+                content = pfm(pictures.floats(camera, wanted.image_type))
+            else:
+                content = encoded(suffix, pictures.bgr(camera, wanted.image_type))
+            parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)
             names.append(name)
         self._images[tick] = ";".join(names)
 
     def _is_new(self, row: NDArray[np.float64]) -> bool:
-        """Whether the sample is to be written: RecordOnMove leaves out those of a pose that has not changed."""
+        """Whether a sample is to be written: RecordOnMove omits those whose pose has not changed."""
         pose, before = row[1:8].tolist(), self._last_pose
         self._last_pose = pose
         return not (self._settings.record_on_move and pose == before)
 
     def _line(self, row: NDArray[np.float64]) -> str:
-        """One sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
+        """The line of one sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
         tick = int(row[0])
         time_ms = types.stamp(self._simulation.time_of(tick)) // 1_000_000
         pose = (f"{value:.9g}" for value in row[1:8])
@@ -174,7 +178,7 @@ class Recorder:
 
 
 def _new_folder(parent: Path) -> Path:
-    """A folder named by date and time, as AirSim's; numbered if one was made in the same second."""
+    """Make a folder named by date and time, as AirSim does; numbered if there is one of the same second."""
     stamp = calendar_time()[:19].replace("T", "-").replace(":", "-")
     for number in itertools.count(1):
         folder = parent / (stamp if number == 1 else f"{stamp}-{number}")

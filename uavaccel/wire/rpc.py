@@ -1,6 +1,6 @@
-"""msgpack-rpc as AirSim's rpclib speaks it: messages, framing and error texts. No socket.
+"""msgpack-rpc as AirSim's rpclib speaks it: messages, framing and error texts, without sockets.
 
-Request [0, id, method, params], response [1, id, error, result], notification [2, method, params].
+A request is [0, id, method, params], a response [1, id, error, result], a notification [2, method, params].
 """
 
 from __future__ import annotations
@@ -13,20 +13,24 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-Received: TypeAlias = Any  # what a message carries, as msgpack reads it: its reader knows the call
+Received: TypeAlias = Any  # a value of a message as msgpack reads it; its reader knows the call's types
 
+LOOPBACK, PORT = "127.0.0.1", 41451  # where AirSim's servers listen
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
-MAX_HEAD_BYTES = 128  # in which the method's name is
-MAX_ITEMS = 1 << 14  # of an array: room is made for as many as it announces, at every level of nesting
-
-
+MAX_HEAD_BYTES = 128  # the beginning of a message, which has the method's name
+MAX_ITEMS = 1 << 14  # of an array: msgpack allocates as many as it announces, at every level of nesting
 _FLOAT32, _ARRAY32 = 0xCA, b"\xdd"  # MessagePack's
 _PACKED_FLOAT = 5  # bytes of one
+_LONGEST_HEAD = 16  # bytes of a message's outermost array header, its kind and its number
+_BEGINNINGS = (  # headers of arrays of three or four: a notification, a request
+    *(b"\x93", b"\x94", b"\xdc\x00\x03", b"\xdc\x00\x04"),
+    *(b"\xdd\x00\x00\x00\x03", b"\xdd\x00\x00\x00\x04"),
+)
 
 
 class RpcError(Exception):
-    """A call failed; the text is what the client gets, `reason` what of it is not rpclib's phrase."""
+    """A failed call; its text is the client's error, `reason` the part that is not rpclib's phrase."""
 
     def __init__(self, text: str, reason: str = "") -> None:
         super().__init__(text)
@@ -34,9 +38,9 @@ class RpcError(Exception):
 
 
 class ProtocolError(Exception):
-    """Bytes that are no msgpack-rpc; the connection cannot go on.
+    """A stream that is not msgpack-rpc; the connection cannot continue.
 
-    `message_id` is that of the request of which they were to be one, where that is known.
+    `message_id` is the number of the broken request, if it is known.
     """
 
     def __init__(self, text: str, message_id: int | None = None) -> None:
@@ -46,7 +50,7 @@ class ProtocolError(Exception):
 
 @dataclass(frozen=True)
 class RpcRequest:
-    """A call; `message_id` is None for a notification, which gets no answer."""
+    """A request; `message_id` is None for a notification, which gets no answer."""
 
     message_id: int | None
     method: str
@@ -54,13 +58,13 @@ class RpcRequest:
 
 
 class Decoder:
-    """Turns a byte stream into requests, or responses; raises ProtocolError on anything else."""
+    """Decodes a stream of bytes into messages; raises ProtocolError for anything else."""
 
     def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES, max_items: int = MAX_ITEMS) -> None:
         self._unpacker = msgpack.Unpacker(max_buffer_size=max_message_bytes, **_unpacking(max_items))
 
     def messages(self, data: bytes) -> Iterator[list[Received]]:
-        """Whole messages that `data` completes."""
+        """The whole messages that `data` completes."""
         try:
             self._unpacker.feed(data)
             for message in self._unpacker:
@@ -72,7 +76,7 @@ class Decoder:
 
 
 def _unpacking(max_items: int) -> dict[str, object]:
-    """How messages are read; clients of msgpack 0.5 send bytes as text."""
+    """The options with which msgpack reads messages; clients with msgpack 0.5 send bytes as text."""
     how = {"raw": False, "unicode_errors": "surrogateescape", "strict_map_key": False}
     return {**how, "max_array_len": max_items, "max_map_len": max_items}
 
@@ -81,7 +85,7 @@ _OF_REQUESTS = _unpacking(MAX_ITEMS)
 
 
 def unpack_request(message: bytes) -> RpcRequest:
-    """The request in a whole message. Raises ProtocolError if there is none."""
+    """The request in a whole message's bytes. Raises ProtocolError if it is none."""
     try:
         return parse_request(msgpack.unpackb(message, **_OF_REQUESTS))
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
@@ -89,7 +93,7 @@ def unpack_request(message: bytes) -> RpcRequest:
 
 
 def method_of(message: bytes) -> str:
-    """The method that a whole message calls, before it is unpacked; empty where it is no request."""
+    """The method of a whole message that has not been unpacked; empty if it is not a request."""
     head = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape", max_buffer_size=0)
     try:
         head.feed(message[:MAX_HEAD_BYTES])
@@ -102,7 +106,7 @@ def method_of(message: bytes) -> str:
 
 
 def parse_request(message: object) -> RpcRequest:
-    """The request that a message is. Raises ProtocolError if it is none."""
+    """The request in an unpacked message. Raises ProtocolError if it is none."""
     if not isinstance(message, list):
         raise ProtocolError("not a msgpack-rpc request")
     if len(message) == 4 and message[0] == REQUEST and type(message[1]) is int:
@@ -119,18 +123,19 @@ def parse_request(message: object) -> RpcRequest:
 def pack_request(
     message_id: int, method: str, params: Sequence[object], default: Callable[[object], object] | None = None
 ) -> bytes:
-    """A request's bytes; `default` gives what msgpack packs in place of a value that it does not know."""
+    """A request's bytes; `default` converts values that msgpack cannot pack."""
     return bytes(msgpack.packb([REQUEST, message_id, method, list(params)], default=default))
 
 
 def pack_response(message_id: int, error: str | None, result: object) -> bytes:
-    if error is not None:  # it may quote bytes that were no text
+    """A response's bytes."""
+    if error is not None:  # it may quote bytes that are not valid text
         error = error.encode("utf-8", "replace").decode()
     return pack([RESPONSE, message_id, error, result])
 
 
 def bulk_bytes(value: object) -> int:
-    """About how many bytes a result will have for what is large in it: bytes and arrays, as pictures and recordings."""
+    """About how many bytes the large parts of a result will have: bytes and arrays, as of images and recordings."""
     if isinstance(value, np.ndarray):
         return _PACKED_FLOAT * value.size
     if isinstance(value, bytes):
@@ -141,15 +146,15 @@ def bulk_bytes(value: object) -> int:
 
 
 def pack(value: object) -> bytes:
-    """MessagePack of what a call returns: of plain values, and of NumPy's arrays as lists of numbers."""
+    """Pack what a call returns: plain values, and NumPy's arrays as lists of numbers."""
     try:
         return bytes(msgpack.packb(value))
-    except TypeError:  # there are arrays in it
+    except TypeError:  # it contains arrays
         return b"".join(_pieces(msgpack.Packer(), value))
 
 
 def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
-    """MessagePack of a value that may hold arrays of numbers: those as lists of single precision, packed at once."""
+    """Pack a value that contains arrays, which become lists of single precision."""
     if isinstance(value, np.ndarray):
         yield _packed_floats(value)
     elif isinstance(value, dict):
@@ -166,7 +171,7 @@ def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
 
 
 def _packed_floats(numbers: NDArray[np.generic]) -> bytes:
-    """A MessagePack array: its head, then a type's mark and four big-endian bytes per number."""
+    """A MessagePack array: its header, then a type byte and four big-endian bytes per number."""
     packed = np.empty((numbers.size, _PACKED_FLOAT), np.uint8)
     packed[:, 0] = _FLOAT32
     packed[:, 1:] = numbers.astype(">f4").reshape(-1, 1).view(np.uint8)
@@ -174,18 +179,89 @@ def _packed_floats(numbers: NDArray[np.generic]) -> bytes:
 
 
 def unknown_method(method: str, count: int) -> RpcError:
+    """rpclib's error for a method that the server does not have."""
     return RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
 
 
 def wrong_arity(method: str, expected: int, got: int) -> RpcError:
+    """rpclib's error for a wrong number of arguments."""
     return RpcError(
         f"rpclib: Function '{method}' was called with an invalid number of arguments. Expected: {expected}, got: {got}"
     )
 
 
 def threw(method: str, count: int, message: str) -> RpcError:
+    """rpclib's error for a method that threw an exception."""
     return RpcError(
         f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
         f"The exception contained this information: {message}.",
         reason=message,
     )
+
+
+class Framer:
+    """Cuts a client's stream into whole messages without unpacking any, so that half a message costs only its bytes.
+
+    Unpacked as they arrive, nested arrays take a hundred times the memory of their bytes, and an array that announces
+    items takes their memory before they have arrived.
+    """
+
+    def __init__(self, max_message_bytes: int = MAX_MESSAGE_BYTES) -> None:
+        self._most = max_message_bytes
+        # more may be fed while whole messages wait
+        self._scanner = msgpack.Unpacker(max_buffer_size=2 * max_message_bytes, strict_map_key=False)
+        self._kept = bytearray()
+        self._passed = 0  # bytes of the messages that have been returned
+
+    @property
+    def held_bytes(self) -> int:
+        """The memory of the bytes that have not been returned, of which the scanner may keep a copy."""
+        return 2 * len(self._kept)
+
+    def feed(self, data: bytes) -> None:
+        """Add bytes of the stream. Raises ProtocolError if there are too many."""
+        self._kept += data
+        try:
+            self._scanner.feed(data)
+        except msgpack.BufferFull:
+            raise self._too_long() from None
+
+    def next(self) -> bytes | None:
+        """The next whole message; None until it is complete. Raises ProtocolError if it is invalid or too long."""
+        if not self._kept:
+            return None
+        self._check_beginning()
+        try:
+            self._scanner.skip()
+        except msgpack.OutOfData:
+            if len(self._kept) > self._most:
+                raise self._too_long() from None
+            return None
+        except (ValueError, TypeError, msgpack.UnpackException) as error:
+            raise ProtocolError(f"not msgpack: {error}") from error
+        size = self._scanner.tell() - self._passed
+        if size > self._most:
+            raise self._too_long()
+        self._passed += size
+        message = bytes(self._kept[:size])
+        del self._kept[:size]
+        return message
+
+    def _check_beginning(self) -> None:
+        head = bytes(self._kept[:5])
+        if not any(head.startswith(known[: len(head)]) for known in _BEGINNINGS):
+            raise ProtocolError("not a msgpack-rpc message")
+
+    def _too_long(self) -> ProtocolError:
+        return ProtocolError(f"a message may have {self._most >> 20} MiB, not more", self.unfinished_id())
+
+    def unfinished_id(self) -> int | None:
+        """The number of the request that has arrived in part; None if it has none, or it is not known yet."""
+        head = msgpack.Unpacker()
+        head.feed(bytes(self._kept[:_LONGEST_HEAD]))
+        try:
+            head.read_array_header()
+            kind, number = head.unpack(), head.unpack()
+        except (ValueError, msgpack.UnpackException):
+            return None
+        return number if kind == REQUEST and isinstance(number, int) else None

@@ -1,4 +1,4 @@
-"""What the calls about cameras, images and objects share, made when first asked for: games do not pay for it."""
+"""The surroundings of a simulation that its calls share: vehicles, cameras, objects, images; each made at first use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from uavaccel.wire.settings import Settings
 
 
 class Scenery:
-    """The surroundings of one simulation, and its vehicle's cameras. `render` False refuses images."""
+    """The vehicles, cameras and objects of one simulation. With `render` False images are refused."""
 
     def __init__(self, simulation: Simulation, settings: Settings, render: bool) -> None:
         self.simulation = simulation
@@ -26,7 +26,7 @@ class Scenery:
         self._cameras: dict[int, Cameras] = {}
 
     def cameras(self, vehicle: str = "", external: bool = False) -> Cameras:
-        """A vehicle's cameras, or those of ExternalCameras; ValueError for an unknown vehicle either way."""
+        """A vehicle's cameras, or those of ExternalCameras. Raises ValueError for an unknown vehicle either way."""
         number = self.number_of(vehicle)
         if external:
             return self._external_cameras
@@ -38,7 +38,7 @@ class Scenery:
         return self._cameras[number]
 
     def number_of(self, name: str) -> int:
-        """Of the vehicle that has this name, among the world's; "" is the first.
+        """The number of the vehicle with this name; "" is the first vehicle.
 
         Raises ValueError, in AirSim's words, for an unknown name.
         """
@@ -48,7 +48,7 @@ class Scenery:
         raise self._not_there(name)
 
     def vehicle(self, name: str = "") -> Vehicle:
-        """Raises ValueError as number_of does."""
+        """The vehicle with this name. Raises ValueError as number_of does."""
         return self.simulation.world.vehicles[self.number_of(name)]
 
     def truth(self, vehicle: str = "") -> Kinematics:
@@ -56,11 +56,11 @@ class Scenery:
         return self.vehicle(vehicle).kinematics(self.simulation.time0_ns, in_world=True)
 
     def pilot(self, name: str = "") -> Pilot:
-        """Who flies a vehicle, or holds it where nothing flies. Raises ValueError as number_of does."""
+        """The pilot of a vehicle. Raises ValueError as number_of does."""
         return self.simulation.pilots[self.number_of(name)]
 
     def flying_pilot(self, name: str) -> Pilot:
-        """Who flies a vehicle. Raises ValueError as number_of does, and where vehicles do not fly."""
+        """The pilot of a flying vehicle. Raises ValueError as number_of does, and in SimMode ComputerVision."""
         if self.settings.flightless:
             raise self._not_there(name)
         return self.pilot(name)
@@ -73,7 +73,7 @@ class Scenery:
         )
 
     def largest_picture(self) -> tuple[int, int]:
-        """Width and height within which all pictures fit that can be drawn."""
+        """The width and height in which every picture fits that can be drawn."""
         own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
         lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_draw(lens)]
         return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
@@ -82,11 +82,11 @@ class Scenery:
         return [vehicle.name for vehicle in self.simulation.world.vehicles]
 
     def named(self, name: str) -> list[str]:
-        """Objects, then vehicles, that have this name, whatever its case."""
+        """The objects, then the vehicles, with this name in any case."""
         return [each for each in self._all_names() if each.lower() == name.lower()]
 
     def named_like(self, pattern: str) -> list[str]:
-        """Those whose whole name a regular expression matches. Raises ValueError for what is none."""
+        """The objects, then the vehicles, whose whole name matches. Raises ValueError for an invalid expression."""
         expression = NamePattern(pattern)
         return [name for name in self._all_names() if expression.matches(name)]
 
@@ -98,7 +98,7 @@ class Scenery:
         return Cameras(self.settings.camera_defaults, self.settings.external_cameras, external=True)
 
     def forget(self) -> None:
-        """The world's model is another one: its objects are as they were at first."""
+        """Forget objects, segmentation and pictures: the world has a new model."""
         for name in ("objects", "segmentation", "pictures"):
             self.__dict__.pop(name, None)
 

@@ -1,4 +1,4 @@
-"""Which segmentation ID each object has, and its colour: AirSim's, by the letters of its name until a client sets it.
+"""The segmentation IDs of objects and their colours: AirSim's, derived from the name until a client sets another.
 
 Sources: AirSim v1.8.1, AirBlueprintLib.cpp (IDs of names), docs/seg_rgbs.txt (colours).
 """
@@ -31,13 +31,13 @@ class Segmentation:
         self._table = np.zeros(0, np.int64)
 
     def ids(self, geoms: GeomImage) -> NDArray[np.int64]:
-        """The ID of each geom of an image of geoms; 0 for the sky and for what is not to be drawn."""
+        """The IDs of an image of geoms; 0 for the sky and for objects that are not drawn."""
         return np.asarray(np.maximum(self._all(), NO_OBJECT)[geoms])
 
     def _all(self) -> NDArray[np.int64]:
-        """The ID of each geom, and last the sky's, which is geom -1."""
+        """The IDs of all geoms, and last that of the sky, geom -1."""
         model = self._world.model
-        if len(self._table) != model.ngeom + 1:  # the first time, or there are more vehicles
+        if len(self._table) != model.ngeom + 1:  # at first, or after a vehicle was added
             names = [self._world.name_of(geom) for geom in range(model.ngeom)]
             self._table = np.array([*map(id_of_name, names), NO_OBJECT])
             for geom, number in self._given.items():
@@ -49,7 +49,7 @@ class Segmentation:
         self._given |= dict.fromkeys(geoms, number)
 
     def set_id(self, names: Iterable[str], number: int) -> bool:
-        """Give an ID to the objects and vehicles of these names; whether there is one."""
+        """Set the ID of the objects and vehicles of these names; returns whether there are any."""
         if not NOT_DRAWN <= number <= HIGHEST_ID:
             raise ValueError(f"object_id must be {NOT_DRAWN} to {HIGHEST_ID}, not {number}")
         geoms = [geom for name in names for geom in self._geoms(name)]
@@ -57,12 +57,12 @@ class Segmentation:
         return bool(geoms)
 
     def id(self, names: Iterable[str]) -> int:
-        """The ID of the first of these objects and vehicles; -1 without one."""
+        """The ID of the first of these objects and vehicles; -1 if there is none."""
         geoms = [geom for name in names for geom in self._geoms(name)]
         return int(self._all()[geoms[0]]) if geoms else NOT_DRAWN
 
     def spawned(self, name: str) -> None:
-        """A new object has the ID of its name."""
+        """Give a new object the ID of its name."""
         self._give(self._geoms(name), id_of_name(name))
 
     def _geoms(self, name: str) -> list[int]:
@@ -81,7 +81,7 @@ def id_of_name(name: str) -> int:
 
 @cache
 def colours() -> NDArray[np.uint8]:
-    """Red, green and blue (256, 3) of each ID."""
+    """The red, green and blue (256, 3) of each ID."""
     with asset("airsim/segmentation_colours.csv").open(encoding="ascii", newline="") as file:
         rows = [list(map(int, row.values())) for row in csv.DictReader(file)]
     return np.array(rows, np.uint8)

@@ -1,32 +1,81 @@
-"""AirSim's calls about sensors. Each reads the tick of the call, so that its stamp is that of the state.
+"""AirSim's calls about sensors. Each reads the state of the call's tick, so that their time stamps agree.
 
 Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (names and error texts).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TypeVar
+
 import numpy as np
 
 from uavaccel.sim.sensors.base import Truth
-from uavaccel.sim.sensors.field import Barometer, Gps, Magnetometer
-from uavaccel.sim.sensors.inertial import Imu
+from uavaccel.sim.sensors.field import (
+    Barometer,
+    BarometerSettings,
+    Gps,
+    GpsSettings,
+    Magnetometer,
+    MagnetometerSettings,
+)
+from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName
 from uavaccel.wire.calls import CallContext, Calls, call
-from uavaccel.wire.sensors import Sensors
+from uavaccel.wire.settings import SENSORS, SensorSettings
+
+Kind = TypeVar("Kind")
+DEFAULTS: dict[str, SensorSettings] = {
+    "imu": ImuSettings(),
+    "magnetometer": MagnetometerSettings(),
+    "gps": GpsSettings(),
+    "barometer": BarometerSettings(),
+}
+
+
+class Sensors:
+    """A vehicle's sensors by name: those `given`, or else the `defaults`, or else AirSim's four.
+
+    `seed` determines their noise. Source of the four: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings).
+    """
+
+    def __init__(
+        self,
+        given: Mapping[str, SensorSettings] | None,
+        defaults: Mapping[str, SensorSettings] | None,
+        seed: int,
+    ) -> None:
+        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
+        self._sensors = {
+            name: SENSORS[type(settings)](settings, seed, name)
+            for name, settings in chosen.items()
+            if settings.enabled
+        }
+
+    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
+        """The sensor of this kind and name, the first one for an empty name. Raises ValueError if there is none."""
+        if not isinstance(name, str):
+            raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
+        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
+        found = next(iter(known.values()), None) if name == "" else known.get(name)
+        if found is None:
+            there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
+            raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
+        return found
 
 
 class SensorApi(Calls, title="Sensors"):
-    """An empty name is the first sensor of its kind."""
+    """Calls about sensors; an empty name selects the first sensor of its kind."""
 
     def __init__(self, context: CallContext) -> None:
         super().__init__(context)
         self._sensors: dict[int, Sensors] = {}
 
     def _of(self, vehicle: str) -> Sensors:
-        """A vehicle's sensors; their noise is its own."""
+        """A vehicle's sensors, whose noise is independent of other vehicles'."""
         number, settings = self.scenery.number_of(vehicle), self.scenery.settings
         if number not in self._sensors:
             given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)
@@ -70,7 +119,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getMagnetometerData")
     def magnetometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """AirSim never fills the covariance."""
+        """Return the field in the body's frame; AirSim never fills the covariance."""
         field = self._of(vehicle).named(Magnetometer, "magnetometer", name).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
@@ -80,7 +129,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getGpsData")
     def gps(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """`time_utc` is in microseconds."""
+        """Return the position fix; `time_utc` is in microseconds."""
         reading = self._of(vehicle).named(Gps, "gps", name).read(self._truth(vehicle))
         gnss = {
             "geo_point": types.geo_map(reading.place),
@@ -106,7 +155,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getLidarData")
     def lidar(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        """x, y, z of all points in one list; a single 0 stands for none, as in AirSim."""
+        """Return x, y, z of all points in one list; a single 0 stands for no points, as in AirSim."""
         sensor = self._of(vehicle).named(Lidar, "lidar", name)
         world = self.simulation.world
         scan = sensor.read(self._truth(vehicle), world.model, world.data)

@@ -1,7 +1,7 @@
-"""The free-running server: one thread that advances the simulation, answers what has arrived, and sleeps.
+"""The free-running server: one thread that advances the simulation, answers requests, and sleeps.
 
-It wakes for a message, for the next thing that ends, and often enough in between that little is left to fly when
-something ends. Who is connected, and what is kept for them, is `uavaccel.wire.clients`'s.
+It wakes for a message, for the end of the next command or continue-for, and often enough in between that few ticks are
+left to fly then. `uavaccel.wire.clients` has the connections.
 """
 
 from __future__ import annotations
@@ -15,40 +15,40 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.clients import Clients
-from uavaccel.wire.connection import Answer, Connection
-from uavaccel.wire.held import MAX_ANSWER_BYTES
-from uavaccel.wire.steps import Steps
-from uavaccel.wire.turns import Costs, Turns
+from uavaccel.wire.calls import PartialResult
+from uavaccel.wire.clients import MAX_ANSWER_BYTES, Answer, Clients, Connection
+from uavaccel.wire.fair_queue import DurationEstimates, FairQueue
 
-IDLE_NS = 2_000_000  # an idle server advances at least so often: well within what `airsim` makes good
-CHUNK_TICKS = 30  # ticks flown at a wake-up, about: 0.1 ms of computing
-FINAL_NS = 60_000  # at the very last, look at the clock alone: sockets take as long to look at as two ticks
-SPIN_NS = 1_000_000  # before something ends, poll instead of sleeping: a process wakes late
+IDLE_NS = 2_000_000  # an idle server advances at least this often: well within what `airsim` catches up
+CHUNK_TICKS = 30  # ticks per wake-up, about: 0.1 ms of computing
+FINAL_NS = 60_000  # just before an end only the clock is polled: polling sockets takes as long as two ticks
+SPIN_NS = 1_000_000  # before an end, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
 MAX_UNPACKED, MAX_UNPACKED_BYTES = 8, 1 << 24  # answers that wait to be packed
-TURN_NS = 3_000_000  # of wall time for the requests of one client, before the others have their turn
-FLIGHT_NS = 5_000_000  # of a round, for flying: a machine that does not keep up would do nothing else
-LONG_NS = 1_000_000  # of a request
-ROUND_NS = 10_000_000  # for those of all, before sockets are looked at again
+TURN_NS = 3_000_000  # wall time for one client's requests before the next client's
+FLIGHT_NS = (
+    5_000_000  # wall time for flying in a round: a machine that does not keep up would do nothing else
+)
+LONG_NS = 1_000_000  # a request expected to take longer is long
+ROUND_NS = 10_000_000  # wall time for all clients' requests before the sockets are polled again
 
 
 class Server:
     """Serves an `Api` on a listening socket. Raises UserError if the address is taken.
 
-    `port` 0 lets the system choose; `address` says what became of it. The server ends when `stop_at_eof`, a readable
-    file, comes to its end: so it does not outlive the process that holds the other end of a pipe.
+    With `port` 0 the system chooses one; `address` has it. The server stops at the end of the readable file
+    `stop_at_eof`, so that it does not outlive the process at the other end of a pipe.
     """
 
     def __init__(
-        self, api: Api, host: str = "127.0.0.1", port: int = 41451, stop_at_eof: IO[bytes] | None = None
+        self, api: Api, host: str = rpc.LOOPBACK, port: int = rpc.PORT, stop_at_eof: IO[bytes] | None = None
     ) -> None:
         self.api = api
         self.clock = MonotonicClock()
         self.clients = Clients((host, port), self.clock, api.notices.once, stop_at_eof)
         self.address = self.clients.address
-        self._costs = Costs(api.methods)
-        self._turns: Turns[Connection] = Turns(self._expected_ns)
+        self._estimates = DurationEstimates(api.methods)
+        self._queue: FairQueue[Connection] = FairQueue(self._expected_ns)
         self._answers: list[Answer] = []
         self._unpacked_bytes = 0
         self._round_end_ns = self._flown_ns = 0  # of wall time
@@ -73,27 +73,28 @@ class Server:
             self.close()
 
     def _wait_for_end(self, simulation: Simulation) -> None:
-        """If something is about to end, fly up to it tick by tick, so that the last one is all that is left then."""
+        """Just before a command or continue-for ends, fly tick by tick: only the last tick is left at its end."""
         event = simulation.next_event_wall_ns(turns=False)
         while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
             simulation.advance_to(now)
 
     def stop(self) -> None:
-        """Let `serve` return after its present turn."""
+        """Let `serve` return after the present wake-up."""
         self._stopping = True
 
     def close(self) -> None:
+        """Disconnect all clients, and stop listening."""
         self.clients.close()
 
     def _wake_ns(self, simulation: Simulation) -> int:
-        """The wall time to sleep to; in the past where polling is due."""
+        """The wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns or self._turns:
+        if now < self._busy_until_ns or self._queue:
             return now
         if simulation.paused:
             return now + IDLE_NS
         wake = min(now + IDLE_NS, simulation.pacer.wall_due(simulation.world.tick + CHUNK_TICKS))
-        # waiting for every turn of a task would be polling
+        # waking for every turn of a task would be polling
         event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
 
@@ -101,43 +102,39 @@ class Server:
         if events & selectors.EVENT_WRITE:
             self._send(connection)
         if events & selectors.EVENT_READ and connection.asks:
-            self.clients.watch(connection)  # it has not had its turn
-        elif events & selectors.EVENT_READ and connection.open:
-            self._read(connection)
-
-    def _read(self, connection: Connection) -> None:
-        if self.clients.receive(connection):
+            self.clients.watch(connection)  # its request waits for a turn
+        elif events & selectors.EVENT_READ and connection.open and self.clients.receive(connection):
             self._busy_until_ns = connection.heard_ns + BUSY_NS
             self._ask_again(connection, begins=True)
 
     def _ask_again(self, connection: Connection, begins: bool = False) -> None:
-        """Have it wait for its turn if it asks for something; hang up where no more can come of it."""
+        """Queue a client that has a request; disconnect one whose stream is broken."""
         if connection.open and connection.asks and connection.may_ask:
-            self._turns.add(connection, begins)
+            self._queue.add(connection, begins)
         elif connection.open and connection.broken and not connection.asks:
-            self._flush()  # what it asked for in good order before
+            self._flush()  # the answers to its good requests
             self.clients.hang_up(connection, str(connection.broken), connection.broken.message_id)
         else:
             self.clients.watch(connection)
 
     def _serve_turns(self) -> None:
-        """Answer what clients have asked for, those first who had least; after ROUND_NS sockets are looked at again.
+        """Serve the queued requests, least-served clients first, for ROUND_NS at most.
 
-        Of a client that has not had its turn, or that has much to read, nothing more is read before.
+        Nothing more is read from a client whose request is queued, or that has many answers to read.
         """
         self._flown_ns = 0
         self._round_end_ns = self.clock.now_ns() + ROUND_NS
-        while self._turns:
-            connection = self._turns.next()
+        while self._queue:
+            connection = self._queue.next()
             if self._answers and self._expected_ns(connection) > LONG_NS:
-                self._flush()  # what is done need not wait for that
+                self._flush()  # finished answers do not wait for a long request
             self._serve_requests(connection)
             self._ask_again(connection)
             if self.clock.now_ns() >= self._round_end_ns:
                 break
 
     def _serve_requests(self, connection: Connection) -> None:
-        """One request of a client; more, for TURN_NS at most, while nobody else asks for anything."""
+        """Serve one request of a client; more of them, for TURN_NS at most, while no other client waits."""
         until_ns = self.clock.now_ns() + TURN_NS
         while connection.open and connection.asks and connection.may_ask:
             if connection.begun:
@@ -148,17 +145,17 @@ class Server:
                 if not connection.broken:
                     connection.take_next()
             if self._unpacked_bytes > MAX_UNPACKED_BYTES or len(self._answers) >= MAX_UNPACKED:
-                self._flush()  # it may ask and never read
-            if self._turns or self.clock.now_ns() >= until_ns:
+                self._flush()  # the client may never read its answers
+            if self._queue or self.clock.now_ns() >= until_ns:
                 break
 
     def _fly(self) -> int:
-        """Up to now; in a round that has flown for FLIGHT_NS no further. The wall time up to which it was."""
+        """Advance the simulation to now, unless the round has flown for FLIGHT_NS; returns its wall time."""
         begun_ns = self.clock.now_ns()
         if self._flown_ns < FLIGHT_NS:
             self.api.simulation.advance_to(begun_ns)
             self._flown_ns += self.clock.now_ns() - begun_ns
-            self._round_end_ns += 2 * (self.clock.now_ns() - begun_ns)  # and as long for those who waited
+            self._round_end_ns += 2 * (self.clock.now_ns() - begun_ns)  # and as long for the waiting requests
         return self.api.simulation.wall_ns
 
     def _handle(self, connection: Connection, message: bytes) -> None:
@@ -173,8 +170,8 @@ class Server:
             result, error = self.api.begin(request.method, request.params, wall_ns), None
         except rpc.RpcError as failure:
             result, error = None, str(failure)
-        self._account(connection, request.method, False, begun_ns)  # not what was flown: that is for all
-        if isinstance(result, Steps):
+        self._account(connection, request.method, False, begun_ns)  # without the flying, which is for all
+        if isinstance(result, PartialResult):
             connection.begun = request, result
         elif request.message_id is not None:
             self._answer(Answer(connection, request.message_id, error, result))
@@ -182,11 +179,11 @@ class Server:
     def _account(self, connection: Connection, method: str, piece: bool, begun_ns: int) -> None:
         took_ns = self.clock.now_ns() - begun_ns
         connection.served_ns += took_ns
-        self._costs.took(method, piece, took_ns)
+        self._estimates.took(method, piece, took_ns)
 
     def _expected_ns(self, connection: Connection) -> int:
-        """How long what a client asks for next will take."""
-        return self._costs.expected_ns(connection.method, connection.begun is not None)
+        """How long a client's next request is expected to take."""
+        return self._estimates.expected_ns(connection.method, connection.begun is not None)
 
     def _answer(self, answer: Answer) -> None:
         result = answer.result
@@ -197,14 +194,14 @@ class Server:
             self._unpacked_bytes += rpc.bulk_bytes(result)
             self._answers.append(answer)
 
-    def _go_on(self, connection: Connection, request: rpc.RpcRequest, steps: Steps) -> None:
-        """One more piece of a result; the answer, when it is whole."""
+    def _go_on(self, connection: Connection, request: rpc.RpcRequest, partial: PartialResult) -> None:
+        """Make one more item of a result; answer when it is complete."""
         error, begun_ns = None, self.clock.now_ns()
         try:
-            if self.api.go_on(steps, request.method, request.params):
+            if self.api.advance(partial, request.method, request.params):
                 self._account(connection, request.method, True, begun_ns)
                 self.clients.note_held(connection)
-                if steps.held_bytes <= MAX_ANSWER_BYTES:
+                if partial.held_bytes <= MAX_ANSWER_BYTES:
                     return
                 error = f"the answer would have more than {MAX_ANSWER_BYTES >> 20} MiB: ask for less at once"
         except rpc.RpcError as failure:
@@ -212,16 +209,16 @@ class Server:
         connection.begun = None
         self.clients.note_held(connection)
         if request.message_id is not None and connection.open:
-            self._answer(Answer(connection, request.message_id, error, None if error else steps.made))
+            self._answer(Answer(connection, request.message_id, error, None if error else partial.made))
 
     def _answer_late(self, answer: Answer) -> None:
         answer.connection.waiting -= 1
         self._answers.append(answer)
 
     def _flush(self) -> None:
-        """Send what this turn has answered, in one packet per client.
+        """Send the finished answers, in one packet per client.
 
-        The last answer first: where a command and its continue-for end together, the client waits for the latter.
+        The last answer comes first: of a command and a continue-for that end together the client waits for the latter.
         """
         answered: set[Connection] = set()
         self._unpacked_bytes = 0
@@ -234,6 +231,6 @@ class Server:
             self._send(connection)
 
     def _send(self, connection: Connection) -> None:
-        """Send what is left of its answers; it may ask again once it has read enough of them."""
+        """Send the rest of a client's answers; once it has read enough of them it is served again."""
         self.clients.send(connection)
         self._ask_again(connection)

@@ -1,4 +1,4 @@
-"""The process that a session starts: one server on a free loopback port, until standard input ends.
+"""The server process of a session: serves on a free loopback port until its standard input ends.
 
     python -m uavaccel.wire.server_process '{"scene": "blocks", "profile": "native", "core": null, "parent": 1}'
 
@@ -40,14 +40,14 @@ def main() -> None:
 def ready_simulation(
     scene: str, profile: Profile, clock_speed: float = 1.0, airsim: bool = False
 ) -> Simulation:
-    """A settled hover on the machine's clock, with nothing left to compile, load or collect that could hold it up.
+    """A settled hover on the machine's clock, with everything compiled and loaded that could delay it later.
 
-    `airsim` for AirSim's clients.
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model).
     """
     world = World(scene, profile, airsim)
     world.advance(1)  # compiles the hot loop, or loads it
     world.reset()
-    gc.freeze()  # what is loaded by now stays; collecting it again and again would hold the clock up
+    gc.freeze()  # what is loaded by now stays; collecting it again would delay the clock
     return Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
 
 

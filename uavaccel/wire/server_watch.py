@@ -1,4 +1,4 @@
-"""The process of a session's server, as the session sees it: started, looked after, ended whatever state it is in."""
+"""The server process as its session sees it: starts it, watches whether it responds, and ends it in any state."""
 
 from __future__ import annotations
 
@@ -6,42 +6,39 @@ import json
 import os
 import select
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from uavaccel.child import end_within, single_core_drawing, start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.standstill import cpu_time_s
 from uavaccel.units import NS_PER_S
 
-START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop on a loaded machine; of that without any work
-IDLE_S = 2.5  # silence of a server that does not compute: it is stopped, or waits for ever
-BUSY_S = 60.0  # silence of one that computes: its first picture, drawn in software on a loaded machine
-END_S = 3.0  # to end by itself
-LOOK_NS = 1_000_000_000  # of silence, after which a server is asked whether it is there
-STALL_NS = 100_000_000  # one that is there answers that sooner
+START_S, IDLE_START_S = (
+    600.0,
+    60.0,
+)  # to compile the hot loop on a loaded machine; of that without using any CPU
+IDLE_S = 2.5  # a server that is silent for longer and uses no CPU has been stopped, or waits for ever
+BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
+END_S = 3.0
+LOOK_NS = 1_000_000_000  # silence after which the server is pinged
+STALL_NS = 100_000_000  # a responsive server answers a ping sooner
 
 
 class ServerGoneError(ConnectionError):
-    """The server of a session has ended, or does not answer any more."""
+    """The server of a session has ended, or has stopped responding."""
 
 
 class WatchedServer:
-    """A process of uavaccel.wire.server_process, on `port`. Raises ServerGoneError if it does not get to listening."""
+    """A process of uavaccel.wire.server_process, listening on `port`. Raises ServerGoneError if it never listens."""
 
     def __init__(self, options: dict[str, object]) -> None:
         self._clock = MonotonicClock()
-        self._process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "uavaccel.wire.server_process",
-                json.dumps({**options, "parent": os.getpid()}),
-            ],
+        self._process = start_python(
+            *("-m", "uavaccel.wire.server_process", json.dumps({**options, "parent": os.getpid()})),
+            environment=single_core_drawing(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={"LP_NUM_THREADS": "0", **os.environ},  # in software, it draws on its own core too
-            start_new_session=True,  # Ctrl-C is for the client, which then ends the server
         )
         self.answered()
         try:
@@ -59,14 +56,14 @@ class WatchedServer:
         return self._process.returncode
 
     def answered(self) -> None:
-        """What it is asked next is a new question: its silence begins anew."""
+        """Count its silence from now on."""
         self._heard_ns = self._worked_ns = self._clock.now_ns()
         self._cpu_s = cpu_time_s(self._process.pid)
 
     def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
-        """Raise ServerGoneError if it has ended, or has been silent for `idle_s` without work, or `busy_s` with.
+        """Raise ServerGoneError if it has ended, or has been silent for `busy_s`, or for `idle_s` without using CPU.
 
-        To be asked about once a second while an answer is overdue.
+        To be called about once a second while an answer is overdue.
         """
         status = self._process.poll()
         if status is not None:
@@ -92,26 +89,22 @@ class WatchedServer:
         return line
 
     def memory_mib(self) -> float:
-        """Resident memory (Linux)."""
+        """The process's resident memory (Linux only)."""
         pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
     def end(self) -> None:
-        """It ends with its standard input; one that does not is killed, which a stopped one cannot escape."""
+        """End it by closing its standard input, or by force."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
-        try:
-            self._process.wait(timeout=END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_within(self._process, END_S)
 
 
-class Silence:
-    """What a client makes of a server that says nothing: it may be busy flying, or gone.
+class ServerSilence:
+    """Decides whether a silent server is busy flying or gone.
 
-    `ask` sends it a question and returns what says whether that was answered.
+    `ask` sends it a ping, and returns a function that says whether that has been answered.
     """
 
     def __init__(self, server: WatchedServer, ask: Callable[[], Callable[[], bool]]) -> None:
@@ -122,7 +115,7 @@ class Silence:
         self._counted_ns = 0
 
     def goes_on(self) -> None:
-        """To be called after every LOOK_NS of it: asks, then looks at the process. Raises ServerGoneError."""
+        """To be called after every LOOK_NS of silence: pings, then checks the process. Raises ServerGoneError."""
         if self._answered is not None:
             self._server.check()
             return
@@ -130,9 +123,9 @@ class Silence:
         self._answered, self._asked_ns = self._ask(), self._clock.now_ns()
 
     def broken_ns(self, due_ns: Sequence[int]) -> int:
-        """To be called when something came: for how long the server had not answered; 0 if it only flew.
+        """To be called when answers arrive: for how long the server had not responded, 0 if it only flew.
 
-        `due_ns` are the instants at which the answers that came were due. No wall time is counted twice.
+        `due_ns` are the times at which these answers were due. No wall time is counted twice.
         """
         since = list(due_ns)
         if self._answered is not None and self._answered():

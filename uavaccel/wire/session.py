@@ -1,10 +1,11 @@
-"""A session: where games are flown. A server process in `wall`; the same process in `virtual` and `lockstep`."""
+"""A session, in which games are flown: with a server process in `wall`, in this process in `virtual` and `lockstep`."""
 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,15 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
 from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
+from uavaccel.wire.rpc import LOOPBACK
 from uavaccel.wire.server_watch import WatchedServer
-from uavaccel.wire.transport import SocketTransport, VirtualTransport
+from uavaccel.wire.transport import SocketTransport, VirtualTransport, modelled_simulation
 
 TIMINGS = ("wall", "virtual", "lockstep")
 
 
-class Session(Protocol):
-    """Starts games and hands out the client that flies them."""
+class Session(ABC):
+    """Starts games and returns the client that flies them. A context manager that closes itself."""
 
     def start_game(
         self,
@@ -37,58 +39,76 @@ class Session(Protocol):
         lane: object = None,
         height_m: float = START_HEIGHT_M,
     ) -> Client:
-        """A settled hover, paused and recording; `seed` draws the latencies of a simulated wall clock.
+        """Start a game: a settled hover, paused and recording, at NED z `height_m`.
 
-        `lane`, in the lane's scene, is laid out before: a seed or whatever else Client.set_lane takes.
+        The latencies of a simulated wall clock are drawn from `seed`. In the lane's scene `lane` is laid out first: a
+        seed or anything else that Client.set_lane takes.
         """
-        ...
+        client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
+        if lane is not None:
+            client.set_lane(lane)
+        client.start_game(clock_speed, height_m)
+        return client
 
+    @abstractmethod
+    def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
+        """The client of a new game."""
+
+    @abstractmethod
     def set_latency(self, latency: LatencyConfig) -> None:
-        """Draw latencies from this model from the next game on; its platform is to be the one of before.
+        """Draw latencies from this model from the next game on; its platform has to be the previous model's.
 
-        A real wall clock has its own.
+        No effect in `wall`, whose latencies are real.
         """
-        ...
 
+    @abstractmethod
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
-        """Call `look` at every so many ticks, with the simulated time in ns; what is returned ends that.
+        """Call `look` with the simulated time in ns once every so many ticks; the returned function ends that.
 
-        It happens inside the simulation: no message is sent, and no wall time passes. Raises UserError in `wall`.
+        It is called inside the simulation: no message is sent, and no wall time passes. Raises UserError in `wall`.
         """
-        ...
 
+    @abstractmethod
     def picture(self) -> NDArray[np.uint8]:
-        """The front camera's gray picture of this tick, taken inside the simulation too; in `wall` by a message."""
-        ...
+        """The front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
 
+    @abstractmethod
     def get_state(self) -> State | None:
-        """The present game, all of it; None in `wall`, where none can stand still."""
-        ...
+        """The whole state of the present game; None in `wall`, where a game cannot be saved.
 
+        To be taken between two commands: `np.savez("game.npz", **session.get_state())`; then, in any process,
+        `client = open_session("virtual", ...).set_state(np.load("game.npz"))` for the same profile, scene and
+        latency, and the client flies on to the same bytes. With units.plain applied to its values it is JSON.
+        """
+
+    @abstractmethod
     def set_state(self, state: SavedState) -> Client:
-        """The client that goes on with a saved game. Raises UserError if it is of another kind of session."""
-        ...
+        """The client that continues a saved game. Raises UserError in `wall`."""
 
-    def close(self) -> None: ...
+    @abstractmethod
+    def close(self) -> None:
+        """End the session; its client cannot be used any more."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *exception: object) -> None: ...
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
 
-class WallSession:
-    """A server in a process and, where there are two, on a core of its own, on loopback, paced by the machine's clock.
+class WallSession(Session):
+    """A server on loopback, paced by the machine's clock, in a process and, on two cores or more, on a core of its own.
 
-    Until it is closed, this process stays off that core: the kernel likes to put two processes that talk to each other
-    on one, where each waits for the other. Calls raise ServerGoneError within 5 s where it has ended or hangs.
+    Until it is closed, this process stays off that core: the kernel tends to put two processes that talk to each other
+    on one core, where each waits for the other. Calls raise ServerGoneError within 5 s if the server hangs or ends.
     """
 
     def __init__(self, scene: str, profile: str) -> None:
-        self._cores = _cores()
+        self._cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
         core = max(self._cores) if len(self._cores) > 1 else None
         self.server = WatchedServer({"scene": scene, "profile": profile, "core": core})
         try:
-            transport = SocketTransport("127.0.0.1", self.server.port, exclusive=True, watch=self.server)
+            transport = SocketTransport(LOOPBACK, self.server.port, exclusive=True, watch=self.server)
         except BaseException:
             self.server.end()
             raise
@@ -96,18 +116,12 @@ class WallSession:
         if core is not None:
             os.sched_setaffinity(0, self._cores - {core})
 
-    def start_game(
-        self,
-        clock_speed: float,
-        seed: np.random.SeedSequence | None = None,
-        lane: object = None,
-        height_m: float = START_HEIGHT_M,
-    ) -> Client:
+    def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         self._client.transport.stalled_ns = 0
-        return _start(self._client, clock_speed, lane, height_m)
+        return self._client
 
     def set_latency(self, latency: LatencyConfig) -> None:
-        """Nothing: this clock is real."""
+        pass
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
         raise UserError(
@@ -129,27 +143,9 @@ class WallSession:
         self._client.close()
         self.server.end()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-
-def _start(client: Client, clock_speed: float, lane: object, height_m: float) -> Client:
-    if lane is not None:
-        client.set_lane(lane)
-    client.start_game(clock_speed, height_m)
-    return client
-
-
-def _cores() -> set[int]:
-    """The cores this process may run on; none where the system does not say."""
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-
-
-class VirtualSession:
-    """The simulation in this process, under a simulated wall clock; `latency` zero is `lockstep`."""
+class VirtualSession(Session):
+    """The simulation in this process, under a simulated wall clock; without latency it is `lockstep`."""
 
     def __init__(self, scene: str, profile: str, latency: LatencyConfig = ZERO_LATENCY) -> None:
         self._scene, self._profile, self._latency = scene, profile, latency
@@ -157,21 +153,11 @@ class VirtualSession:
         self._worlds: dict[Profile, World] = {}
         self._world(1.0)
 
-    def start_game(
-        self,
-        clock_speed: float,
-        seed: np.random.SeedSequence | None = None,
-        lane: object = None,
-        height_m: float = START_HEIGHT_M,
-    ) -> Client:
-        client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
-        return _start(client, clock_speed, lane, height_m)
-
     def set_latency(self, latency: LatencyConfig) -> None:
         self._latency = latency
 
     def _world(self, clock_speed: float) -> World:
-        """The world for a ClockSpeed: one for all, unless the latency model's platform says otherwise."""
+        """The world for a ClockSpeed: one world for all, unless the latency model's platform depends on it."""
         profile = self._latency.platform.profile(self._profile, clock_speed)
         if profile not in self._worlds:
             self._worlds[profile] = World(self._scene, profile)
@@ -179,14 +165,7 @@ class VirtualSession:
 
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
-        platform = self._latency.platform
-        self._simulation = Simulation(
-            self._world(clock_speed),
-            clock_speed,
-            timer_lateness_ns=latency.timer_ns,
-            executor=platform.executor(),
-            frames=platform.new_frames(latency.frame_ns),
-        )
+        self._simulation = modelled_simulation(self._world(clock_speed), clock_speed, latency)
         self._transport = VirtualTransport(Api(self._simulation), clock, latency, exclusive=True)
         self._client = Client(self._transport, clock_speed)
         return self._client
@@ -205,12 +184,6 @@ class VirtualSession:
         return world.camera(WIDTH, HEIGHT).gray(world.data)
 
     def get_state(self) -> State:
-        """The present game, all of it: world, simulation, wall clock, latencies, what the client knows.
-
-        Between two commands: `np.savez("game.npz", **session.get_state())`; then, in any process,
-        `client = open_session("virtual", ...).set_state(np.load("game.npz"))` for the same profile, scene and
-        latency, and the client flies on to the same bytes. With units.plain on the values it is JSON.
-        """
         state: State = {"client.clock_speed": self._client.clock_speed}
         known = self._transport.known.state
         state["client.known_state"] = [] if known is None else encode_state(known)
@@ -227,12 +200,6 @@ class VirtualSession:
         for world in self._worlds.values():
             world.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
 
 def open_session(
     timing: str = "wall",
@@ -240,11 +207,11 @@ def open_session(
     scene: str = "blocks",
     latency: LatencyConfig = ZERO_LATENCY,
 ) -> Session:
-    """A session for one of TIMINGS; `latency` matters to `virtual` alone. Raises UserError for an unknown name."""
+    """Open a session with one of TIMINGS; `latency` is used in `virtual` only. Raises UserError for an unknown name."""
     for name, value, known in (("timing", timing, TIMINGS), ("profile", profile, PROFILES)):
         if value not in known:
             raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(known)}")
-    asset(f"mjcf/{scene}.xml")  # here, where its error is seen, and not in the server's process
+    asset(f"mjcf/{scene}.xml")  # an unknown scene raises here, and not in the server's process
     if timing == "wall":
         return WallSession(scene, profile)
     return VirtualSession(scene, profile, latency if timing == "virtual" else ZERO_LATENCY)

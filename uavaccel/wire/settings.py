@@ -1,4 +1,4 @@
-"""AirSim's settings.json: what a server here honours of it, and by name what it passes over.
+"""AirSim's settings.json: the keys that have an effect here, and the names of those that do not.
 
 Source of keys and defaults: AirSim v1.8.1, AirSimSettings.hpp. A value that contradicts this simulator is refused.
 """
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -20,34 +20,45 @@ from uavaccel.errors import UserError
 from uavaccel.files import parse_json
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
-from uavaccel.sim.sensors.base import AirSimKeys
+from uavaccel.sim.sensors.base import AirSimKeys, sensors
 from uavaccel.sim.sensors.earth import GeoPoint
+from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
+from uavaccel.sim.sensors.inertial import ImuSettings
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
-from uavaccel.wire.sensors import SensorSettings
+from uavaccel.wire.rpc import LOOPBACK, PORT
 
+SENSORS = sensors()
+if TYPE_CHECKING:
+    SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
+else:
+    SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
 COMPUTER_VISION = "ComputerVision"
-LOOPBACK = "127.0.0.1"
-PORT = 41451
 LARGEST_BYTES = 1 << 20
-_NOTES = {"SettingsVersion", "SeeDocsAt"}  # for people and other programs; nothing is lost with them
+_NOTES = {"SettingsVersion", "SeeDocsAt"}  # keys for people and other programs, which need no effect
 
 
-class Wind(AirSimKeys):
+class WindSettings(AirSimKeys):
+    """The wind in m/s, NED."""
+
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
 
 
 class RecordedImage(AirSimKeys):
+    """An image that is taken at each sample of a recording."""
+
     camera_name: str = ""
     image_type: int = 0
     pixels_as_float: bool = False
     compress: bool = True
 
 
-class Recording(AirSimKeys):
+class RecordingSettings(AirSimKeys):
+    """The recorder's interval in seconds, its images, and where it writes."""
+
     record_interval: Annotated[float, Field(gt=0.0)] = 0.05
     record_on_move: bool = False
     cameras: list[RecordedImage] = Field(default_factory=list)
@@ -56,13 +67,15 @@ class Recording(AirSimKeys):
 
 
 class OriginGeopoint(AirSimKeys):
+    """The geographic position of NED's origin: degrees, and metres above sea level."""
+
     latitude: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.641468
     longitude: Annotated[float, Field(ge=-180.0, le=180.0)] = -122.140165
     altitude: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = 122.0
 
 
-class Vehicle(AirSimKeys):
-    """NED metres from the player's start, degrees."""
+class VehicleSettings(AirSimKeys):
+    """A vehicle of settings.json, in NED metres from the player's start and degrees."""
 
     vehicle_type: Literal["SimpleFlight", "simpleflight", "ComputerVision", "computervision"] = "SimpleFlight"
     auto_create: bool = True
@@ -76,12 +89,12 @@ class Vehicle(AirSimKeys):
 
     @property
     def placed(self) -> bool:
-        """Whether the settings say where it starts."""
+        """Whether the settings give its start."""
         return (self.x, self.y, self.z) != (None, None, None)
 
 
 class Settings(AirSimKeys):
-    """The settings of a server, by AirSim's names in snake case. SI units, wind NED."""
+    """The settings of a server under AirSim's names in snake case, in SI units, the wind NED."""
 
     sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
@@ -91,47 +104,49 @@ class Settings(AirSimKeys):
     enable_rpc: Literal[True] = True
     rpc_enabled: Literal[True] = True
     physics_engine_name: Literal["FastPhysicsEngine", ""] = ""
-    vehicles: Annotated[dict[str, Vehicle], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
-    wind: Wind = Wind()
-    recording: Recording = Recording()
+    vehicles: Annotated[dict[str, VehicleSettings], Field(max_length=MOST_VEHICLES)] = Field(
+        default_factory=dict
+    )
+    wind: WindSettings = WindSettings()
+    recording: RecordingSettings = RecordingSettings()
     camera_defaults: CameraSettings = CameraSettings()
     external_cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     default_sensors: dict[str, SensorSettings] | None = None
     origin_geopoint: OriginGeopoint = OriginGeopoint()
     sensor_seed: Annotated[int, Field(ge=0)] = 0
-    """Our own: of the sensors' noise."""
+    """The seed of the sensors' noise, which is our own key."""
 
     @property
     def vehicle(self) -> str:
-        """The default vehicle's name: the first by the alphabet, or the one that is to be watched."""
+        """The default vehicle's name: the alphabetically first one, or the one with IsFpvVehicle."""
         created = self.created()
         watched = (name for name, vehicle in created if vehicle.is_fpv_vehicle)
         return next(watched, created[0][0] if created else COMPUTER_VISION if self.flightless else VEHICLE)
 
     @property
     def flightless(self) -> bool:
-        """Whether vehicles are but cameras that are put somewhere."""
+        """Whether the SimMode is ComputerVision, in which vehicles are only cameras that are put somewhere."""
         return self.sim_mode == COMPUTER_VISION
 
-    def created(self) -> list[tuple[str, Vehicle]]:
-        """The vehicles that there are from the start, by the alphabet as AirSim's map has them."""
+    def created(self) -> list[tuple[str, VehicleSettings]]:
+        """The vehicles that exist from the start, in alphabetical order as in AirSim's map."""
         return [
             (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
         ]
 
     @property
     def home(self) -> GeoPoint:
-        """Where NED's origin is."""
+        """The geographic position of NED's origin."""
         origin = self.origin_geopoint
         return GeoPoint(origin.latitude, origin.longitude, origin.altitude)
 
     @property
     def address(self) -> str:
-        """Where to listen: an IP address or a host's name."""
+        """The address to listen on: an IP address or a host name."""
         return self.local_host_ip or LOOPBACK
 
     def recorder_of(self, profile: Profile) -> Profile:
-        """The profile with the recorder's period. Raises UserError where an exact profile's tick does not divide it.
+        """The profile with the recorder's period. Raises UserError if an exact profile's tick does not divide it.
 
         AirSim's recorder waits for more than the interval (RecordingThread.cpp).
         """
@@ -143,25 +158,25 @@ class Settings(AirSimKeys):
         return replace(profile, recorder_ticks=ticks)
 
     def prepare(self, world: World) -> None:
-        """Let wind and height over the sea act on a world. Raises UserError for a wind that physics cannot follow."""
+        """Set the wind and the altitude of a world. Raises UserError for a wind that is too strong for the physics."""
         wind = (self.wind.x, self.wind.y, self.wind.z)
         if not hypot(*wind) <= STRONGEST_WIND_M_S:
             raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
         world.lead.state["wind"] = wind
         world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
-    def passed_over(self) -> list[str]:
-        """Dotted names of what was given and has no meaning here."""
+    def without_effect(self) -> list[str]:
+        """The dotted names of the given keys that have no effect here."""
         return [name for name in _unknown(self, "") if name not in _NOTES]
 
     def as_json(self, clock_speed: float) -> str:
-        """What getSettingsString returns: the settings as given, with the ClockSpeed that holds."""
+        """The answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
         given = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         return json.dumps({"SimMode": "Multirotor", **given, "ClockSpeed": clock_speed})
 
 
 def read_settings(path: Path) -> Settings:
-    """The settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
+    """Read the settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST_BYTES + 1)
@@ -178,7 +193,7 @@ def read_settings(path: Path) -> Settings:
 
 
 def _unknown(value: object, prefix: str) -> Iterator[str]:
-    """Dotted names of the keys that no field of the models takes."""
+    """The dotted names of the keys that no field of the models takes."""
     if isinstance(value, BaseModel):
         yield from (f"{prefix}{name}" for name in value.model_extra or {})
         for name in sorted(value.model_fields_set & set(type(value).model_fields)):

@@ -1,7 +1,9 @@
-"""AirSim's calls about the simulator itself: versions, settings, reset, and its clock.
+"""AirSim's calls about the simulator itself: versions, settings, reset, clock, recording, and drawing in its window.
 
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 """
+
+# ruff: noqa: N815  the names are AirSim's
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from typing import Annotated
 
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire.arguments import number
-from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.calls import Calls, WithoutEffect, call
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.latency import Channel
 
@@ -20,7 +22,7 @@ FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 
 def wall_seconds(value: object, name: str) -> float:
-    """A duration."""
+    """A duration in seconds, 0 or more, at most LONGEST_S."""
     seconds = number(value, name)
     if seconds < 0:
         raise ValueError(f"{name} must not be negative, not {seconds:g}")
@@ -28,7 +30,7 @@ def wall_seconds(value: object, name: str) -> float:
 
 
 def frame_count(value: object, name: str) -> float:
-    """A whole number."""
+    """A whole number of frames."""
     count = number(value, name)
     if count != int(count) or not 0 <= count <= MOST_FRAMES:
         raise ValueError(f"{name} must be a whole number from 0 to {MOST_FRAMES:g}, not {value}")
@@ -36,6 +38,7 @@ def frame_count(value: object, name: str) -> float:
 
 
 def pause_channel(params: Sequence[object]) -> Channel:
+    """simPause's kind of latency: to pause or to continue."""
     return "pause" if params and params[0] else "continue"
 
 
@@ -58,7 +61,7 @@ class SimulatorApi(Calls, title="Connection and time"):
 
     @call("reset")
     def reset(self) -> None:
-        """A recording goes on through it, as in AirSim."""
+        """Reset every vehicle; a recording continues, as in AirSim."""
         self.context.recorder.go_through(
             lambda recording: self.simulation.reset(self.wall_ns, recording=recording)
         )
@@ -82,5 +85,30 @@ class SimulatorApi(Calls, title="Connection and time"):
 
     @call("simContinueForFrames")
     def continue_for_frames(self, frames: Annotated[float, frame_count]) -> DeferredReply:
-        """Unreal draws 60 of them per second of wall time, if it keeps up."""
+        """Run for the wall time in which Unreal draws these frames, 60 per second, then pause."""
         return self.continue_for_time(frames / FRAMES_PER_S)
+
+
+class RecordingApi(Calls, title="Recording, drawing, messages"):
+    @call("startRecording")
+    def start(self) -> None:
+        self.context.recorder.start(self.wall_ns)
+
+    @call("stopRecording")
+    def stop(self) -> None:
+        self.context.recorder.stop()
+
+    @call("isRecording")
+    def is_recording(self) -> bool:
+        return self.simulation.world.recording
+
+    simPrintLogMessage = WithoutEffect()
+    simSetTraceLine = WithoutEffect()
+    simFlushPersistentMarkers = WithoutEffect()
+    simPlotPoints = WithoutEffect()
+    simPlotLineStrip = WithoutEffect()
+    simPlotLineList = WithoutEffect()
+    simPlotArrows = WithoutEffect()
+    simPlotStrings = WithoutEffect()
+    simPlotTransforms = WithoutEffect()
+    simPlotTransformsWithNames = WithoutEffect()

@@ -1,4 +1,4 @@
-"""The two ways from a client to a simulation: a socket, or the same process under a simulated wall clock."""
+"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import contextlib
 import selectors
 import socket
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, Silence, WatchedServer
+from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, ServerSilence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 1_000_000
@@ -29,18 +31,13 @@ _CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
 
 
-def channel_of(method: str, params: Sequence[object]) -> Channel:
-    """The kind of latency that a call has."""
-    called = CALLS.get(method)
-    return DEFAULT if called is None else called.channel_of(params)
+class PendingCall:
+    """A call that a client has sent, and its reply once that has come."""
 
-
-class Call:
-    """A call under way, as its client sees it."""
-
-    def __init__(self, method: str, channel: str) -> None:
+    def __init__(self, method: str, params: Sequence[object]) -> None:
+        known = CALLS.get(method)
         self.method = method
-        self.channel = channel
+        self.channel: Channel = DEFAULT if known is None else known.channel_of(params)
         self.done = False
         self.error: str | None = None
         self.value: Received = None
@@ -48,26 +45,26 @@ class Call:
         self.handled_ns = 0
         self.reply_wall_ns: int | None = None
         self.sent_ns = 0
-        self.expected_ns: int | None = None  # when the client thinks the answer is due
+        self.expected_ns: int | None = None  # when the client expects the answer
 
     def due_ns(self) -> int | None:
-        """When a server that is there has answered, on the client's clock; None where that cannot be said."""
+        """When a responsive server has answered, on the client's clock; None where that is unknown."""
         if self.channel in AT_ONCE:
             return self.sent_ns
         return self.expected_ns if self.channel == "continue_for" else None
 
     def result(self) -> Received:
-        """The reply's value. Raises rpc.RpcError with the server's text."""
+        """The value of the reply. Raises rpc.RpcError with the server's text."""
         if self.error is not None:
             raise rpc.RpcError(self.error)
         return self.value
 
 
 class KnownState:
-    """The state in which the simulation stands, as far as one connection knows it; its clients share it.
+    """The paused simulation's state as far as one connection knows it; all clients of the connection share it.
 
-    `exclusive` promises that nobody else lets the simulation run. Then the state in which a continue-for left it is
-    still the present one until this connection sends what may change it, and need not be asked for.
+    `exclusive` promises that no other connection runs the simulation. The state in which a continue-for left it then
+    stays the present one until this connection sends a call that may change it, and need not be requested.
     """
 
     def __init__(self, exclusive: bool = False) -> None:
@@ -75,70 +72,74 @@ class KnownState:
         self.state: Kinematics | None = None
 
     def stands_at(self, state: Kinematics) -> None:
-        """The simulation is paused, in this state."""
+        """Keep the state in which the simulation has been paused."""
         self.state = state if self.exclusive else None
 
     def sending(self, method: str) -> None:
-        """A call that may change the state is about to be sent."""
+        """Forget the state if the call that is about to be sent may change it."""
         called = CALLS.get(method)
         if called is None or not called.leaves_state:
             self.state = None
 
 
-class Transport(Protocol):
-    """One connection: sends calls in order and waits for replies in any order."""
+class Transport(ABC):
+    """One connection: sends calls in order, and waits for replies in any order."""
 
-    clock: WallClock
-    known: KnownState
-    stalled_ns: int
+    stalled_ns = 0
     """Wall time for which a watched server did not answer, since it was last set to 0.
 
-    Of calls that take no simulated time, and of a continue-for beyond its end, 0.1 s are seen; of others a second.
+    A delay of 0.1 s is noticed in calls that take no simulated time and after the end of a continue-for, one of 1 s in
+    all others.
     """
 
-    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
-        """Issue a call; `blocking` says that the caller waits for it at once.
+    def __init__(self, clock: WallClock, exclusive: bool) -> None:
+        self.clock = clock
+        self.known = KnownState(exclusive)
 
-        A `coalesced` one may travel with the next: for a caller who knows that nothing happens before.
+    @abstractmethod
+    def send(
+        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
+    ) -> PendingCall:
+        """Send a call; `blocking` means that the caller waits for its reply at once.
+
+        A `coalesced` call may be sent together with the next: for a caller who knows that nothing happens before.
         """
-        ...
 
-    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
-        """Until the reply is there, or the wall deadline: then False."""
-        ...
+    @abstractmethod
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
+        """Wait for the reply; False if the wall deadline passes first."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:  # noqa: B027  nothing to release, unless there is a socket
+        """Release the connection."""
 
 
 def set_no_delay(connection: socket.socket) -> None:
-    """Send small messages at once, and acknowledge them at once.
+    """Disable Nagle's algorithm and delayed acknowledgements.
 
-    Nagle's algorithm on one side and delayed acknowledgements on the other otherwise hold the second of two small
-    messages for 40 ms: exactly a command followed by a continue-for. Linux forgets the second option; set it again
-    after every read.
+    Together they hold the second of two small messages for 40 ms, such as a continue-for after a command. Linux resets
+    the second option: set it again after every read.
     """
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     set_quick_ack(connection)
 
 
 def set_quick_ack(connection: socket.socket) -> None:
+    """Acknowledge what was just read at once, where the system can."""
     if _QUICKACK is not None:
         connection.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
 
 
-class SocketTransport:
-    """msgpack-rpc over TCP. Raises UserError if nobody listens there.
+class SocketTransport(Transport):
+    """msgpack-rpc over TCP. Raises UserError if no server listens at the address.
 
-    With a `watch`, calls raise ServerGoneError where that finds the server gone; without, they wait for ever.
+    With a `watch`, calls raise ServerGoneError if it finds that the server has gone; without one they wait for ever.
     """
 
     def __init__(
         self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None
     ) -> None:
-        self.clock: WallClock = MonotonicClock()
-        self.known = KnownState(exclusive)
-        self.stalled_ns = 0
-        self._silence = None if watch is None else Silence(watch, self._ask)
+        super().__init__(MonotonicClock(), exclusive)
+        self._silence = None if watch is None else ServerSilence(watch, self._ask)
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
@@ -146,20 +147,22 @@ class SocketTransport:
                 f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`"
             ) from None
         self._socket.settimeout(None)
-        if watch is not None:  # what waits without a deadline wakes now and then, at no cost to what does not
+        if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
             interval = struct.pack("ll", LOOK_NS // NS_PER_S, 0)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
-        self._open: dict[int, Call] = {}
+        self._open: dict[int, PendingCall] = {}
         self._unsent = b""
         self._next_id = 0
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
+    def send(
+        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
+    ) -> PendingCall:
         self.known.sending(method)
-        call = Call(method, channel_of(method, params))
+        call = PendingCall(method, params)
         call.sent_ns = self.clock.now_ns()
         self._next_id = (self._next_id + 1) & 0xFFFFFFFF
         self._open[self._next_id] = call
@@ -176,7 +179,7 @@ class SocketTransport:
             except ConnectionError as error:
                 raise ServerGoneError(f"the server closed the connection: {error}") from None
 
-    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
         self._flush()
         if call.expected_ns is not None:
             self._poll_around(call, call.expected_ns, deadline_ns)
@@ -187,8 +190,8 @@ class SocketTransport:
                 return False
         return True
 
-    def _poll_around(self, call: Call, expected_ns: int, deadline_ns: int | None) -> None:
-        """Be awake when the answer comes: a process that sleeps wakes tens of microseconds late."""
+    def _poll_around(self, call: PendingCall, expected_ns: int, deadline_ns: int | None) -> None:
+        """Poll around the expected time: a sleeping process wakes tens of microseconds late."""
         last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
         wake_ns = expected_ns - POLL_NS
         while not call.done and self.clock.now_ns() < last_ns:
@@ -196,7 +199,7 @@ class SocketTransport:
                 self._receive()
 
     def _readable(self, deadline_ns: int) -> bool:
-        """Whether something has come by the deadline; by then or before it a watched server has been asked for."""
+        """Whether something has arrived by the deadline; returns earlier to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + LOOK_NS
         if self._silence is None or deadline_ns < look_ns:
             return bool(wait_for_sockets(self._selector, deadline_ns))
@@ -228,7 +231,7 @@ class SocketTransport:
             self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
 
     def _ask(self) -> Callable[[], bool]:
-        """Ask the server whether it is there; what is returned says whether it has answered."""
+        """Ping the server; the returned function says whether it has answered."""
         ping = self.send("ping", (), blocking=True)
         return lambda: ping.done
 
@@ -239,21 +242,21 @@ class SocketTransport:
         self._socket.close()
 
 
-class VirtualTransport:
-    """Calls an `Api` in the same process and lets its simulation's wall clock pass as the latency model says."""
+class VirtualTransport(Transport):
+    """Calls an `Api` in the same process, and advances its simulated wall clock as the latency model says."""
 
     def __init__(self, api: Api, clock: VirtualClock, latency: Latency, exclusive: bool = False) -> None:
-        self.clock: WallClock = clock
-        self.known = KnownState(exclusive)
-        self.stalled_ns = 0
+        super().__init__(clock, exclusive)
         self._api = api
         self._latency = latency
         self._handled_ns = clock.now_ns()
-        self._unanswered: Call | None = None  # the last command sent without waiting
+        self._unanswered: PendingCall | None = None  # the last command sent without waiting
 
-    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> Call:
+    def send(
+        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
+    ) -> PendingCall:
         self.known.sending(method)
-        call = Call(method, channel_of(method, params))
+        call = PendingCall(method, params)
         arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())
         self._handled_ns = max(self._handled_ns, arrival)  # one socket keeps its order
         self._run_to(self._handled_ns)
@@ -275,7 +278,7 @@ class VirtualTransport:
             self.clock.charge(self._latency.issue_ns())
         return call
 
-    def wait(self, call: Call, deadline_ns: int | None = None) -> bool:
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
         if call.deferred is not None and not self._run_until_due(call, call.deferred, deadline_ns):
             return False
         reply = call.reply_wall_ns or 0
@@ -286,17 +289,14 @@ class VirtualTransport:
         call.done = True
         return True
 
-    def close(self) -> None:
-        pass
-
     def catch_up(self) -> None:
-        """Let the simulation's wall time pass up to the clock's, as it does before the next message."""
+        """Advance the simulation to the clock's present, as the next message would."""
         self._run_to(max(self._handled_ns, self.clock.now_ns()))
 
     def _let_through_ns(self) -> int:
-        """When Nagle's algorithm lets a request go that follows an unanswered command, on a modelled client's socket.
+        """When Nagle's algorithm on a modelled client's socket releases a request that follows an unanswered command.
 
-        The answer, or else the server's delayed acknowledgement, which `stall_us` stands for, lets it through.
+        It waits for the answer or for the server's delayed acknowledgement, which `stall_us` models.
         """
         call, stall_ns = self._unanswered, self._latency.stall_ns
         if not stall_ns or call is None:
@@ -306,7 +306,7 @@ class VirtualTransport:
             return acknowledged_ns
         return min(acknowledged_ns, answered_ns)
 
-    def _run_until_due(self, call: Call, deferred: DeferredReply, deadline_ns: int | None) -> bool:
+    def _run_until_due(self, call: PendingCall, deferred: DeferredReply, deadline_ns: int | None) -> bool:
         simulation = self._api.simulation
         while deferred.due_wall_ns is None:
             due = simulation.next_event_wall_ns()
@@ -323,7 +323,7 @@ class VirtualTransport:
         return True
 
     def _run_to(self, wall_ns: int) -> None:
-        """Let the simulation's wall time pass; a wall timer ends on the dot, its lateness is in it."""
+        """Advance the simulation to a wall time; a wall timer before it ends exactly, as its lateness is included."""
         simulation = self._api.simulation
         timer = simulation.wall_timer_ns()
         if timer is not None and timer <= wall_ns:
@@ -332,14 +332,26 @@ class VirtualTransport:
         simulation.advance_to(self._handled_ns)
 
     def get_state(self) -> State:
-        """Wall clock, latencies and simulation, between two calls: replies under way are not in it."""
+        """The state of wall clock, latencies and simulation between two calls, without pending replies."""
         state: State = {"wall_ns": self.clock.now_ns(), "handled_ns": self._handled_ns}
         state |= prefixed("latency", self._latency.get_state())
         return state | prefixed("simulation", self._api.simulation.get_state())
 
     def set_state(self, state: SavedState) -> None:
-        """Back to what `get_state` gave; the clock of a transport made for this has to stand at 0."""
+        """Restore what `get_state` returned; the clock of this transport must be new, at 0."""
         self.clock.sleep_until(int(state["wall_ns"]))
         self._handled_ns = int(state["handled_ns"])
         self._latency.set_state(without_prefix("latency", state))
         self._api.simulation.set_state(without_prefix("simulation", state))
+
+
+def modelled_simulation(world: World, clock_speed: float, latency: Latency) -> Simulation:
+    """A settled hover with the clock running and API control off, on the simulator side that `latency` models."""
+    platform = latency.platform
+    return Simulation(
+        world,
+        clock_speed,
+        timer_lateness_ns=latency.timer_ns,
+        executor=platform.executor(),
+        frames=platform.new_frames(latency.frame_ns),
+    )

@@ -1,4 +1,4 @@
-"""AirSim's calls about a vehicle as such: who controls it, where it is and is put, what it has touched, and new ones.
+"""AirSim's calls about vehicles: control, poses and kinematics, states, collisions, and adding vehicles.
 
 Sources: AirSim v1.8.1, RpcLibServerBase.cpp, MultirotorPawnSimApi.cpp (setPose, setKinematics), SimModeBase.cpp.
 """
@@ -16,31 +16,31 @@ from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
-from uavaccel.wire.attitude_api import stick_map
 from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.flight_api import stick_map
 from uavaccel.wire.vehicles import free_place, put_at, standing
 
-FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond them a tick's drag or turn is no small change
+FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond these a tick's drag or turn is not a small change
 KIND = "simpleflight"
-TURNS = (-1, -1, 1, 1)  # of the rotors: AirSim's sign of their torque
+TURNS = (-1, -1, 1, 1)  # AirSim's signs of the rotors' torques
 MAX_SPEED_RAD_S = 669.857
 
 
-class Motion(NamedTuple):
-    """What of a KinematicsState can be set."""
+class SettableKinematics(NamedTuple):
+    """The parts of a KinematicsState that can be set."""
 
     pose: Pose
     velocity_m_s: Vector
     rate_rad_s: Vector
 
 
-def motion(value: object, name: str) -> Motion:
-    """A KinematicsState."""
+def motion(value: object, name: str) -> SettableKinematics:
+    """The settable parts of a client's KinematicsState."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a KinematicsState")
     velocity = _bounded(value.get("linear_velocity"), "linear_velocity", FASTEST_M_S)
     rate = _bounded(value.get("angular_velocity"), "angular_velocity", FASTEST_RAD_S)
-    return Motion(pose(value, name), velocity, rate)
+    return SettableKinematics(pose(value, name), velocity, rate)
 
 
 def _bounded(value: object, name: str, most: float) -> Vector:
@@ -54,7 +54,7 @@ class VehicleApi(Calls, title="Vehicles"):
     @call("enableApiControl")
     def enable_api_control(self, is_enabled: bool, vehicle: VehicleName = "") -> None:
         pilot = self.scenery.flying_pilot(vehicle)
-        if not is_enabled:  # a command that runs on would have no end
+        if not is_enabled:  # the running command would never end
             pilot.cancel(self.wall_ns)
         pilot.api_control = is_enabled
 
@@ -68,14 +68,14 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("listVehicles")
     def names(self) -> list[str]:
-        """Every vehicle, by the alphabet as AirSim's map has them."""
+        """List all vehicles in alphabetical order, as in AirSim's map."""
         return sorted(vehicle.name for vehicle in self.simulation.world.vehicles)
 
     @call("simAddVehicle")
     def add(self, vehicle_name: str, vehicle_type: object, pose: FinitePose, pawn_path: object = "") -> bool:
-        """One more SimpleFlight, level and idle; `pose` is NED from the player's start.
+        """Add a SimpleFlight vehicle, level and idle; `pose` is NED from the player's start.
 
-        Below the ground is on it, and where another vehicle is beside that: Unreal adjusts what it spawns.
+        A pose below the ground is moved onto it, and one at another vehicle beside that, as Unreal does when it spawns.
         """
         if str(vehicle_type).lower() != KIND:
             raise ValueError(f"vehicle type {vehicle_type!r} is not available; there is SimpleFlight")
@@ -87,12 +87,12 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simGetVehiclePose")
     def pose(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
-        """Of the same tick as everything else."""
+        """Return the vehicle's pose at the present tick."""
         return types.pose_map(self.scenery.pilot(vehicle).kinematics())
 
     @call("simSetVehiclePose")
     def set_pose(self, pose: AnyPose, ignore_collision: object, vehicle: VehicleName = "") -> None:
-        """Velocity, rotors and goal stay as they are; NaN leaves a part of the pose as it is."""
+        """Set the pose; velocity, rotors, goal, and parts of the pose that are NaN stay as they are."""
         pilot = self.scenery.pilot(vehicle)
         self.simulation.world.teleport(pilot.vehicle, *put_at(pilot, pose))
 
@@ -103,11 +103,11 @@ class VehicleApi(Calls, title="Vehicles"):
     @call("simSetKinematics")
     def set_kinematics(
         self,
-        state: Annotated[Motion, motion],
+        state: Annotated[SettableKinematics, motion],
         ignore_collision: object,
         vehicle: VehicleName = "",
     ) -> None:
-        """Pose and velocities; the accelerations follow from them here."""
+        """Set pose and velocities; the accelerations follow from them here."""
         pilot = self.scenery.pilot(vehicle)
         place = put_at(pilot, state.pose)
         self.simulation.world.teleport(pilot.vehicle, *place, state.velocity_m_s, state.rate_rad_s)
@@ -128,7 +128,7 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("getRotorStates")
     def rotor_states(self, vehicle: VehicleName = "") -> dict[str, object]:
-        """RotorStates: N and N m at sea level's air, rad/s (RotorActuator.hpp)."""
+        """Return the RotorStates: N and N m in air at sea level, and rad/s (RotorActuator.hpp)."""
         pilot = self.scenery.flying_pilot(vehicle)
         parameters, outputs = pilot.vehicle.parameters, pilot.vehicle.state["rotor_output"].tolist()
         rotors = [
@@ -143,7 +143,7 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simGetCollisionInfo")
     def collision_info(self, vehicle: VehicleName = "") -> dict[str, object]:
-        """Reading it sets has_collided back, as in AirSim."""
+        """Return the latest collision; reading it resets has_collided, as in AirSim."""
         flown = self.scenery.vehicle(vehicle)
         touches = flown.contact_log
         info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}

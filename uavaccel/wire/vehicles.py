@@ -1,4 +1,4 @@
-"""The vehicles that settings.json asks for, put into a simulation.
+"""Puts the vehicles of settings.json into a simulation, and places vehicles that are added or moved.
 
 Source: AirSim v1.8.1, SimModeBase.cpp (createVehiclePawn, setupVehiclesAndCamera), PawnSimApi.cpp: places are NED
 metres from the player's start, and each vehicle's own frame begins where it does.
@@ -17,21 +17,21 @@ from uavaccel.sim.scene.bounds import APART_M, check_name
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
 from uavaccel.sim.world import START_M
-from uavaccel.wire.settings import Settings, Vehicle
+from uavaccel.wire.settings import Settings, VehicleSettings
 
 STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
 
 
 def populate(simulation: Simulation, settings: Settings) -> None:
-    """Name and place the leading vehicle, and add the others. Raises UserError that names it.
+    """Name and place the first vehicle, and add the others. Raises UserError that names the vehicle.
 
-    A vehicle without X, Y and Z hovers 10 m up, ready to be flown; one with them starts there, idle, as in AirSim.
+    A vehicle without X, Y and Z hovers at 10 m, ready to be flown; one with them starts there, idle, as in AirSim.
     """
     world = simulation.world
     _check_names(settings)
     world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
-    newcomers, key = [], ""
+    added, key = [], ""
     try:
         for name, vehicle in settings.created():
             key = f".{name}"
@@ -41,16 +41,16 @@ def populate(simulation: Simulation, settings: Settings) -> None:
                 world.lead.start, world.lead.origin_m = start, origin_m
                 simulation.reset(simulation.wall_ns)
             elif name not in there:
-                newcomers.append(AddedVehicle(name, start, origin_m))
+                added.append(AddedVehicle(name, start, origin_m))
         key = ""
-        if newcomers:
-            simulation.add_vehicles(newcomers)
+        if added:
+            simulation.add_vehicles(added)
     except UserError as error:
         raise UserError(f"Vehicles{key}: {error}") from None
 
 
 def _check_names(settings: Settings) -> None:
-    """Raise UserError, naming the key, for a vehicle or a camera that cannot be called so."""
+    """Raise UserError, naming the key, for the invalid name of a vehicle or a camera."""
     named = [("Vehicles", "a vehicle", name) for name in settings.vehicles]
     for vehicle, given in settings.vehicles.items():
         named += [(f"Vehicles.{vehicle}.Cameras", "a camera", name) for name in given.cameras if name]
@@ -62,8 +62,8 @@ def _check_names(settings: Settings) -> None:
             raise UserError(f"{key}: {error}") from None
 
 
-def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
-    """Where a vehicle begins in the world, and the origin of its frame."""
+def starting(vehicle: VehicleSettings) -> tuple[Start, Vector]:
+    """The start of a vehicle in the world, and the origin of its frame."""
     if not vehicle.placed:
         return Start(START_M), HERE
     place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
@@ -71,7 +71,7 @@ def starting(vehicle: Vehicle) -> tuple[Start, Vector]:
 
 
 def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
-    """The place, on the ground where it is below, or the next one to its east at which no vehicle is.
+    """The given place, or the ground above it, or the next place to the east that is free of vehicles.
 
     NED from the player's start; `taken_m` are the vehicles' places in the world.
     """
@@ -82,7 +82,7 @@ def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
 
 
 def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
-    """Where in the world a pose in the vehicle's own frame is; what of it is NaN is the present one."""
+    """The place and attitude in the world of a pose in the vehicle's frame; parts that are NaN are the present ones."""
     now = pilot.kinematics()
     place_m = now.position_m if math.isnan(sum(pose.position_m)) else pose.position_m
     attitude = now.orientation_wxyz if math.isnan(sum(pose.orientation_wxyz)) else pose.orientation_wxyz
@@ -90,7 +90,7 @@ def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
 
 
 def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:
-    """Level and idle at a place that is NED from the player's start; the origin of the vehicle's frame is there."""
+    """A start, level and idle, at a place NED from the player's start, and the origin of the frame, which is there."""
     origin = (place_m[0], place_m[1], place_m[2] + STANDING_M)
     heading: Quaternion = (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
     return Start(origin, heading, idle=True), origin

@@ -1,4 +1,4 @@
-"""AirSim's calls about the world at large: environment, wind, lines of sight, extents, weather.
+"""AirSim's calls about the world: environment, wind, lines of sight, extents, weather.
 
 Sources: AirSim v1.8.1, Environment.hpp, WorldSimApi.cpp, PawnSimApi.cpp.
 """
@@ -20,7 +20,7 @@ from uavaccel.wire.calls import Calls, WithoutEffect, call
 class WorldApi(Calls, title="World"):
     @call("simGetGroundTruthEnvironment")
     def environment(self, vehicle: VehicleName = "") -> dict[str, object]:
-        """SI units."""
+        """Return the environment at a vehicle, in SI units."""
         position = self.scenery.truth(vehicle).position_m
         place = geographic(position, self.scenery.settings.home)
         air = atmosphere(place.altitude)
@@ -35,17 +35,17 @@ class WorldApi(Calls, title="World"):
 
     @call("getHomeGeoPoint")
     def home(self, vehicle: VehicleName = "") -> dict[str, float]:
-        """Of the vehicle's NED origin."""
+        """Return the geographic position of the vehicle's NED origin."""
         return types.geo_map(geographic(self.scenery.vehicle(vehicle).origin_m, self.scenery.settings.home))
 
     @call("simSetWind")
     def set_wind(self, wind: Wind) -> None:
-        """m/s NED, until it is set anew."""
+        """Set the wind in m/s NED, until it is set again."""
         self.simulation.world.set_wind(wind)
 
     @call("simTestLineOfSightToPoint")
     def sees_point(self, point: Point, vehicle: VehicleName = "") -> bool:
-        """From the vehicle."""
+        """Return whether the line of sight from the vehicle to a point is free."""
         return self._sees(self.scenery.truth(vehicle).position_m, self._local(point))
 
     @call("simTestLineOfSightBetweenPoints")
@@ -62,7 +62,7 @@ class WorldApi(Calls, title="World"):
 
     @call("simGetWorldExtents")
     def extents(self) -> list[dict[str, float]]:
-        """The south-western lowest and the north-eastern highest corner of all objects."""
+        """Return the lowest south-western and the highest north-eastern corner of all objects."""
         objects = self.scenery.objects
         corners = np.vstack([objects.corners(name) for name in objects.names()])
         low, high = corners.min(axis=0), corners.max(axis=0)

@@ -6,8 +6,8 @@ import json
 import os
 import select
 import subprocess
-import sys
 
+from uavaccel.child import start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.gl import GlRenderer
@@ -39,11 +39,10 @@ class RenderService:
         theirs = [self._memory, requests, *(write for _, write in pipes)]
         options = {"scene": scene, "scenery": scenery, "cameras": cameras, "tiles": tiles}
         options |= {"memory": self._memory, "requests": requests, "replies": theirs[2:]}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "uavaccel.sim.rendering.process", json.dumps(options)],
+        self.process = start_python(
+            *("-m", "uavaccel.sim.rendering.process", json.dumps(options)),
             stdout=subprocess.PIPE,
             pass_fds=theirs,
-            start_new_session=True,  # Ctrl-C is for the process that flies
         )
         for descriptor in theirs[1:]:  # otherwise the end of a pipe would not be noticed
             os.close(descriptor)

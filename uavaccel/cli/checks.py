@@ -1,4 +1,4 @@
-"""Whether what a command will write can be written, before anything is flown."""
+"""Checks of options before anything is flown: numbers, names, and whether what a command writes can be written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from uavaccel.errors import UserError
 
 
 def check_out(folder: Path, resume: bool = False) -> None:
-    """Raises UserError for a run's folder that exists, unless it is gone on with, or that cannot be made."""
+    """Raise UserError for a run's folder that exists, unless the run is resumed, or that cannot be made."""
     _check_name(folder)
     if folder.exists():
         if not resume:
@@ -23,7 +23,7 @@ def check_out(folder: Path, resume: bool = False) -> None:
 
 
 def check_file(file: Path, option: str = "--out") -> None:
-    """Raises UserError for a file that exists, or that cannot be made in the folder where it would be."""
+    """Raise UserError for a file that exists, or that cannot be made in its folder."""
     _check_name(file)
     if file.exists():
         raise UserError(f"{file}: exists; take another {option}")
@@ -38,3 +38,18 @@ def _check_name(path: Path) -> None:
         path.exists()
     except OSError as error:
         raise UserError(f"--out {str(path)[:40]}...: {error.strerror}") from error
+
+
+def check_number(option: str, value: float, least: float, most: float) -> None:
+    """Raise UserError for a number outside of these bounds."""
+    if not least <= value <= most:
+        form = "g" if isinstance(value, float) else "d"
+        raise UserError(f"{option} {value:{form}}: must be {least:{form}} to {most:{form}}")
+
+
+def check_profile(profile: str) -> None:
+    """Raise UserError for an unknown profile."""
+    from uavaccel.sim.profile import PROFILES  # heavy
+
+    if profile not in PROFILES:
+        raise UserError(f"--profile {profile}: must be {' or '.join(PROFILES)}")

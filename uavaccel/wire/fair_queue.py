@@ -1,7 +1,7 @@
-"""Whose requests are served next: who would have been served least comes first, so that nobody waits for a crowd.
+"""Fair queueing of clients: the one that would have been served least comes next.
 
-Weighted fair queueing (Demers, Keshav, Shenker, SIGCOMM 1989); how long a request takes is learned from those before
-it of its method. Who begins to ask has no claim on time that is past.
+After Demers, Keshav and Shenker (SIGCOMM 1989). How long a request takes is estimated from earlier requests of its
+method. A client that was idle has no claim on past time.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from collections.abc import Callable, Container
 from typing import Generic, Protocol, TypeVar
 
 
-class Served(Protocol):
+class QueuedClient(Protocol):
     """A client in the queue."""
 
     served_ns: int
-    """Wall time that has been spent on it, or would have been if it had always asked."""
+    """Wall time spent on the client; its idle time counts as if it had been served fairly."""
     has_turn: bool
 
 
-Client = TypeVar("Client", bound=Served)
+Client = TypeVar("Client", bound=QueuedClient)
 
 
-class Turns(Generic[Client]):
-    """The clients that ask for something; `expected_ns` says how long what one asks for next will take."""
+class FairQueue(Generic[Client]):
+    """The queue of clients with a request; `expected_ns` estimates how long a client's next request takes."""
 
     def __init__(self, expected_ns: Callable[[Client], int]) -> None:
         self._expected_ns = expected_ns
@@ -38,7 +38,7 @@ class Turns(Generic[Client]):
         return len(self._queue)
 
     def add(self, client: Client, begins: bool = True) -> None:
-        """It asks, begins to ask or goes on; nothing happens if it is waiting for its turn already."""
+        """Queue a client, which `begins` to send requests or continues; no effect if it is queued already."""
         if client.has_turn:
             return
         client.has_turn = True
@@ -48,27 +48,27 @@ class Turns(Generic[Client]):
         heapq.heappush(self._queue, (client.served_ns + self._expected_ns(client), self._number, client))
 
     def next(self) -> Client:
-        """Whose turn it is; it has to be added again for another."""
+        """Take the next client out of the queue."""
         while True:
             end_ns, number, client = self._queue[0]
             now_expected_ns = client.served_ns + self._expected_ns(client)
             if now_expected_ns <= end_ns:
                 break
-            heapq.heapreplace(self._queue, (now_expected_ns, number, client))  # such calls took longer since
+            heapq.heapreplace(self._queue, (now_expected_ns, number, client))  # the estimate has grown since
         heapq.heappop(self._queue)
         client.has_turn = False
         self._last = client
         return client
 
     def _least_ns(self) -> int:
-        """What those have been served who wait, the least of them; or the last who did."""
+        """The least service among the queued clients; that of the last one served if none is queued."""
         if self._queue:
             return min(client.served_ns for _, _, client in self._queue)
         return self._last.served_ns if self._last is not None else 0
 
 
-class Costs:
-    """What calls, and pieces of results, take: about the mean of late, which one that was held up changes little."""
+class DurationEstimates:
+    """Estimates how long calls, and items of results, take: a recent mean that a single delay changes little."""
 
     def __init__(self, methods: Container[str]) -> None:
         self._methods = methods
@@ -78,7 +78,7 @@ class Costs:
         return self._expected_ns.get((method, piece), 0)
 
     def took(self, method: str, piece: bool, wall_ns: int) -> None:
-        """A call has taken so long, or a `piece` of its result."""
+        """Learn from the duration of a call, or of a `piece` of its result."""
         if method in self._methods:  # names come from clients
             before_ns = self._expected_ns.get((method, piece), wall_ns)
             self._expected_ns[method, piece] = (3 * before_ns + min(wall_ns, 2 * before_ns + 1)) // 4
