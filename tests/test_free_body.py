@@ -11,9 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.vehicle.vehicle import set_airframe
 from uavaccel.sim.vehicle.free_body import HUGE, free_step
 from uavaccel.sim.vehicle.quadrotor import parameters
+from uavaccel.sim.vehicle.vehicle import set_airframe
 from uavaccel.sim.world import FlightError, World
 
 STEPS = 10

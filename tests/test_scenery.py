@@ -17,8 +17,8 @@ from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.saved import of_physics
+from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
 

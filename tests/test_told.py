@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.learning import tiny_config
 from tests.opengl import needs_opengl
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.context_planes import ContextPlanes
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
 from uavaccel.rl.double_dqn import DoubleDQN
