@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.training.learning_curves import draw_runs
+from uavaccel.suites.training.learning_curves import plot_over_time
 
 
 def main() -> None:
@@ -18,7 +18,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", help="NAME=FOLDER")
     options = parser.parse_args()
     names, folders = zip(*(run.rpartition("=")[::2] for run in options.runs), strict=True)
-    print(draw_runs([RunDirectory(folder) for folder in folders], names, options.picture))
+    print(plot_over_time([RunDirectory(folder) for folder in folders], names, options.picture))
 
 
 if __name__ == "__main__":

@@ -23,9 +23,8 @@ from scipy.stats import norm
 from uavaccel.draw import style
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
-from uavaccel.suites.dp1.cases import Case
 from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, fly_game
+from uavaccel.suites.dp1.flights import SCENE, Case, fly_game
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.platform import FrameConfig, PlatformConfig
 from uavaccel.wire.session import open_session
@@ -99,7 +98,7 @@ def fly_cell(latency_key: tuple[float, ...], command: str, clock_speed: float, t
     prefixes: dict[int, list[Trajectory]] = {rounds: [] for rounds in ROUNDS}
     with open_session("virtual", "airsim", SCENE, config.latency) as session:
         for game in range(GAMES):
-            case = Case("game", command, clock_speed, t_move_s, ROUNDS[-1], game, "virtual", "square")  # type: ignore[arg-type]
+            case = Case("game", command, clock_speed, "virtual", t_move_s, ROUNDS[-1], game, "square")  # type: ignore[arg-type]
             row, arrays = fly_game(config, case, session)
             walls.append(row["wall_s"])
             for rounds in ROUNDS:

@@ -13,10 +13,8 @@ from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
-from uavaccel.suites.ablation.config import AblationConfig, Variant
-from uavaccel.suites.ablation.report import table
-from uavaccel.suites.ablation.suite import Ablation
-from uavaccel.suites.ablation.variants import VariantCurve, curves, plot_variants
+from uavaccel.suites.ablation.report import VariantCurve, curves, plot_variants, table
+from uavaccel.suites.ablation.suite import Ablation, AblationConfig, Variant
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.yaml_io import load_yaml

@@ -9,8 +9,8 @@ import pytest
 
 from tests.opengl import needs_opengl
 from uavaccel.bench import speed
+from uavaccel.bench.batch import proportional_mib
 from uavaccel.bench.images import frames_seen
-from uavaccel.bench.memory import proportional_mib
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.wire.session import VirtualSession
 

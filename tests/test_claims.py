@@ -12,8 +12,14 @@ from scipy.stats import hypergeom
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import Cloud, Images, Policies, Trajectories
-from uavaccel.suites.paper.phases import phases, table
-from uavaccel.suites.paper.verdicts import _paper_p, at_the_papers_n, decision, judged
+from uavaccel.suites.paper.report import (
+    at_the_papers_n,
+    decision,
+    judged,
+    paper_p,
+    phase_table,
+    training_phases,
+)
 from uavaccel.suites.parts import Part
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
@@ -314,7 +320,7 @@ def test_a_baseline_that_was_not_trained_leaves_a_speed_up_pending() -> None:
 
 def test_phases_are_hours_of_a_training_like_the_papers() -> None:
     """A command of ADSC takes 1 s and 43.5 ms at 1x, which are 182 hours."""
-    rows = {row["clock_speed"]: row for row in phases(policies())}
+    rows = {row["clock_speed"]: row for row in training_phases(policies())}
     hours_a_second = 182 / 1.0435
     assert list(rows) == list(CLOCKS)
     assert rows[5.0]["simulation_h"] == pytest.approx(hours_a_second / 4)
@@ -322,10 +328,10 @@ def test_phases_are_hours_of_a_training_like_the_papers() -> None:
     assert (rows[5.0]["inference_h"], rows[5.0]["learning_h"]) == (0, 0)
     assert rows[1.0]["paper_simulation_h"] + rows[1.0]["paper_beside_h"] == pytest.approx(182)
     assert rows[5.0]["paper_simulation_h"] == pytest.approx(rows[1.0]["paper_simulation_h"] / 4)
-    shown = table(list(rows.values()))
+    shown = phase_table(list(rows.values()))
     whole = shown.header.index("whole, the paper's")
     assert [line[whole] for line in shown.rows] == ["182.0", "50.6", "35.0", "-", "-"]
-    assert phases(policies(trained=6)) == phases(Policies([])) == []
+    assert training_phases(policies(trained=6)) == training_phases(Policies([])) == []
 
 
 def test_the_bootstrap_keeps_cells_in_their_shares() -> None:
@@ -345,9 +351,9 @@ def test_the_papers_n_tells_of_the_collapse_alone() -> None:
     said = {}
     for claim in CLAIMS.values():
         if claim.paper_counts is not None:
-            found = _paper_p(claim)
+            found = paper_p(claim)
             assert found == pytest.approx(p_value(*claim.paper_counts))
-            said[claim.id] = at_the_papers_n({"paper_p": found}).split()[0]
+            said[claim.id] = at_the_papers_n(found).split()[0]
     assert {claim for claim, word in said.items() if word == "significant"} == {"adsc_collapses_at_5x"}
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from uavaccel.suites.training.curves_file import CurvesFile
+from uavaccel.suites.training.rows import CurvesFile
 
 
 def test_tensorboard_reads_what_was_drawn_of_each_start(tmp_path: Path) -> None:

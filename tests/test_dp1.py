@@ -16,10 +16,9 @@ from uavaccel.cli.progress import Progress
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.cases import Case
-from uavaccel.suites.dp1.cases import cases as cases_of
 from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, fly_game
+from uavaccel.suites.dp1.flights import SCENE, Case, fly_game
+from uavaccel.suites.dp1.flights import cases as cases_of
 from uavaccel.suites.dp1.report import Dp1Report
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session

@@ -25,15 +25,12 @@ from tests.dp1_games import (
 from tests.drawing import boxes, headline, labelled, points, record_figures, texts
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.accuracy import accuracy_figure
-from uavaccel.suites.dp1.report import Dp1Report
+from uavaccel.suites.dp1.cell_figures import accuracy_figure, speedup_figure
+from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
+from uavaccel.suites.dp1.report import Dp1Report, table
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summarise
-from uavaccel.suites.dp1.table import table
-from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
-from uavaccel.suites.dp1.velocity import velocity_figure
 
 FIGURES = (
     "figure2_velocity",

@@ -10,8 +10,8 @@ import pytest
 
 from tests.dp1_games import line_arrays, line_row, quantile, synthetic_games
 from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.suites.dp1.report import overview, table
 from uavaccel.suites.dp1.scores import cells_of, score_cells
-from uavaccel.suites.dp1.table import overview, table
 from uavaccel.suites.report import LoadArrays
 
 Row = Any

@@ -19,10 +19,9 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M
-from uavaccel.suites.dp2.cases import Case, velocities
-from uavaccel.suites.dp2.cases import cases as cases_of
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import SCENE, fly_game
+from uavaccel.suites.dp2.flights import SCENE, Case, fly_game, velocities
+from uavaccel.suites.dp2.flights import cases as cases_of
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import open_session
 

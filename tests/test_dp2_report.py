@@ -13,10 +13,8 @@ from tests.drawing import headline, record_figures
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.report import Dp2Report
-from uavaccel.suites.dp2.scores import SeenFlight, count_events, score_game, score_games
-from uavaccel.suites.dp2.summary import summary_of
-from uavaccel.suites.dp2.table import table
+from uavaccel.suites.dp2.report import Dp2Report, table
+from uavaccel.suites.dp2.scores import ObservedFlight, count_events, score_game, score_games, summary_of
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS
 
@@ -60,8 +58,8 @@ def yaw(*degrees: float) -> np.ndarray:
     return np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
 
 
-def seen(row: Any, index: list[int], position_m: Any, *senses: np.ndarray) -> SeenFlight:
-    return SeenFlight(row, np.array(index, np.int32), np.array(position_m, float), *senses)
+def seen(row: Any, index: list[int], position_m: Any, *senses: np.ndarray) -> ObservedFlight:
+    return ObservedFlight(row, np.array(index, np.int32), np.array(position_m, float), *senses)
 
 
 # Shared are the samples 0, 1, 2 and 5, of which the first is the start.

@@ -14,11 +14,9 @@ from scipy.stats import binomtest
 
 from tests.drawing import boxes, headline, labelled, legend_texts, points, texts, tick_texts
 from uavaccel.draw import style
-from uavaccel.suites.dp1.accuracy import plot_accuracy
-from uavaccel.suites.dp1.speedup import SpeedupCurve, plot_speedup
-from uavaccel.suites.dp1.trajectories import TrajectoryLine, plot_trajectories
-from uavaccel.suites.dp1.velocity import VelocityPanel, plot_velocity
-from uavaccel.suites.evaluation.survival import plot_survival
+from uavaccel.suites.dp1.cell_figures import plot_accuracy, plot_speedup
+from uavaccel.suites.dp1.flight_figures import TrajectoryLine, VelocityPanel, plot_trajectories, plot_velocity
+from uavaccel.suites.evaluation.report import plot_survival
 from uavaccel.suites.training.phases import PhaseTimes, plot_phases
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
@@ -69,17 +67,27 @@ def test_boxes_of_good_flights_keep_the_line_of_similarity_in_view() -> None:
 # --- speed-ups ----------------------------------------------------------------------------------------------
 
 
+def speedup_cell(
+    command: str, t_move_s: float, clock_speed: float, speedup: float | None, interval: list[float] | None
+) -> dict[str, Any]:
+    return {
+        "command": command,
+        "t_move_s": t_move_s,
+        "clock_speed": clock_speed,
+        "effective_speedup": speedup,
+        "effective_speedup_interval": interval,
+    }
+
+
 def test_speedups_stand_at_their_clock_speed_with_their_interval() -> None:
-    clocks = np.array([1.0, 2.5, 100.0])
     drawn: Any = plot_speedup(
         [
-            SpeedupCurve(
-                "tcsc", 0.1, clocks[1:], np.array([2.0, 70.0]), np.array([1.5, 69.0]), np.array([2.1, 90.0])
-            ),
-            SpeedupCurve(
-                "adsc", 1.0, clocks[:2], np.array([1.0, 2.4]), np.array([1.0, 2.3]), np.array([1.0, 2.45])
-            ),
-            SpeedupCurve("tcsc", 1.0, clocks[2:], np.array([95.0]), np.array([94.0]), np.array([97.0])),
+            speedup_cell("tcsc", 0.1, 100.0, 70.0, [69.0, 90.0]),
+            speedup_cell("tcsc", 0.1, 2.5, 2.0, [1.5, 2.1]),
+            speedup_cell("adsc", 1.0, 1.0, 1.0, None),
+            speedup_cell("adsc", 1.0, 2.5, 2.4, [2.3, 2.45]),
+            speedup_cell("tcsc", 1.0, 100.0, 95.0, [94.0, 97.0]),
+            speedup_cell("tcsc", 0.5, 50.0, None, None),
         ],
         "where from",
         24,
@@ -104,9 +112,8 @@ def test_speedups_stand_at_their_clock_speed_with_their_interval() -> None:
 
 
 def test_speedups_of_1_to_10_can_be_read() -> None:
-    values = np.array([1.0, 80.0])
-    curve = SpeedupCurve("adsc", 1.0, np.array([1.0, 100.0]), values, values, values)
-    (axes,) = (drawn := plot_speedup([curve], "", 1)).axes
+    cells = [speedup_cell("adsc", 1.0, 1.0, 1.0, None), speedup_cell("adsc", 1.0, 100.0, 80.0, None)]
+    (axes,) = (drawn := plot_speedup(cells, "", 1)).axes
     drawn.draw_without_rendering()
     assert (axes.get_yscale(), axes.get_ylabel()) == ("log", "effective speed-up")
     low, high = axes.get_ylim()

@@ -8,16 +8,33 @@ import numpy as np
 import pytest
 
 from tests.drawing import headline, labelled, points
-from uavaccel.suites.rl.distances import plot_distances
-from uavaccel.suites.rl.success import SuccessLine, plot_success, plot_success_over_gap
-from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
+from uavaccel.suites.rl.plots import (
+    SuccessLine,
+    plot_distances,
+    plot_success,
+    plot_success_over_gap,
+    plot_training_time,
+)
 
 PHASES = {
-    "simulation (with rendering)": 5400.0,
-    "image processing": 36.0,
+    "simulation": 5000.0,
+    "rendering": 400.0,
+    "image_processing": 36.0,
     "inference": 72.0,
     "learning": 144.0,
 }
+SPEEDUPS = (
+    "training_speedup",
+    "whole_training_speedup",
+    "paper_training_speedup",
+    "paper_whole_training_speedup",
+)
+
+
+def pooled(faster: float, *speedups: float | None) -> dict[str, Any]:
+    """Two seeds whose phases take a share of the time."""
+    phase_s = {phase: 2 * spent_s / faster for phase, spent_s in PHASES.items()}
+    return {"seeds": [0, 1], "phase_s": phase_s, **dict(zip(SPEEDUPS, speedups, strict=True))}
 
 
 def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() -> None:
@@ -60,12 +77,11 @@ def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:
 
 
 def test_training_time_is_bars_by_phase_and_speed_ups_beside_the_papers() -> None:
-    slow = TrainingTime(1.0, PHASES, 1.0, 1.0)
-    fast = TrainingTime(5.0, {phase: spent_s / 4 for phase, spent_s in PHASES.items()}, 4.1, 3.9, 4.0, 3.6)
-    figure = plot_training_time({"TCSC": [slow, fast]}, "modelled")
+    cells = {1.0: pooled(1.0, 1.0, 1.0, None, None), 5.0: pooled(4.0, 4.1, 3.9, 4.0, 3.6)}
+    figure = plot_training_time({"TCSC": cells}, "modelled")
     bars, speeds = figure.axes
     hours = np.array([[bar.get_height() for bar in container] for container in bars.containers])
-    np.testing.assert_allclose(hours[:, 0], np.array(list(PHASES.values())) / 3600)
+    np.testing.assert_allclose(hours[:, 0], np.array([5400.0, 36.0, 72.0, 144.0]) / 3600)
     np.testing.assert_allclose(hours[:, 1], hours[:, 0] / 4)
     shown = {name: [y for _, y in points(line) if np.isfinite(y)] for name, line in labelled(speeds).items()}
     assert shown == {

@@ -32,8 +32,8 @@ from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, tr
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.evaluation.report import compare, summarise
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.evaluation.summary import compare, summarise
 from uavaccel.suites.report import Summary
 
 LANES = 4

@@ -12,23 +12,26 @@ import numpy as np
 import pytest
 
 from uavaccel.draw import film as films
-from uavaccel.draw.decisions import TAKEN, UNTAKEN, Decisions, draw_ratings
 from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, write_contact_sheet, write_video
-from uavaccel.draw.lane_map import (
+from uavaccel.draw.movie import movie
+from uavaccel.draw.panels import (
     DRONE,
     GOAL,
     GROUND,
     OBSTACLE,
     OUTSIDE,
+    TAKEN,
     TRACK,
+    UNTAKEN,
     WALL,
+    Decisions,
     View,
     draw_lane,
+    draw_ratings,
     draw_track,
     follow,
     whole_lane,
 )
-from uavaccel.draw.movie import movie
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.sim.lane.layout import draw_layout

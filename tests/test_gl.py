@@ -11,7 +11,7 @@ import pytest
 
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
-from uavaccel.bench.camera import frame_rates
+from uavaccel.bench.images import frame_rates
 from uavaccel.errors import UserError
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import Camera

@@ -21,10 +21,9 @@ from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.summary import summarise
-from uavaccel.suites.evaluation.survival import draw_evaluations
-from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
-from uavaccel.suites.training.phases import draw_trainings, phase_times
+from uavaccel.suites.evaluation.report import plot_evaluations, summarise
+from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
+from uavaccel.suites.training.phases import phase_times, plot_trainings
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.wire.latency import shipped_latency
 
@@ -101,7 +100,7 @@ def test_figure_8_has_a_line_for_each_evaluation(tmp_path: Path, drawn: dict[str
         evaluation(tmp_path / "c", "straight", "virtual", 3, 5.0, 6.0),
     ]
     path = tmp_path / "figure8_survival.png"
-    assert draw_evaluations(runs, path) == path
+    assert plot_evaluations(runs, path).path == path
     lines = labelled(drawn["figure8_survival"].axes[0])
     assert {name: points(line) for name, line in lines.items() if name != "end of the lane"} == {
         f"default ({tmp_path / 'a/run'})": [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0)],
@@ -110,7 +109,7 @@ def test_figure_8_has_a_line_for_each_evaluation(tmp_path: Path, drawn: dict[str
     }
     assert headline(drawn["figure8_survival"])[1] == "measured and modelled · 1, 2 games each · seed 1, 3"
     for run, provenance in ((runs[1], "measured · 1 games"), (runs[2], "modelled · 2 games")):
-        draw_evaluations([run], tmp_path / "figure8_survival.png")
+        plot_evaluations([run], tmp_path / "figure8_survival.png")
         assert headline(drawn["figure8_survival"])[1].startswith(provenance)
 
 
@@ -227,7 +226,7 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     short = curve_of(tmp_path / "short", [False, True, True, True], [10.0, 20.0, 5.0, 6.0])  # begun twice
     won = [game % 3 == 0 for game in range(250)]
     long = curve_of(tmp_path / "long", won, [2.0 * game for game in range(250)])
-    draw_runs([short, long, short], ["mine", "long", "mine"], tmp_path / "curves.png")
+    plot_over_time([short, long, short], ["mine", "long", "mine"], tmp_path / "curves.png")
     axes = drawn["curves"].axes[0]
     lines = labelled(axes)
     assert list(lines) == ["mine", "long"]  # of one name, one entry
@@ -238,7 +237,7 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     marks = [np.asarray(line.get_xdata()) for line in axes.lines]
     assert [mark[0] for mark in marks if len(mark) == 2] == [182 * 3600.0]
     with pytest.raises(UserError, match="is no training with a wall time"):
-        draw_runs([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
+        plot_over_time([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")
 
 
 def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
@@ -255,9 +254,9 @@ def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
         return run
 
     first, second = evaluated_seed(0, [0, 2]), evaluated_seed(1, [2, 4])
-    draw_over_games([first], tmp_path / "games.png")
-    draw_runs([first], ["first"], tmp_path / "time.png")
-    draw_over_games([first, second], tmp_path / "both.png")
+    plot_over_games([first], tmp_path / "games.png")
+    plot_over_time([first], ["first"], tmp_path / "time.png")
+    plot_over_games([first, second], tmp_path / "both.png")
     for name, at in (("games", (4.0, 8.0)), ("time", (40.0, 80.0))):
         axes = drawn[name].axes[0]
         (bars,) = (each for each in axes.containers if isinstance(each, ErrorbarContainer))
@@ -282,7 +281,7 @@ def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[
         seed("two", 1, [False, True, True]),
         seed("other", 0, [True], clock=5.0),
     ]
-    draw_over_games(runs, tmp_path / "learning_games.png")
+    plot_over_games(runs, tmp_path / "learning_games.png")
     (axes,) = drawn["learning_games"].axes
     lines = labelled(axes)
     assert list(lines) == ["TCSC 1x, one and 1 more seeds", "TCSC 5x, other"]
@@ -306,7 +305,7 @@ def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
         training(tmp_path / "three", "virtual", environments=1),
     ]
     path = tmp_path / "figure9_phases.png"
-    assert draw_trainings(runs, path) == path
+    assert plot_trainings(runs, path).path == path
     axes, speed = drawn["figure9_phases"].axes
     modelled = "ADSC 100x\nvirtual, seed 6"
     assert tick_texts(axes.xaxis) == [
@@ -324,6 +323,6 @@ def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
     mixed = "measured, learning beside the flight and modelled · 2 games · seed 6"
     assert headline(drawn["figure9_phases"])[1] == mixed
     for run, provenance in ((runs[0], "modelled ·"), (runs[1], "measured, learning beside the flight ·")):
-        draw_trainings([run], tmp_path / "figure9_phases.png")
+        plot_trainings([run], tmp_path / "figure9_phases.png")
         assert headline(drawn["figure9_phases"])[1].startswith(provenance)
         assert "one" not in tick_texts(drawn["figure9_phases"].axes[0].xaxis)[0]

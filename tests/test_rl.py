@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from tests.opengl import needs_opengl
 from tests.running import configured, run_into
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
-from uavaccel.metrics.seeds import hierarchical_interval
+from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites import gpu, runner
@@ -26,8 +26,8 @@ from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
 from uavaccel.suites.parts import part_suite
 from uavaccel.suites.rl.cases import cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
-from uavaccel.suites.rl.figures import training_time
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
+from uavaccel.suites.rl.plots import plot_training_time
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import KEY, gap_s, summarise
 
@@ -302,7 +302,7 @@ def test_a_part_that_cannot_be_is_refused_before_anything_is_flown(override: str
 LANES = 40
 
 
-def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) -> list[dict[str, Any]]:
+def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) -> list[Any]:
     """A row for each seed that won those lanes; of a command three quarters of `wall_s` fly, and 0.25 s draw."""
     return [
         {
@@ -375,8 +375,9 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     assert fast["permutation_p"] == pytest.approx(
         2 / 6
     )  # of six ways to share four trainings out, two are as far
-    low, high = hierarchical_interval([np.arange(LANES) < won for won in (10, 12)], 0)
-    assert (fast["seeds_low"], fast["seeds_high"]) == (pytest.approx(low), pytest.approx(high, abs=0.02))
+    over_seeds = mean_estimate([10 / LANES, 12 / LANES])  # wider than Wilson's of the games
+    assert (fast["seeds_low"], fast["seeds_high"]) == (max(0.0, over_seeds.low), over_seeds.high)
+    assert (adsc["seeds_low"], adsc["seeds_high"]) == (adsc["wilson_low"], adsc["wilson_high"])
     # ADSC at 1x is what all speed-ups are over.
     assert fast["training_speedup"] == pytest.approx(0.625 / 0.4375)
     assert fast["whole_training_speedup"] == pytest.approx(0.635 / 0.4475)
@@ -429,10 +430,20 @@ def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> Non
 def test_times_of_a_figure_are_means_of_the_seeds_and_rendering_is_of_simulation() -> None:
     rows = made("tcsc", 1.0, [[0], [1]], 1.0)
     (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
-    drawn = training_time(cell)
-    assert drawn.phase_s == pytest.approx({
-        "simulation (with rendering)": 150.0, "image processing": 0.15, "inference": 0.3, "learning": 1.05,
+    bars = plot_training_time({"TCSC": {1.0: cell}}, "modelled").axes[0].containers
+    minutes = {str(bar.get_label()): bar[0].get_height() for bar in cast(Any, bars)}
+    assert minutes == pytest.approx({
+        "simulation (with rendering)": 2.5, "image processing": 0.0025, "inference": 0.005, "learning": 0.0175,
     })  # fmt: skip
+
+
+def test_success_that_no_seed_varies_has_the_width_of_the_games() -> None:
+    rows = made("adsc", 5.0, [[], [], []], 0.25) + made("tcsc", 5.0, [list(range(LANES))] * 3, 0.25)
+    cells = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
+    for cell, successes in zip(cells, (0, 3 * LANES), strict=True):
+        wilson = binomtest(successes, 3 * LANES).proportion_ci(method="wilson")
+        assert (cell["seeds_low"], cell["seeds_high"]) == (wilson.low, wilson.high)
+        assert cell["seeds_low"] < cell["seeds_high"]
 
 
 @pytest.mark.parametrize(

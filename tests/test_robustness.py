@@ -13,10 +13,8 @@ from tests.running import configured, run_into
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.robustness.config import RobustnessConfig
-from uavaccel.suites.robustness.report import collapse, maps, summarise
-from uavaccel.suites.robustness.success_map import plot_success_maps
-from uavaccel.suites.robustness.suite import Robustness
+from uavaccel.suites.robustness.report import collapse, maps, plot_success_maps, summarise
+from uavaccel.suites.robustness.suite import Robustness, RobustnessConfig
 
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.
 SMALL = ("agent=straight", "games=2", "latency_scale=[1, 0]", "evaluation.keys={task.max_commands: 6}")
@@ -65,7 +63,7 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path, monkeypatch: 
 
 def cells(**ratios: list[float]) -> list[dict[str, Any]]:
     """Success of ADSC at latencies ×0, ×1, ×2 and ×4 of 40 lanes, by ClockSpeed."""
-    rows = [
+    rows: list[Any] = [
         {
             "command": "adsc",
             "clock_speed": float(name.removeprefix("k")),

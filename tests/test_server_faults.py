@@ -95,7 +95,7 @@ def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
             killed.append(case.id)
             os.kill(servers[-1].pid, signal.SIGKILL)
 
-    run_suite(suite, config, run, on_flown=kill_once)
+    run_suite(suite, config, run, on_game=kill_once)
     cases = [case.id for case in suite.cases(config)]
     assert [row["case"] for row in run.rows()] == cases
     again = [row for row in run.rows() if "restarts" in row]

@@ -17,10 +17,8 @@ from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.sweep.conditions import keys_of, parse_sweep
-from uavaccel.suites.sweep.config import SweepConfig
-from uavaccel.suites.sweep.figure import plot_sweeps
-from uavaccel.suites.sweep.report import summarise, swept, table
+from uavaccel.suites.sweep.config import SweepConfig, keys_of, parse_sweep
+from uavaccel.suites.sweep.report import plot_sweeps, summarise, swept, table
 from uavaccel.suites.sweep.suite import Sweep
 
 # It sees nothing, so there are no pictures.
@@ -85,7 +83,7 @@ def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
 
 
 def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
-    rows = [
+    rows: list[Any] = [
         {"case": "as-trained", "same": ["wind-0"], "successes": 7, "games": 8, "timing": "virtual"},
         {"case": "wind-3", "same": [], "successes": 3, "games": 8, "timing": "virtual"},
     ]
@@ -94,7 +92,7 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
         "wind-3": np.array([1, 1, 0, 0, 0, 0, 0, 1], bool),
     }
     config = {"agent": "default", "seed": 0, "games": 8, "sweep": {"wind": [0, 3, 6], "light": [1]}}
-    summary = summarise(config, [{**row, "distance_m_median": 150.0} for row in rows], won)
+    summary = summarise(config, [row | {"distance_m_median": 150.0} for row in rows], won)
     assert [cell["value"] for cell in summary["cells"]] == [None, 0, 3]  # 6 and the light are not flown yet
     cell = summary["cells"][2]
     interval = binomtest(3, 8).proportion_ci(method="wilson")

@@ -61,7 +61,7 @@ def die(case, row):
         os.kill(os.getpid(), signal.SIGKILL)
 
 config = validate(TrainConfig, load_yaml(sys.argv[1]), sys.argv[1])
-run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {}), on_flown=die)
+run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {}), on_game=die)
 """
 
 
@@ -240,7 +240,7 @@ def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines
 
     run_suite(Training(), config, whole)
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, cut, on_flown=stop)
+        run_suite(Training(), config, cut, on_game=stop)
     assert [line["games"] for line in evaluations(cut)] == [3, 6]
     cut_short = (tmp_path / "cut" / FILE).read_bytes()
     (tmp_path / "cut" / FILE).write_bytes(cut_short[:-9])  # died while it wrote

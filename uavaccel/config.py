@@ -1,7 +1,7 @@
-"""Strict configurations: one clear line about what is wrong with one, and stable YAML of what is right.
+"""Strict configurations: one clear line for what is invalid, and stable YAML of what is valid.
 
-A suite declares a subclass of `Config`; the key `suite` of an experiment's YAML says which. Values are
-checked as JSON is: "3" is no number, yes is no integer, a list may fill a tuple.
+A suite declares a subclass of `Config`; the key `suite` of an experiment's YAML selects it. Values are checked as in
+JSON: "3" is not a number, yes is not an integer, and a list may fill a tuple.
 """
 
 import copy
@@ -21,7 +21,7 @@ __all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "valid
 
 
 class Config(BaseModel):
-    """Base of every configuration: it has no unknown keys, its numbers are finite, it never changes.
+    """Base of every configuration, which has no unknown keys and no infinite numbers, and is immutable.
 
     A docstring below a field is that field's description in the JSON schema.
     """
@@ -43,10 +43,10 @@ ConfigType = TypeVar("ConfigType", bound=Config)
 
 
 def apply_overrides(mapping: Mapping[str, object], overrides: Iterable[str]) -> dict[str, Plain]:
-    """A copy of `mapping` with each "dotted.key=value" applied in turn; values are YAML.
+    """Return a copy of `mapping` with each "dotted.key=value" applied in turn; values are YAML.
 
-    A number indexes a list; mappings on the way to a new key are made. Raises UsageError if an override is
-    not key=value, UserError if its key leads through something without keys, or its value is not YAML.
+    A number indexes a list; missing mappings on the way to a key are created. Raises UsageError if an override is not
+    key=value, UserError if its key leads through a value without keys, or if its value is not YAML.
     """
     result = copy.deepcopy(dict(mapping))
     for override in overrides:
@@ -56,7 +56,7 @@ def apply_overrides(mapping: Mapping[str, object], overrides: Iterable[str]) -> 
 
 
 def parse_override(override: str) -> tuple[str, Plain]:
-    """Dotted key and YAML value of a "dotted.key=value". Raises UsageError or UserError, as `apply_overrides`."""
+    """Return key and value of a "dotted.key=value". Raises UsageError or UserError as `apply_overrides` does."""
     dotted, equals, text = override.partition("=")
     if not equals or not all(dotted.split(".")):
         raise UsageError(f"--set {override}: must be dotted.key=value")
@@ -64,7 +64,7 @@ def parse_override(override: str) -> tuple[str, Plain]:
 
 
 def dotted_keys(value: object, key: str = "") -> dict[str, Plain]:
-    """The values in nested mappings by dotted key; an empty mapping is a value."""
+    """Return the values in nested mappings by dotted key; an empty mapping is a value."""
     if not isinstance(value, Mapping) or not value:
         return {key: value}
     leaves: dict[str, Plain] = {}
@@ -74,7 +74,7 @@ def dotted_keys(value: object, key: str = "") -> dict[str, Plain]:
 
 
 def assign(target: Plain, dotted: str, value: object, source: str) -> None:
-    """Put a value into nested mappings and lists, making mappings on the way. Raises UserError, naming `source`."""
+    """Assign a value in nested mappings and lists, creating mappings on the way. Raises UserError, naming `source`."""
     parts = dotted.split(".")
     for depth in range(1, len(parts)):
         position = _position(target, parts[:depth], source)
@@ -85,7 +85,7 @@ def assign(target: Plain, dotted: str, value: object, source: str) -> None:
 
 
 def _position(container: object, parts: list[str], source: str) -> str | int:
-    """The last of `parts` as a key or index of `container`."""
+    """Return the last of `parts` as a key or index of `container`."""
     part = parts[-1]
     if isinstance(container, dict):
         return part
@@ -112,17 +112,17 @@ def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) 
 
 
 def to_yaml(config: Config) -> str:
-    """YAML of a configuration, keys in the order of its fields: equal configurations give equal text."""
+    """Return YAML of a configuration, keys in the order of its fields; equal configurations give equal text."""
     return dump_yaml(config.model_dump(mode="json"))
 
 
 def schema(cls: type[Config]) -> dict[str, Plain]:
-    """JSON schema of a configuration's YAML, for editors."""
+    """Return the JSON schema of a configuration's YAML, for editors."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **cls.model_json_schema()}
 
 
 def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
-    """The error that explains most: an unknown key, which may be why another is missing, or the innermost."""
+    """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one."""
     errors = error.errors(include_url=False)
     first = min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
     key = _dotted(mapping, first)
@@ -138,7 +138,7 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
 
 
 def _dotted(mapping: Mapping[str, object], error: ErrorDetails) -> str:
-    """The key of an error as `apply_overrides` takes it, without pydantic's names for a union's members."""
+    """Return the key of an error as `apply_overrides` takes it, without pydantic's names of a union's members."""
     parts: list[str] = []
     value: Plain = mapping
     for depth, part in enumerate(error["loc"], start=1):
@@ -158,7 +158,7 @@ def _holds(container: object, part: str | int) -> bool:
 
 
 def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
-    """Keys that the configuration at `path` below `cls` may have."""
+    """Return the keys that the configuration at `path` below `cls` may have."""
     models = [cls]
     for part in path:
         below = [each for model in models for each in _models_in(model, str(part))]

@@ -1,4 +1,4 @@
-"""Errors that are the user's to mend: one clear line each, and an exit status. What is one is decided here."""
+"""Errors that users can mend: one clear line each, and an exit status."""
 
 import difflib
 import errno
@@ -17,13 +17,13 @@ class UserError(Exception):
 
 
 class UsageError(UserError):
-    """A call that cannot be meant: options that contradict each other, or a combination that is refused."""
+    """A wrong usage: options that contradict each other, or a combination that is refused."""
 
     exit_status = 2
 
 
 class Interrupted(UserError):
-    """Stopped by Ctrl-C; the line says how to go on."""
+    """An interruption by Ctrl-C; the line says how to continue."""
 
     exit_status = 130
 
@@ -50,17 +50,17 @@ _SYSTEM_REFUSES = {
 
 
 def mistake_of(error: BaseException) -> UserError | None:
-    """The mistake that an exception comes from; None for one that is a mistake of this program.
+    """Return the user's mistake behind an exception; None for an error of this program.
 
-    What the system refuses is the user's to mend: a full disk, a folder that may not be written, a name that is too
-    long, memory that is not there.
+    What the system refuses is the user's to mend: a full disk, a folder that is not writable, a name that is too long,
+    or a lack of memory.
     """
     if isinstance(error, UserError):
         return error
     if isinstance(error, OSError) and error.errno in _SYSTEM_REFUSES:
         if error.filename is not None:
             return UserError(f"{error.filename}: {error.strerror}")
-        return UserError(f"cannot write: {error.strerror}")  # a file tells its name where it is opened alone
+        return UserError(f"cannot write: {error.strerror}")  # only opening a file reports its name
     if isinstance(error, MemoryError):
         return UserError("not enough memory: fewer environments, a smaller buffer_size, or fewer --jobs")
     return None
@@ -68,7 +68,7 @@ def mistake_of(error: BaseException) -> UserError | None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Raises a UserError that names the file where the system refuses to write it: writing alone does not say which."""
+    """Raise a UserError that names the file where the system refuses to write it, which its own error may not."""
     try:
         yield
     except OSError as error:
@@ -80,6 +80,6 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def suggestion(word: str, known: Collection[str]) -> str:
-    """What may have been meant by an unknown word: the known one that is close to it, or all."""
+    """Suggest what an unknown word may mean: a known one that is close to it, or all of them."""
     close = difflib.get_close_matches(word, known, n=1)
     return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"

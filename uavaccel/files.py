@@ -1,4 +1,4 @@
-"""Files that a crash leaves whole, in which equal values are equal bytes."""
+"""Files that survive a crash whole, in which equal values are equal bytes."""
 
 import hashlib
 import json
@@ -15,12 +15,12 @@ import numpy as np
 from uavaccel.errors import UserError, naming
 
 UNFINISHED = ".unfinished"
-"""Suffix of a file that is still being written; a crash may leave one behind."""
+"""The suffix of a file that is being written; a crash may leave one behind."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write that takes the place of `path` once it is whole and on disk."""
+    """Yield a file to write, which replaces `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
     try:
         with naming(path), unfinished.open("wb") as file:
@@ -34,9 +34,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write an .npz whose bytes depend on the names and values alone: sorted, C-contiguous, undated.
+    """Write an .npz whose bytes depend on names and values alone: sorted, C-contiguous, undated.
 
-    Arrays of bytes are images: they are deflated, to about a fifth. Their bytes also depend on zlib's version.
+    Arrays of uint8 are images and are compressed, to about a fifth; their bytes also depend on zlib's version.
     """
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for name in sorted(arrays):
@@ -48,7 +48,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an .npz. Raises UserError if it is missing or damaged."""
+    """Return the arrays of an .npz. Raises UserError if it is missing or damaged."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
@@ -57,7 +57,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def file_sha256(path: Path) -> str:
-    """Hash of a file's bytes, in hex. Raises UserError if it cannot be read."""
+    """Return the hash of a file's bytes, in hex. Raises UserError if it cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -65,11 +65,11 @@ def file_sha256(path: Path) -> str:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-Plain: TypeAlias = Any  # data as JSON and YAML hold it: whoever reads it knows its form, or checks it
+Plain: TypeAlias = Any  # data as JSON and YAML hold it, whose form its reader knows or checks
 
 
 def parse_json(text: str | bytes) -> Plain:
-    """The value of a JSON text. Raises ValueError, where it is nested too deeply too."""
+    """Return the value of a JSON text. Raises ValueError, also where it is nested too deeply."""
     try:
         return json.loads(text)
     except RecursionError:
@@ -77,7 +77,7 @@ def parse_json(text: str | bytes) -> Plain:
 
 
 def to_json(value: object, indent: int | None = None) -> str:
-    """JSON of plain data and numpy's: keys sorted, floats that read back equal, null for one not finite."""
+    """Return JSON of plain data and numpy's: keys sorted, floats that read back equal, null for a non-finite one."""
     try:
         return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, default=_plain_kind)
     except ValueError:  # something is not finite
@@ -85,7 +85,7 @@ def to_json(value: object, indent: int | None = None) -> str:
 
 
 def _plain_kind(value: object) -> object:
-    """What JSON has for a kind of mapping, or of numpy's values, that it does not know."""
+    """Return mappings and numpy's values as the plain data of JSON."""
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, (np.ndarray, np.generic)):
@@ -106,7 +106,7 @@ def _plain(value: object) -> object:
 
 
 def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -> None:
-    """Add a line of JSON; `on_disk` on return, with all lines before it, else whenever the system writes it."""
+    """Append a line of JSON; with `on_disk` it is on disk on return, with all lines before it."""
     line = to_json(entry).encode() + b"\n"
     with naming(path), path.open("ab") as file:
         file.write(line)
@@ -116,9 +116,9 @@ def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -
 
 
 def read_lines(path: Path) -> list[Plain]:
-    """The whole lines that `append_line` wrote; one cut short, or still being written, is left out.
+    """Return the whole lines that `append_line` wrote, without a truncated or unfinished one; none without a file.
 
-    No file is no lines. Raises UserError, naming the line, if one is not a JSON object.
+    Raises UserError, naming the line, if one is not a JSON object.
     """
     if not path.exists():
         return []
@@ -137,7 +137,7 @@ def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
 
 
 def drop_cut_line(path: Path) -> None:
-    """Remove what a crash left of a last line, so that the next one starts afresh."""
+    """Remove a last line that a crash truncated."""
     if path.exists():
         whole, newline, _ = path.read_bytes().rpartition(b"\n")
         os.truncate(path, len(whole + newline))

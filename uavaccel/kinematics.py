@@ -1,4 +1,4 @@
-"""What the drone does at one instant, and what it is asked to do: exchanged by commands, wire and simulation."""
+"""The state of the drone at one instant, and velocity goals, as commands, wire and simulation exchange them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Kinematics:
 
 @dataclass(frozen=True, slots=True)
 class VelocityGoal:
-    """What AirSim's `moveByVelocity` and, where a height is held, `moveByVelocityZ` ask for: NED, m/s.
+    """The goal of AirSim's `moveByVelocity` and, where a height is held, `moveByVelocityZ`: NED, m/s.
 
     `height_m` is NED z (negative above the origin); `yaw` is rad/s, or rad where `yaw_is_rate` is false.
     """

@@ -1,4 +1,4 @@
-"""What killed runs leave behind: joblib's semaphores and folders in shared memory, temporary folders of flights."""
+"""Removal of what killed runs leave behind: joblib's semaphores and shared memory, temporary folders of flights."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
 
 
 def clear_leftovers(folder: Path = SHARED_MEMORY, named_by: re.Pattern[str] = OF_JOBLIB) -> None:
-    """Remove those whose process is gone and which are this user's; nothing happens where there is no such folder.
+    """Remove this user's files in `folder` whose process has ended; nothing happens without such a folder.
 
-    The first group of `named_by` is the process's number.
+    `named_by` matches the names of such files; its first group is the id of the process.
     """
     if not folder.is_dir():
         return

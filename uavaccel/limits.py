@@ -1,4 +1,4 @@
-"""Limits of what may be asked for: far beyond any use, and within what numbers, clocks and machines can hold."""
+"""Limits of configurations: far beyond any use, and within what numbers, clocks and machines can represent."""
 
 from typing import Annotated
 
@@ -16,7 +16,7 @@ MOST_PROCESSES = 1_024
 MOST_SEEDS = 1 << 32
 
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
-"""What NumPy's and torch's generators take."""
+"""A seed that NumPy's and torch's generators accept."""
 Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
 Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]
 ClockSpeed = Annotated[float, Field(gt=0.0, ge=CLOCK_SPEEDS[0], le=CLOCK_SPEEDS[1])]
@@ -25,5 +25,5 @@ Velocity = Annotated[float, Field(ge=-MOST_SPEED_M_S, le=MOST_SPEED_M_S)]
 Height = Annotated[float, Field(gt=0.0, le=MOST_HEIGHT_M)]
 Seconds = Annotated[float, Field(gt=0.0, le=MOST_SECONDS)]
 Cost = Annotated[float, Field(ge=0.0, le=3_600.0)]
-"""Seconds of a modelled wall clock."""
+"""A cost in seconds on a modelled wall clock."""
 LatencyUs = Annotated[float, Field(ge=0.0, le=MOST_LATENCY_US)]

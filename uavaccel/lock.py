@@ -1,4 +1,4 @@
-"""A folder held by one process at a time; the system lets go of it when that process ends, however it ends."""
+"""A lock of a folder for one process at a time, which the system releases however that process ends."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _NO_LOCKS = (errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF)
 
 
 class FolderLock:
-    """Holds a folder that exists, for as long as this object lives. Raises UserError if another process holds it.
+    """Locks an existing folder as long as this object exists. Raises UserError if another process has locked it.
 
-    Nothing is written into the folder. On Windows, and where the file system knows no locks, nobody is kept out.
+    Nothing is written into the folder. On Windows, and on file systems without locks, it has no effect.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -41,7 +41,7 @@ _HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictiona
 
 
 def hold(folder: Path) -> FolderLock:
-    """The lock of a folder, one for all who ask in this process. Raises UserError as `FolderLock`."""
+    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
     place = folder.resolve()
     lock = _HELD.get(place)
     if lock is None:

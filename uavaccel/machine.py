@@ -8,7 +8,7 @@ from uavaccel.files import Plain
 
 
 def host() -> dict[str, Plain]:
-    """Plain data for a manifest."""
+    """Return platform, processor, cores and memory for a manifest."""
     return {
         "platform": platform.platform(),
         "cpu_model": _cpu_model(),
@@ -18,12 +18,12 @@ def host() -> dict[str, Plain]:
 
 
 def usable_cores() -> int:
-    """How many cores this process may run on."""
+    """Return the number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_bytes() -> int | None:
-    """Main memory of this machine; None where the system does not say."""
+    """Return the main memory of this machine; None where the system does not tell it."""
     if sys.platform == "win32":
         return None
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

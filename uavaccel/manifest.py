@@ -1,4 +1,4 @@
-"""What a run was made with: versions, source, host and threads."""
+"""The manifest of a run: versions, source, host and threads."""
 
 import os
 import platform
@@ -28,7 +28,7 @@ _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THR
 def describe_run(
     command_line: Sequence[str], seed: int, start_time: str, gl_renderer: str | None = None
 ) -> dict[str, Plain]:
-    """Plain data for a run directory's manifest.json.
+    """Return the contents of a run directory's manifest.json.
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
@@ -55,7 +55,7 @@ def _versions() -> dict[str, str | None]:
 
 
 def _git() -> dict[str, Plain] | None:
-    """Commit of the source tree, and whether files under version control differ from it; None outside one."""
+    """Return the commit of the source tree, and whether tracked files differ from it; None outside a source tree."""
     root = source_tree()
     if root is None:
         return None

@@ -1,4 +1,4 @@
-"""A process that ends with the one that started it, even where that was killed and could tell nobody."""
+"""Processes that end with their parent, even where that is killed."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import signal
 import threading
 from collections.abc import Callable
 
-END_WITH_PARENT = "end with parent"  # the thread that looks at it
+END_WITH_PARENT = "end with parent"  # name of the watching thread
 _BOUND: set[int] = set()
 
 
 def work_for_parent(parent: int) -> None:
-    """As `end_with_parent`, and Ctrl-C is the parent's to handle. For the main thread; a second time it does nothing.
+    """End with the parent, and leave Ctrl-C to it. Call it in the main thread; a second call does nothing.
 
-    This module imports nothing heavy, so that a process may call it before it imports what is.
+    This module imports nothing heavy, so that a process can call it before it imports what takes seconds.
     """
     if os.getpid() not in _BOUND:
         _BOUND.add(os.getpid())
@@ -24,10 +24,10 @@ def work_for_parent(parent: int) -> None:
 
 
 def end_with_parent(parent: int, last: Callable[[], object] = lambda: None) -> None:
-    """From now on this process is killed as soon as its parent is gone (Linux; elsewhere nothing happens).
+    """From now on, kill this process as soon as its parent has ended (on Linux; elsewhere nothing happens).
 
-    Whatever it does then cannot be wanted any more, and no handler of its own may hold it up; `last` is done before.
-    `parent` is the process that started it, which may be gone by now: who is asked for it then has got another one.
+    It is killed, as its work is no longer needed, and no handler may delay it; `last` is called before. `parent` is the
+    id of the process that started it, which may have ended by now, so that `os.getppid` would tell another one.
     """
     if not hasattr(os, "pidfd_open"):
         return

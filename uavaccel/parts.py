@@ -1,9 +1,9 @@
-"""Functions that are parts of compiled ones: type-checked once, turned into machine code only where they end up.
+"""Parts of compiled functions, which numba type-checks once and compiles only within the functions that call them.
 
-`numba.njit` optimises each function with all that it calls, makes machine code of it, and of a wrapper for Python, and
-then does it again for its caller: in a tree of ten levels the leaves are compiled ten times. A `part` is kept as
-numba's first, unoptimised intermediate code, which is linked into the entry points and compiled with them, once. What
-it computes is the same: the order of the optimisations does not change a result to numba's (no fast maths).
+`numba.njit` optimises each function with all of its callees, compiles it and a wrapper for Python, and then repeats
+this for its caller: in a call tree of ten levels the leaves are compiled ten times. A `part` is kept as numba's first,
+unoptimised intermediate code, which is linked into the entry points and compiled with them, once. Results are equal to
+numba's, as without fast maths the order of optimisations does not change them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ R = TypeVar("R", covariant=True)
 
 
 class Compiled(Protocol[P, R]):
-    """What numba makes of a function: it is called as the function is declared."""
+    """A compiled function, which is called as the Python function is declared."""
 
     @property
     def py_func(self) -> Callable[P, R]:
@@ -38,17 +38,17 @@ class Compiled(Protocol[P, R]):
 
 
 class _Library(JITCodeLibrary):
-    """Intermediate code that is linked into others', and never made machine code by itself."""
+    """Intermediate code that is linked into that of other functions, and never compiled by itself."""
 
     _merged: binding.ModuleRef | None = None
 
     def finalize(self) -> None:
-        """Nothing is optimised; what is called is linked in for a caller that is more than a part."""
+        """Optimise nothing; callees are linked in where the caller is compiled."""
         self._finalize_dynamic_globals()
         self._finalized = True
 
     def _within(self) -> list[CPUCodeLibrary]:
-        """This library and all that it needs, each behind those that need it: the linker drops what nobody asks for."""
+        """Return this library and all that it needs, each after those that need it: the linker drops what is unused."""
         found: dict[CPUCodeLibrary, None] = {}
         for library in self._linking_libraries:
             for needed in library._within() if isinstance(library, _Library) else [library]:
@@ -81,7 +81,7 @@ class _Compiler(compiler.CompilerBase):
 
 
 class PartType(types.Dispatcher):
-    """The type of one part: as an argument of another part it has no value, so that numba can cache its callers."""
+    """The type of a part; as an argument of another part it has no value, so that numba can cache its callers."""
 
 
 register_model(PartType)(models.OpaqueModel)
@@ -93,7 +93,7 @@ def _no_value(context: BaseContext, builder: object, part_type: PartType, value:
 
 
 class Part(CPUDispatcher):
-    """A function of compiled functions; called from Python, it is compiled by itself."""
+    """A function that compiled functions call; called from Python, it is compiled by itself."""
 
     def __init__(self, function: Callable[..., object], inline: bool, options: dict[str, object]) -> None:
         super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_Compiler)
@@ -104,7 +104,7 @@ class Part(CPUDispatcher):
         return PartType(self)
 
     def add_overload(self, result: compiler.CompileResult) -> None:
-        """Make a specialisation known to those that call it, under a key of its own in place of an address."""
+        """Register a specialisation for its callers, under a key of its own in place of an address."""
         result = result._replace(entry_point=object())
         if not self._inline:
             result.library.get_function(result.fndesc.llvm_func_name).add_function_attribute("noinline")
@@ -127,9 +127,9 @@ def part(*, inline: bool = True, **options: object) -> Callable[[Callable[P, R]]
 def part(
     function: Callable[..., object] | None = None, /, *, inline: bool = True, **options: object
 ) -> object:
-    """`numba.njit` for a function that others are made of: a decorator, with njit's options or without.
+    """Decorate a function that compiled functions call, with njit's options or without.
 
-    Not `inline`: its machine code is made once, and called, where else each of its callers may have it within its own.
+    Without `inline` it is compiled once and called; otherwise each of its callers may inline it.
     """
     if function is None:
         return lambda inner: Part(inner, inline, options)
@@ -137,6 +137,6 @@ def part(
 
 
 def njit(**options: object) -> Callable[[Callable[P, R]], Compiled[P, R]]:
-    """`numba.njit`, with options, as a typed decorator."""
+    """Return `numba.njit`, with options, as a typed decorator."""
     decorator: Callable[[Callable[P, R]], Compiled[P, R]] = numba.njit(**options)
     return decorator

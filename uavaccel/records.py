@@ -1,11 +1,11 @@
-"""The run directory: where runs and reports meet.
+"""The run directory, which runs write and reports read.
 
-    config.yaml    the resolved configuration       manifest.json  what the run was made with
+    config.yaml    the resolved configuration       manifest.json  versions, host, command line
     rows.jsonl     one line per finished case       arrays/        its raw samples, one .npz per case
-    timing.jsonl   what is never the same twice     summary.json, report.md, figures/  made from all these
+    timing.jsonl   times of the host                summary.json, report.md, figures/  made from all these
 
-A case's arrays are in place before its row is: whatever a crash leaves behind, the cases with a whole row are
-done and the others can be flown again.
+A case's arrays are in place before its row is: after a crash the cases with a whole row are finished, and the others
+can be flown again.
 """
 
 import json
@@ -52,12 +52,12 @@ class RunDirectory:
         resume: bool = False,
         may_grow: Collection[str] = (),
     ) -> "RunDirectory":
-        """Start a run at `path`, or with `resume` go on with the one that is there, if one is.
+        """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
-        Going on, a line that was cut short is dropped, and `manifest` is added to the run's. As long as the result
-        lives no other process can go on with the run. Raises UserError if the folder exists and `resume` is False, if
-        the run has another configuration, or if another process is flying it. Numbers of the keys `may_grow` may be
-        larger than the run's.
+        To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
+        other process can continue the run. Numbers of the keys `may_grow` may be larger than the run's. Raises
+        UserError if the folder exists and `resume` is False, if the run has another configuration, or if another
+        process is flying it.
         """
         path = Path(path)
         if path.exists() and not resume:
@@ -76,12 +76,11 @@ class RunDirectory:
         return run
 
     def append_row(self, row: Mapping[str, object], on_disk: bool = True) -> None:
-        """Add the row of a finished case, whole; `row["case"]` is the case's id.
+        """Append the whole row of a finished case; `row["case"]` is the case's id.
 
-        It is on disk on return, with the rows before it, unless the next one that is will follow at once.
-
-        Keys are sorted, floats read back equal, one that is not finite is null. Raises ValueError if the case
-        has a row already, UserError if the run's folder is no longer there.
+        With `on_disk` it is on disk on return, with all rows before it. Keys are sorted, floats read back equal, and
+        one that is not finite is null. Raises ValueError if the case has a row already, UserError if the run's folder
+        no longer exists.
         """
         if row["case"] in self._done:
             raise ValueError(f"case {row['case']} has a row already")
@@ -90,44 +89,44 @@ class RunDirectory:
         self._done.add(str(row["case"]))
 
     def rows(self) -> list[Plain]:
-        """Every whole row, in the order in which they were added."""
+        """Return every whole row, in the order in which they were appended."""
         return read_lines(self.path / "rows.jsonl")
 
     def done_cases(self) -> set[str]:
-        """Ids of the cases that have a row."""
+        """Return the ids of the cases that have a row."""
         return set(self._done)
 
     def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
-        """Add an entry to timing.jsonl: host times, loads, retries."""
+        """Append an entry to timing.jsonl: host times, loads, retries."""
         append_line(self.path / "timing.jsonl", entry, on_disk)
 
     def timings(self) -> list[dict[str, Plain]]:
-        """Every whole entry of timing.jsonl."""
+        """Return every whole entry of timing.jsonl."""
         return read_lines(self.path / "timing.jsonl")
 
     def keep_first(self, count: int) -> None:
-        """Drop all rows but the first `count`, and what timing.jsonl has about them."""
+        """Drop all rows but the first `count`, and their entries in timing.jsonl."""
         for name, entries in (("rows.jsonl", self.rows()), ("timing.jsonl", self.timings())):
             self.write_text(name, "".join(to_json(entry) + "\n" for entry in entries[:count]))
         self._done = self._cases_of_rows()
 
     def save_arrays(self, case: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
-        """Write a case's arrays, in place of those of an attempt without a row.
+        """Write a case's arrays, replacing those of an attempt without a row.
 
-        What its row has to say of them: `arrays`, their path in the run, and `arrays_sha256`, that file's hash.
+        Returns the keys of its row: `arrays`, their path in the run, and `arrays_sha256`, that file's hash.
         """
         name = _arrays_name(case)
         write_arrays(self.file(name), arrays)
         return {"arrays": name, "arrays_sha256": file_sha256(self.path / name)}
 
     def load_arrays(self, row: Mapping[str, object]) -> dict[str, np.ndarray]:
-        """The arrays of a row. Raises UserError as `arrays_of`."""
+        """Return the arrays of a row. Raises UserError as `arrays_of` does."""
         return arrays_of(self.path, row)
 
     def file(self, name: str) -> Path:
-        """Path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
+        """Return the path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
 
-        Raises UserError if the run's own folder is no longer there: it is not begun again behind its user's back.
+        Raises UserError if the run's own folder no longer exists, rather than starting a new one.
         """
         self._refuse_gone()
         path = self.path / name
@@ -136,22 +135,22 @@ class RunDirectory:
         return path
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a text file of the run all at once; its path."""
+        """Write a text file of the run atomically, and return its path."""
         return self.write_bytes(name, text.encode())
 
     def write_bytes(self, name: str, content: bytes) -> Path:
-        """Write a file of the run all at once; its path."""
+        """Write a file of the run atomically, and return its path."""
         path = self.file(name)
         with replacing(path) as file:
             file.write(content)
         return path
 
     def write_json(self, name: str, value: object) -> Path:
-        """Write plain data and numpy's by the rules of `append_row`; the file's path."""
+        """Write plain data and numpy's as JSON by the rules of `append_row`, and return the file's path."""
         return self.write_text(name, to_json(value, indent=2) + "\n")
 
     def read_json(self, name: str) -> Plain:
-        """The value in a JSON file of the run. Raises UserError if it is missing or damaged."""
+        """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         path = self.path / name
         try:
             return parse_json(path.read_text(encoding="utf-8"))
@@ -161,11 +160,11 @@ class RunDirectory:
             raise UserError(f"{path}: not JSON: {error}") from error
 
     def config(self) -> dict[str, Plain]:
-        """The mapping in config.yaml."""
+        """Return the mapping in config.yaml."""
         return load_yaml(self.path / "config.yaml")
 
     def manifest(self) -> dict[str, Plain]:
-        """What the run was started with; under "resumed" what it was gone on with, each time."""
+        """Return the manifest with which the run was started; "resumed" lists those with which it was continued."""
         manifest: dict[str, Plain] = self.read_json("manifest.json")
         return manifest
 
@@ -195,10 +194,10 @@ class RunDirectory:
 
 
 def arrays_of(folder: Path, row: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """The arrays of a row of the run in `folder`.
+    """Return the arrays of a row of the run in `folder`.
 
-    Raises UserError if the file is missing or damaged, is named after another case, or is not what the row's hash says.
-    Rows of before there were hashes have none.
+    Raises UserError if the file is missing or damaged, is named after another case, or has another hash than the row
+    says; rows of older versions have no hash.
     """
     name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
     if name != _arrays_name(str(row["case"])):
@@ -241,7 +240,7 @@ def _write_config(path: Path, config: Config) -> None:
 
 
 def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
-    """The keys that have grown."""
+    """Return the keys whose numbers have grown. Raises UserError for other differences."""
     there, here = (
         {key: json.dumps(value) for key, value in dotted_keys(mapping).items()}
         for mapping in (
@@ -262,7 +261,7 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
 
 
 def _as_of_today(mapping: dict[str, Plain], cls: type[Config]) -> dict[str, Plain]:
-    """A run's configuration with keys that there were not yet at their defaults; what no longer is one as it stands."""
+    """Return a run's configuration with later keys at their defaults; one that is no longer valid is not changed."""
     try:
         today: dict[str, Plain] = parse_yaml(
             to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml"

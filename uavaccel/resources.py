@@ -1,7 +1,6 @@
-"""Where the files that travel with the package lie: `assets/` (scenes) and `experiments/` (YAML).
+"""The files that ship with the package: `assets/` (scenes) and `experiments/` (YAML).
 
-A wheel carries both folders inside the package. In a source tree, installed editable or not, they lie beside
-it.
+A wheel has both folders inside the package; in a source tree, installed editable or not, they are beside it.
 """
 
 from importlib.resources import files
@@ -13,18 +12,18 @@ _PACKAGE = Path(str(files("uavaccel")))
 
 
 def source_tree() -> Path | None:
-    """The checkout that the package runs from; None where it was installed from a wheel."""
+    """Return the checkout from which the package runs; None where it was installed from a wheel."""
     root = _PACKAGE.parent
     return root if (root / "pyproject.toml").is_file() and (root / "assets").is_dir() else None
 
 
 def asset(name: str) -> Path:
-    """Path of an asset, e.g. "mjcf/blocks.xml". Raises UserError if there is none of that name."""
+    """Return the path of an asset, e.g. "mjcf/blocks.xml". Raises UserError if there is none of that name."""
     return _find("assets", name)
 
 
 def experiment(name: str) -> Path:
-    """Path of an experiment that ships, e.g. "dp1.yaml". Raises UserError if there is none of that name."""
+    """Return the path of an experiment that ships, e.g. "dp1.yaml". Raises UserError if there is none of that name."""
     return _find("experiments", name)
 
 

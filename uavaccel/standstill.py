@@ -1,6 +1,6 @@
-"""Processes that stand still: stopped, or waiting for what never comes. The system is asked what they have computed.
+"""The detection of stalled processes: stopped, or waiting forever. Their CPU time is read from the system.
 
-Linux tells; elsewhere nothing is known, and nobody is said to stand still.
+It is known on Linux; elsewhere no process is reported as stalled.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-LOOK_S = 1.0  # of silence, after which one looks, and between looks
-STOPPED_LOOKS, LOOKS = 5, 8  # that find it stopped, or no work done
-FIRST_LOOKS = 60  # of a process that loads its modules, from a slow disk perhaps
+LOOK_S = 1.0  # seconds of silence before the first look, and between looks
+STOPPED_LOOKS, LOOKS = 5, 8  # successive looks that find it stopped, or idle
+FIRST_LOOKS = 60  # the same while a process loads its modules, perhaps from a slow disk
 
 
 def cpu_time_s(pid: int) -> float | None:
-    """What a process has computed so far; None where the system does not say."""
+    """Return the CPU time of a process in seconds; None where the system does not tell it."""
     fields = _stat(pid)
     return None if fields is None else (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether somebody has stopped it."""
+    """Return whether a process has been stopped by a signal."""
     fields = _stat(pid)
     return fields is not None and fields[0] in "Tt"
 
@@ -45,9 +45,9 @@ def _with_children(pid: int) -> list[int]:
 
 
 class Standstill:
-    """Whether somebody whose answer is overdue stands still.
+    """Decides whether processes whose reply is overdue are stalled.
 
-    Looks are counted, not seconds: who was stopped together with those for whom it works has not kept them waiting.
+    Looks are counted, not seconds, since a process that was stopped together with its client has not kept it waiting.
     """
 
     def __init__(self) -> None:
@@ -55,9 +55,10 @@ class Standstill:
         self._idle: dict[int, int] = {}
 
     def look(self, pids: Collection[int], helper: int | None = None, looks: int = LOOKS) -> list[int]:
-        """Those of some processes that have been stopped, or without work, for so many looks one after another.
+        """Return the processes that have been stopped or idle for so many successive looks.
 
-        What its children do is its work too, and, unless it is stopped, that of a `helper`, for whom it may wait.
+        The work of its children counts as a process's own, and, unless it is stopped, so does that of a `helper`, for
+        which it may wait.
         """
         helped = helper is not None and self._worked(helper)
         for pid in pids:
@@ -69,7 +70,7 @@ class Standstill:
         return [pid for pid in pids if self._idle[pid] >= (STOPPED_LOOKS if is_stopped(pid) else looks)]
 
     def _worked(self, pid: int) -> bool:
-        """Whether it has, or cannot be known to have done nothing, since the last look."""
+        """Return whether a process has worked since the last look, or may have."""
         now, before = [cpu_time_s(each) for each in _with_children(pid)], self._cpu_s.get(pid)
         self._cpu_s[pid] = now
         return now != before or now[0] is None

@@ -1,4 +1,4 @@
-"""Frames and units, converted here and nowhere else.
+"""Conversions of frames and units.
 
 Outside MuJoCo everything is NED in the world and FRD in the body, as in AirSim; inside, MuJoCo's axes are
 x forward, y left, z up. One turns into the other by half a turn about x, which is its own inverse.
@@ -48,9 +48,9 @@ def euler_from_quaternion(quaternion: ArrayLike) -> tuple[float, float, float]:
 
 
 def attitude_difference_rad(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Angle in radians of the rotation between wxyz quaternions of shape (..., 4); 0 between equal ones.
+    """Return the angle in radians of the rotation between wxyz quaternions (..., 4); exactly 0 between equal ones.
 
-    From the chord between them: the arc cosine of their product would blow a rounding of 1e-7 up to 1e-3 rad.
+    It is computed from the chord between them: the arc cosine of their product would amplify rounding to 1e-3 rad.
     """
     a, b = np.asarray(a, float), np.asarray(b, float)
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0.0, -b, b)  # q and -q are one attitude
@@ -58,19 +58,19 @@ def attitude_difference_rad(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 def exact(number: float | int | str | Fraction) -> Fraction:
-    """The decimal number a person wrote, without binary rounding: 0.1 is 1/10."""
+    """Return a number as its decimal notation says, without binary rounding: 0.1 is 1/10."""
     return number if isinstance(number, Fraction) else Fraction(str(number))
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Seconds as the nearest integer count of nanoseconds."""
+    """Return seconds as the nearest integer count of nanoseconds."""
     return round(seconds * NS_PER_S)
 
 
 def ticks_exactly(duration_s: float, tick_ns: int, name: str) -> int:
-    """Count of ticks in `duration_s`.
+    """Return the count of ticks in `duration_s`.
 
-    Raises UserError where the tick does not divide it, with both numbers and the nearest times that fit.
+    Raises UserError where the tick does not divide it, with both numbers and the nearest durations that it does.
     """
     ticks = exact(duration_s) * NS_PER_S / tick_ns
     if ticks.denominator == 1 and ticks > 0:
@@ -84,10 +84,10 @@ def ticks_exactly(duration_s: float, tick_ns: int, name: str) -> int:
 
 
 def ceil_div(numerator: int, denominator: int) -> int:
-    """Integer division rounded up."""
+    """Return the integer quotient, rounded up."""
     return -(-numerator // denominator)
 
 
 def plain(value: object) -> object:
-    """NumPy scalars and arrays as plain Python numbers and lists, for JSON and msgpack."""
+    """Return NumPy scalars and arrays as plain Python numbers and lists, for JSON and msgpack."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

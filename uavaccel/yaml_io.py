@@ -1,7 +1,7 @@
 """YAML as plain data, read and written by the same rules.
 
-They differ from PyYAML's own in three points: 1e-3 is a number, as YAML 1.2 has it; a date is text; a key
-that stands twice in one mapping is refused.
+They differ from PyYAML's own in three points: 1e-3 is a number, as in YAML 1.2; a date is text; a duplicate key in a
+mapping is refused.
 """
 
 import re
@@ -64,10 +64,10 @@ class _Dumper(yaml.SafeDumper):
 
 
 def load_yaml(path: str | Path) -> dict[str, Plain]:
-    """The mapping in a YAML file.
+    """Return the mapping in a YAML file.
 
-    Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a
-    key twice or is not a mapping.
+    Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a duplicate
+    key or is not a mapping.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -83,7 +83,7 @@ def load_yaml(path: str | Path) -> dict[str, Plain]:
 
 
 def parse_yaml(text: str, source: str) -> Plain:
-    """The value of a YAML text; `source` names it in the UserError raised if it is none."""
+    """Return the value of a YAML text. Raises UserError, naming `source`, if it is not YAML."""
     try:
         return deepcopy(_bounded(_read(text), source))
     except yaml.MarkedYAMLError as error:
@@ -98,12 +98,12 @@ def parse_yaml(text: str, source: str) -> Plain:
 
 @lru_cache(maxsize=8)
 def _read(text: str) -> Plain:
-    """The value of a text. A report asks for its run's configuration a dozen times."""
+    """Return the value of a text; cached, as a report reads its run's configuration a dozen times."""
     return yaml.load(text, Loader=_Loader)
 
 
 def _bounded(value: Plain, source: str) -> Plain:
-    """The value. Raises UserError where aliases make it far larger than a text that anybody wrote."""
+    """Return the value. Raises UserError where aliases expand it beyond any reasonable size."""
     pending, count = [value], 0
     while pending:
         each = pending.pop()
@@ -118,5 +118,5 @@ def _bounded(value: Plain, source: str) -> Plain:
 
 
 def dump_yaml(mapping: Mapping[str, object]) -> str:
-    """YAML of plain data, keys in their order, short lists on one line; equal data give equal text."""
+    """Return YAML of plain data, keys in their order, short lists on one line; equal data give equal text."""
     return yaml.dump(dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=False, width=110)

@@ -1,4 +1,4 @@
-"""How fast may ADSC fly, given a latency model, and what TCSC would gain: the model's answer, on a simulated clock."""
+"""The ClockSpeed that ADSC tolerates under a latency model, and TCSC's gain over it, both modelled."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from uavaccel.wire.session import VirtualSession
 
 CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 GAMES = 5
-T_TH_WALL_S = 0.001  # as in the experiments
+T_TH_WALL_S = 0.001  # as in the experiments' configurations
 
 
 class Advice(NamedTuple):
-    """One ClockSpeed: of each command the median RMSE against the flight without latency, STLC, and the speed-up."""
+    """At one ClockSpeed, each command's median RMSE against the flight without latency, its STLC, and its speed-up."""
 
     clock_speed: float
     adsc_error_m: float
@@ -34,7 +34,7 @@ class Advice(NamedTuple):
 def advise(
     latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0
 ) -> Iterator[Advice]:
-    """The model's answer for each of CLOCK_SPEEDS, on a square path of `rounds` rounds."""
+    """Yield the advice for each of CLOCK_SPEEDS, from flights of the square path with `rounds` rounds."""
     with (
         VirtualSession("blocks", profile) as lockstep,
         VirtualSession("blocks", profile, latency) as session,
@@ -69,7 +69,7 @@ def _score(
 
 
 def sentence(advice: Sequence[Advice], error_m: float, t_move_s: float) -> str:
-    """The highest ClockSpeed at which ADSC stays within the error, what TCSC gains at the same error."""
+    """Return in words the highest ClockSpeed at which either command stays within the error."""
     adsc = _fastest([each for each in advice if each.adsc_error_m <= error_m], "adsc_speedup")
     tcsc = _fastest([each for each in advice if each.tcsc_error_m <= error_m], "tcsc_speedup")
     slow = (

@@ -1,12 +1,12 @@
-"""Does the simulated wall clock agree with the machine's? The same games on both, interleaved, quantiles side by side.
+"""The agreement of the simulated wall clock with the machine's: quantiles of the same games on both.
 
-Every game is flown three times in turn: on the machine's clock, on the simulated one, and on the machine's again, since
-two runs on one clock differ too: their difference is the floor below which no model can be blamed.
+Each game is flown on the machine's clock, on the simulated one, and on the machine's again, as two measured runs differ
+too: their difference is the floor of what a model can be blamed for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import NamedTuple
 
@@ -23,15 +23,15 @@ CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.2, 1.0)
 ROUNDS = 24
 LEVELS = (0.1, 0.5, 0.9)
-MEDIAN_WITHIN = 0.20  # of the machine's median
-TAIL_FACTOR = 1.5  # of the difference between two runs on the machine's clock
+MEDIAN_WITHIN = 0.20  # relative to the measured median
+TAIL_FACTOR = 1.5  # relative to the difference between the two measured runs
 
 Quantiles = NDArray[np.float64]
 OnGame = Callable[[int, int], None]
 
 
 class Agreement(NamedTuple):
-    """One quantity of one cell: its 10, 50 and 90 % quantiles in both runs on the machine's clock, and in the model."""
+    """The 10, 50 and 90 % quantiles of one quantity in one cell, in both measured runs and in the model."""
 
     command: str
     clock_speed: float
@@ -43,13 +43,13 @@ class Agreement(NamedTuple):
 
     @property
     def median_off(self) -> float:
-        """Relative difference of the modelled median from the mean of the measured ones; 0 between zeros."""
+        """The relative difference of the modelled median from the mean of the measured ones; 0 between zeros."""
         measured = float(self.wall[1] + self.wall_again[1]) / 2
         return abs(float(self.virtual[1]) - measured) / measured if measured else abs(float(self.virtual[1]))
 
     @property
     def agrees(self) -> bool:
-        """The median within 20 %, the outer quantiles within 1.5 times the difference between the measured runs."""
+        """Whether the median agrees within 20 %, the outer quantiles within 1.5 times the measured difference."""
         measured, floor = (self.wall + self.wall_again) / 2, abs(self.wall - self.wall_again)
         allowed = np.maximum(TAIL_FACTOR * floor, MEDIAN_WITHIN * measured)
         return self.median_off <= MEDIAN_WITHIN and bool(
@@ -60,10 +60,10 @@ class Agreement(NamedTuple):
 def check_agreement(
     latency: LatencyConfig, profile: str, games: int, on_game: OnGame = lambda done, total: None
 ) -> Iterator[Agreement]:
-    """Fly `games` of each command, ClockSpeed and T_move on both clocks; the gap between commands, and the error.
+    """Fly `games` of each command, ClockSpeed and T_move on both clocks, and yield the agreement of gaps and errors.
 
-    The gap is simulated seconds between a command's end and the next one's start; the error is each game's RMSE in
-    metres against the flight without latency.
+    A gap is the simulated time in seconds between two commands, an error the RMSE in metres of a game against the
+    flight without latency.
     """
     cells = list(product(sorted(COMMANDS), CLOCK_SPEEDS, T_MOVES_S))
     with (
@@ -79,14 +79,10 @@ def check_agreement(
                     results.append(fly_square(session, command, clock_speed, t_move_s, ROUNDS, game))
                 on_game(number * games + game + 1, len(cells) * games)
             ideal = fly_square(lockstep, command, clock_speed, t_move_s, ROUNDS, 0)
-            for quantity, values in (("gap s", _gaps), ("error m", _errors)):
-                first, model, again = (np.quantile(values(results, ideal), LEVELS) for results in flown)
+            gaps = [np.concatenate([game.gap_s for game in results]) for results in flown]
+            errors = [
+                mean_position_rmse([game.flight for game in results], [ideal.flight]) for results in flown
+            ]
+            for quantity, values in (("gap s", gaps), ("error m", errors)):
+                first, model, again = (np.quantile(each, LEVELS) for each in values)
                 yield Agreement(command, clock_speed, t_move_s, quantity, first, again, model)
-
-
-def _gaps(games: Sequence[SquareGame], ideal: SquareGame) -> NDArray[np.float64]:
-    return np.concatenate([game.gap_s for game in games])
-
-
-def _errors(games: Sequence[SquareGame], ideal: SquareGame) -> NDArray[np.float64]:
-    return np.asarray(mean_position_rmse([game.flight for game in games], [ideal.flight]))

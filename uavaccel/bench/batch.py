@@ -1,15 +1,16 @@
-"""How fast a batch of lanes flies and draws, beside a bare loop that only draws tiles and reads them back."""
+"""Benchmarks of a batch of lanes: commands and images per second beside a bare rendering loop, and memory."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from uavaccel.bench.memory import proportional_mib
 from uavaccel.bench.speed import Measurement, elapsed_s
 from uavaccel.envs.batch import MOST_TILES, EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -19,14 +20,24 @@ from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.rendering.tiles import Tiles
 
+
+def proportional_mib(process_ids: Iterable[int]) -> float | None:
+    """Return the proportional set size of processes in MiB, shared memory counted once; None where it is not known."""
+    try:
+        rollups = [Path(f"/proc/{each}/smaps_rollup").read_text(encoding="ascii") for each in process_ids]
+    except OSError:
+        return None
+    return sum(int(kib) for text in rollups for kib in re.findall(r"^Pss: +(\d+) kB", text, re.M)) / 1024
+
+
 WARM_UP = 3
 TILE_ROUNDS = 30
-COMMANDS = {"commands": 30, "pictures": 5}  # of each lane, in each of the two measurements
-MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # a command of 50 of them: next to no physics
+COMMANDS = {"commands": 30, "pictures": 5}  # per lane, in each of the two measurements
+MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # 50 images per command: next to no physics
 
 
 class BatchSize(NamedTuple):
-    """What is measured: batches of so many lanes; processes and tiles as EnvironmentBatch takes them."""
+    """The batches to measure: numbers of lanes; processes, tiles and renderer as EnvironmentBatch takes them."""
 
     lanes: tuple[int, ...] = (8,)
     processes: int | None = None
@@ -35,7 +46,7 @@ class BatchSize(NamedTuple):
 
 
 def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
-    """Pictures per second through the batch and by the bare loop, and commands of 1 s, three frames each."""
+    """Measure images per second of the batch and of the bare loop, and commands of 1 s with three frames each."""
     size = size or BatchSize()
     for lanes in size.lanes:
         bare, who = bare_tiles(min(size.tiles or lanes, MOST_TILES))
@@ -58,7 +69,7 @@ def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
 def _fly(
     size: BatchSize, lanes: int, commands: int, task: dict[str, float]
 ) -> tuple[float, int, int, float | None]:
-    """Commands per second of all lanes together, processes, tiles and MiB."""
+    """Return commands per second of all lanes together, processes, tiles and MiB."""
     random = np.random.default_rng(0)
     batch = EnvironmentBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
 
@@ -79,7 +90,7 @@ def _fly(
 
 
 def bare_tiles(count: int) -> tuple[float, str]:
-    """Frames per second of a loop that draws `count` scenes of the lane and reads them back at once; who draws."""
+    """Return frames per second of a loop that renders `count` scenes of the lane and reads them back; the renderer."""
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     data = mujoco.MjData(model)
     apply_layout(model, data, draw_layout(seed=0))

@@ -1,13 +1,14 @@
-"""Calibration: micro-latencies of this machine's client and server, for `virtual` to draw from.
+"""Calibration: latencies of messages between client and server on this machine, from which `virtual` samples.
 
-Only messages are timed, on the machine's clock, at both ends of the wire: no trajectory is looked at. The messages
-are those of ADSC and TCSC, since how fast an end wakes depends on what it did before.
+Messages are timed on the machine's clock at both ends of the wire; trajectories play no part. They are the messages of
+ADSC and TCSC, since the time in which an end wakes depends on what it did before.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from uavaccel.wire.session import WallSession
 
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1
-BATCH = 24  # commands between two readings of the server's trace
+BATCH = 24  # commands per reading of the server's trace
 STAY = VelocityGoal((0.0, 0.0, 0.0))
 
 Samples = dict[str, list[int]]
@@ -28,7 +29,7 @@ OnBatch = Callable[[int, int], None]
 
 
 class Latencies:
-    """Nanoseconds by channel, as `LatencyConfig` wants them summarised."""
+    """Latencies in nanoseconds by channel, from which the block `latency` is made."""
 
     def __init__(self) -> None:
         self.request: Samples = defaultdict(list)
@@ -37,13 +38,13 @@ class Latencies:
         self.timer: list[int] = []
 
     def add(self, samples: Samples, channel: str, wait_ns: int | None, latency_ns: int) -> None:
-        """Count a latency for its channel, and for its channel after such a wait."""
+        """Add a latency to its channel, and to the channel after a wait of that length."""
         samples[channel].append(latency_ns)
         if wait_ns is not None:
             samples[after_wait(channel, wait_ns)].append(latency_ns)
 
     def block(self) -> dict[str, Plain]:
-        """The YAML block `latency`."""
+        """Return the YAML block `latency`."""
         return {
             "quantiles": list(QUANTILES),
             "request_us": {name: quantiles_us(self.request[name]) for name in sorted(self.request)},
@@ -53,7 +54,7 @@ class Latencies:
         }
 
     def counts(self) -> str:
-        """How many samples stand behind the tables, in words."""
+        """Return the numbers of samples in words."""
         request, reply = (
             sum(len(each) for name, each in samples.items() if "@" not in name)
             for samples in (self.request, self.reply)
@@ -62,16 +63,16 @@ class Latencies:
 
 
 def quantiles_us(samples_ns: Sequence[int]) -> list[float]:
-    """Quantiles of samples in ns, to a tenth of a microsecond."""
+    """Return quantiles of samples in ns, in microseconds, rounded to a tenth."""
     return [round(float(value) / 1e3, 1) for value in np.quantile(samples_ns, QUANTILES)]
 
 
 def calibrate(
     profile: str, commands: int, images: bool, on_batch: OnBatch = lambda done, total: None
 ) -> Latencies:
-    """Fly about `commands` commands of each kind on this machine's clock and gather what the messages took.
+    """Fly about `commands` commands of each kind on this machine's clock, and return the latencies of their messages.
 
-    With `images` also as many pictures of the lane, rendering included; raises rpc.RpcError where nothing can draw.
+    With `images` as many images of the lane are requested too, rendering included; raises rpc.RpcError without OpenGL.
     """
     latencies = Latencies()
     cells = [(name, k, t) for name in sorted(COMMANDS) for k in CLOCK_SPEEDS for t in T_MOVES_S]
@@ -80,10 +81,10 @@ def calibrate(
         for done, (name, clock_speed, t_move_s) in enumerate(batches, start=1):
             client = session.start_game(clock_speed, np.random.SeedSequence(0))
             _fly_batch(client, name, t_move_s, latencies)
-            _ping(client, latencies)
+            _request(client, "ping", latencies)  # which stands for all calls without a channel of their own
             on_batch(done, len(batches))
     if images:
-        _take_pictures(profile, commands, latencies)
+        _take_images(profile, commands, latencies)
     return latencies
 
 
@@ -98,31 +99,27 @@ def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: La
     _gather(tracing, client.trace(False), latencies)
 
 
-def _take_pictures(profile: str, pictures: int, latencies: Latencies) -> None:
+def _take_images(profile: str, images: int, latencies: Latencies) -> None:
     with WallSession("lane", profile) as session:
         client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
-        client.image("gray")  # makes the GL context
-        for _ in range(max(pictures // BATCH, 1)):
-            tracing = TracingTransport(client.transport)
-            client.trace(True)
-            for _ in range(BATCH):
-                Client(tracing).image("gray")
-            _gather(tracing, client.trace(False), latencies)
+        client.image("gray")  # creates the GL context
+        for _ in range(max(images // BATCH, 1)):
+            _request(client, "image", latencies)
 
 
-def _ping(client: Client, latencies: Latencies) -> None:
-    """Calls without a channel of their own, of which ping stands for all."""
+def _request(client: Client, what: Literal["ping", "image"], latencies: Latencies) -> None:
     tracing = TracingTransport(client.transport)
+    traced = Client(tracing)
     client.trace(True)
     for _ in range(BATCH):
-        Client(tracing).call("ping")
+        traced.image("gray") if what == "image" else traced.call("ping")
     _gather(tracing, client.trace(False), latencies)
 
 
 def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], latencies: Latencies) -> None:
-    """Match the two ends' events; the first call of a batch has no moment at which the client became ready.
+    """Match the events of both ends; when the client was ready for the first call of a batch is not known.
 
-    A coalesced call travels with the next one, and takes no time of its own.
+    A coalesced call travels with the next one, and has no latency of its own.
     """
     handled, ended, paused, late = _server_times(server)
     latencies.timer += late
@@ -151,7 +148,7 @@ def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], l
 def _server_times(
     server: Iterable[tuple[str, int, int]],
 ) -> tuple[dict[str, list[int]], list[int], list[int], list[int]]:
-    """When each method was handled, commands ended and continue-fors paused, in order; how late wall timers ended."""
+    """Return when each method was handled, commands ended and continue-fors paused, and how late wall timers were."""
     handled: dict[str, list[int]] = defaultdict(list)
     ended: list[int] = []
     paused: list[int] = []

@@ -1,37 +1,107 @@
-"""Benchmarks of vision: frames per second, one image over the wire, DVS events of a frame. They need OpenGL."""
+"""Benchmarks of vision: frames per second, an image over the wire, DVS events of a frame. They need OpenGL."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from statistics import median
+from typing import TypedDict
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.bench.camera import frame_rates
 from uavaccel.bench.speed import Measurement, elapsed_s
+from uavaccel.clock import MonotonicClock
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.resources import asset
+from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
+from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
+from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 from uavaccel.wire.session import WallSession
+
+PLACES_M = range(0, 150, 10)  # along the lane, with many obstacles in view, and few
+FRAMES_AT_EACH = 10
+
+
+class FrameRates(TypedDict):
+    """Frame rates of `Camera.colour` and of a bare loop, and the renderer."""
+
+    frames_per_s: float
+    bare_frames_per_s: float
+    ratio_to_bare: float
+    width: int
+    height: int
+    gl_backend: str
+    gl_renderer: str
+    gl_software: bool
+    lp_num_threads: str | None
+
+
+def frame_rates(rounds: int = 5) -> FrameRates:
+    """Measure frames per second of `Camera.colour` and of a bare loop, the best of `rounds` passes along the lane.
+
+    The bare loop is mjr_render and mjr_readPixels in the same GL context with the same settings; ours adds poses,
+    scene, field of view and flipping the image. The two take turns, so that both are under the same load. Raises
+    UserError without OpenGL.
+    """
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    data = mujoco.MjData(model)
+    apply_layout(model, data, draw_layout(seed=0))
+    with Camera(model) as camera:
+        passes = np.array([_pass(camera, data) for _ in range(rounds)])
+        frames = len(PLACES_M) * FRAMES_AT_EACH
+        bare, ours = (float(frames * NS_PER_S / passes[:, column].min()) for column in (0, 1))
+        return {
+            "frames_per_s": ours,
+            "bare_frames_per_s": bare,
+            "ratio_to_bare": float(np.median(passes[:, 0] / passes[:, 1])),
+            "width": camera.width,
+            "height": camera.height,
+            "gl_backend": camera.renderer.backend,
+            "gl_renderer": camera.renderer.name,
+            "gl_software": camera.renderer.software,
+            "lp_num_threads": os.environ.get("LP_NUM_THREADS"),
+        }
+
+
+def _pass(camera: Camera, data: mujoco.MjData) -> tuple[int, int]:
+    """Return the wall time in ns of the bare loop and of ours, once along the lane."""
+    clock, picture = MonotonicClock(), np.empty((camera.height, camera.width, 3), np.uint8)
+    bare_ns = ours_ns = 0
+    for north_m in PLACES_M:
+        data.qpos[0] = north_m
+        camera.colour(data, picture)
+        start_ns = clock.now_ns()
+        for _ in range(FRAMES_AT_EACH):
+            camera.render_again(picture)
+        middle_ns = clock.now_ns()
+        for _ in range(FRAMES_AT_EACH):
+            camera.colour(data, picture)
+        bare_ns += middle_ns - start_ns
+        ours_ns += clock.now_ns() - middle_ns
+    return bare_ns, ours_ns
+
 
 PICTURES = 300
 LANE = 0
 T_SAMPLE_S = 0.33
 AHEAD = 2
 EVENT_CAMERA_HZ = (None, 100.0, 500.0)  # None: as many as there are samples
-COMMANDS = 5  # of a second
+COMMANDS = 5  # of 1 s each
 
 
 def bench_camera() -> Iterator[Measurement]:
-    """Frames of the lane against a bare loop of MuJoCo's two calls, in one process."""
+    """Measure frames of the lane against a bare loop of MuJoCo's two calls, in one process."""
     rates = frame_rates()
     renderer = f"{rates['gl_renderer']}, LP_NUM_THREADS={rates['lp_num_threads']}"
     yield Measurement(
@@ -41,7 +111,7 @@ def bench_camera() -> Iterator[Measurement]:
 
 
 def bench_image() -> Iterator[Measurement]:
-    """One gray picture, asked for over the wire, on top of the bare render."""
+    """Measure a gray image requested over the wire against bare rendering."""
     with WallSession("lane", "native") as session:
         client = session.start_game(1.0, np.random.SeedSequence(0), lane=LANE)
         client.image("gray")
@@ -57,7 +127,7 @@ def bench_image() -> Iterator[Measurement]:
 
 
 def bench_dvs() -> Iterator[Measurement]:
-    """Events of the frames of a flight through the lane, one core."""
+    """Measure the DVS on the frames of a flight through the lane, on one core."""
     frames = lane_frames()
     sensor = make_sensor(PRESETS["clean"], (144, 256), 0)
     state = init_state(sensor, frames[0])
@@ -74,7 +144,7 @@ def bench_dvs() -> Iterator[Measurement]:
 
 
 def bench_event_camera() -> Iterator[Measurement]:
-    """What a simulated second costs with an event camera that sees the samples alone, and with faster ones."""
+    """Measure a simulated second with an event camera that receives the samples alone, and with faster ones."""
     renderer = describe_renderer().name
     for rate_hz in EVENT_CAMERA_HZ:
         environment = ObstacleLane(dvs_rate_hz=rate_hz)
@@ -91,13 +161,13 @@ def bench_event_camera() -> Iterator[Measurement]:
 
 
 def frames_seen(environment: ObstacleLane) -> int:
-    """How many frames its event camera has seen."""
+    """Return how many frames an environment's event camera has received."""
     assert isinstance(environment.sensor, EventCamera)
     return environment.sensor.counter.frames
 
 
 def lane_frames() -> list[NDArray[np.uint8]]:
-    """Gray frames every .33 s of a planned flight through a lane."""
+    """Return gray frames of a planned flight through a lane, one every .33 s."""
     world = World("lane", NATIVE)
     layout = draw_layout(LANE)
     world.set_lane(layout)

@@ -1,7 +1,7 @@
-"""How fast lanes fly over arrays, part by part: ticks, pictures, whole commands, each beside what bounds it.
+"""Benchmarks of the kernels, part by part: ticks, images and whole commands, each beside its bound.
 
-On the CPU a thread's parts are measured first, then commands by all threads; the bound of a command is its parts'. On a
-GPU lanes fly through `CudaLanes`, recorded as a training's are, and CUDA events time them.
+On the CPU the parts are measured in one thread, then commands in all threads; the bound of a command is the sum of its
+parts. On a GPU lanes fly through `CudaLanes`, recorded as in a training, and CUDA events time them.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ CPU_LANES, GPU_LANES = (64,), (512, 4096)
 COMMANDS, GPU_COMMANDS = 4, 20
 AHEAD = 2
 NONE_SEEN = {"observation": "state", "t_sample_s": 1.0}
-MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # a command of 50 of them: next to no flight
+MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # 50 images per command: next to no flight
 
 
 def bench_kernels() -> Iterator[Measurement]:
-    """The CPU's parts, then its commands; then a GPU's. Raises UserError where there is none."""
+    """Measure the CPU, then a GPU. Raises UserError where there is none."""
     yield from bench_on_cores()
     check_simulator(KERNELS, CUDA)
     yield from bench_on_gpu()
@@ -51,7 +51,7 @@ def bench_kernels() -> Iterator[Measurement]:
 
 
 class Bare(NamedTuple):
-    """One lane's arrays, without an environment around them."""
+    """The arrays of one lane, without an environment around them."""
 
     games: rows.Games
     now: rows.Flights
@@ -61,7 +61,7 @@ class Bare(NamedTuple):
 
 
 def one_lane(task: LaneTask) -> Bare:
-    """A lane at the start of its first game."""
+    """Return a lane at the start of its first game."""
     maker = GameMaker(task)
     games, now = rows.game_rows(1, maker.surroundings.most), rows.flights(1)
     maker.write(maker.draw(np.random.default_rng(0), 0), games, 0)
@@ -80,7 +80,7 @@ def one_lane(task: LaneTask) -> Bare:
 
 
 def bench_on_cores() -> Iterator[Measurement]:
-    """A thread's ticks and pictures, and commands by all threads."""
+    """Measure ticks and images in one thread, and commands in all threads."""
     ticks_per_s = 1.0 / median(_tick_s() for _ in range(REPEATS))
     exact = World("lane", NATIVE)
     exact_per_s = TICKS / elapsed_s(lambda: exact.advance(TICKS))
@@ -103,7 +103,7 @@ def bench_on_cores() -> Iterator[Measurement]:
 
 
 def _tick_s() -> float:
-    """Seconds of a tick."""
+    """Return the seconds of a tick."""
     bare = one_lane(LaneTask(**NONE_SEEN))
 
     def fly(ticks: int) -> None:
@@ -114,7 +114,7 @@ def _tick_s() -> float:
 
 
 def _seen_s() -> float:
-    """Seconds of a frame that is drawn and seen by the event camera."""
+    """Return the seconds of rendering a frame and of its events."""
     bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
 
     def look(number: int) -> None:
@@ -125,7 +125,7 @@ def _seen_s() -> float:
 
 
 def _picture_s() -> tuple[float, float]:
-    """Seconds of a gray picture, and of the DVS of one that is given."""
+    """Return the seconds of rendering a gray image, and of the events of a given one."""
     bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
     camera = bare.games.cameras[0]
 
@@ -145,7 +145,7 @@ def _each_s(work: Callable[[int], None]) -> float:
 
 
 def _commands_s(lanes: int) -> float:
-    """Seconds of COMMANDS commands of each lane, games that end and begin included."""
+    """Return the seconds of COMMANDS commands of each lane, with ends and starts of games."""
     with closing(KernelBatch(ObstacleLane, lanes, autoreset_mode="SameStep")) as batch:
         batch.reset(seed=0)
         actions = np.full(lanes, AHEAD)
@@ -163,7 +163,7 @@ def _commands_s(lanes: int) -> float:
 
 
 def bench_on_gpu() -> Iterator[Measurement]:
-    """Ticks, pictures and commands of many lanes at once."""
+    """Measure ticks, images and commands of many lanes at once."""
     import torch as th
 
     device, task = th.cuda.get_device_name(), LaneTask()
@@ -191,7 +191,7 @@ def bench_on_gpu() -> Iterator[Measurement]:
 
 
 def _round_s(lanes: int, task: LaneTask) -> float:
-    """Seconds of a command of all lanes, by CUDA events; their games stay the first ones, which last long enough."""
+    """Return the seconds of a command of all lanes by CUDA events; no game ends within the measurement."""
     import torch as th
 
     from uavaccel.envs.cuda_lanes import CudaLanes
@@ -202,7 +202,7 @@ def _round_s(lanes: int, task: LaneTask) -> float:
     flying.begin()
     actions = th.full((lanes,), AHEAD, device=CUDA)
     fly = flying.recorded_flight()
-    for _ in range(kernels.EAGER + 1):  # compiled and recorded
+    for _ in range(kernels.EAGER + 1):  # compiles and records
         fly(actions)
     begun, ended = (th.cuda.Event(enable_timing=True) for _ in range(2))
     rounds = GPU_COMMANDS if task.t_move_s < 1.0 else COMMANDS  # before a lane can touch something

@@ -1,4 +1,4 @@
-"""Is this machine quiet enough for a measurement on its own clock?"""
+"""A check of whether this machine is quiet enough for measurements on its clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_TIMER_P90_US = 200.0
 
 
 def check_machine() -> dict[str, Plain]:
-    """Load, lateness of short sleeps, and a verdict in words, to be written beside the numbers that they qualify."""
+    """Return load, lateness of short sleeps, and a verdict in words, to be recorded beside measurements."""
     cores = usable_cores()
     late_us = [ns / 1e3 for ns in timer_grain_ns()]
     load, median_us, p90_us = os.getloadavg()[0], late_us[len(late_us) // 2], late_us[len(late_us) * 9 // 10]

@@ -1,6 +1,6 @@
-"""Benchmarks: what this machine does, each measurement beside the bound that it is to be judged by.
+"""Benchmarks of flight and commands on this machine, each measurement beside its bound.
 
-Every number is measured on the machine's clock. A ratio's two sides are measured in turn, in the same run.
+All numbers are measured on the machine's clock; the two sides of a ratio are measured alternately, in the same run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROUNDS = 4
 
 
 class Measurement(NamedTuple):
-    """One measured number; `bound` is what it is compared with, in the same unit."""
+    """A measured number; `bound` is the number that it is compared with, in the same unit."""
 
     name: str
     value: float
@@ -40,7 +40,7 @@ class Measurement(NamedTuple):
 
 
 def elapsed_s(work: Callable[[], object]) -> float:
-    """Wall time of one call."""
+    """Return the wall time of one call."""
     clock = MonotonicClock()
     start_ns = clock.now_ns()
     work()
@@ -48,7 +48,7 @@ def elapsed_s(work: Callable[[], object]) -> float:
 
 
 def bench_hot_loop() -> Iterator[Measurement]:
-    """Autopilot, rotors, drag and physics against bare `mj_step` on the same model, on one core."""
+    """Measure autopilot, rotors, drag and physics against bare `mj_step` on the same model, on one core."""
     world = World("blocks", NATIVE)
     world.advance(STEPS)
     ours, bare = [], []
@@ -67,9 +67,10 @@ def bench_hot_loop() -> Iterator[Measurement]:
 
 
 def bench_tcsc() -> Iterator[Measurement]:
-    """Round trips, and TCSC and ADSC on this machine's clock at ClockSpeed 100."""
+    """Measure round trips, and TCSC and ADSC on this machine's clock at ClockSpeed 100."""
     with WallSession("blocks", "native") as session:
-        round_trip_s = _round_trip_s(session)
+        client = session.start_game(1.0, np.random.SeedSequence(0))
+        round_trip_s = median(elapsed_s(lambda: client.call("ping")) for _ in range(PINGS))
         yield Measurement("round trip of a call", round_trip_s * 1e6, "us", note=f"median of {PINGS} pings")
         for t_move_s in (1.0, 0.1):
             calls = _calls_per_command(session, t_move_s)
@@ -88,13 +89,8 @@ def bench_tcsc() -> Iterator[Measurement]:
         )
 
 
-def _round_trip_s(session: Session) -> float:
-    client = session.start_game(1.0, np.random.SeedSequence(0))
-    return median(elapsed_s(lambda: client.call("ping")) for _ in range(PINGS))
-
-
 def _calls_per_command(session: Session, t_move_s: float) -> float:
-    """Messages that the client sends for one TCSC."""
+    """Return the number of messages that the client sends for a TCSC."""
     client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
     tracing = TracingTransport(client.transport)
     counted = Client(tracing, CLOCK_SPEED)
@@ -106,40 +102,33 @@ def _calls_per_command(session: Session, t_move_s: float) -> float:
 
 
 def _speedup(session: Session, command_name: str, t_move_s: float, t_sample_s: float) -> float:
-    """Simulated seconds of the commands over the wall time they took."""
+    """Return the simulated seconds of a square's commands over the wall time that they take."""
     client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
-    command, path = COMMANDS[command_name], velocities("square", ROUNDS)
-    command.begin(client)
-
-    def fly() -> None:
-        for velocity in path:
-            for _ in command.fly(client, VelocityGoal(velocity), t_move_s, t_sample_s):
-                pass
-
-    return len(path) * t_move_s / elapsed_s(fly)
+    COMMANDS[command_name].begin(client)
+    commands_s = len(velocities("square", ROUNDS)) * t_move_s
+    return commands_s / elapsed_s(lambda: _fly_square(client, command_name, ROUNDS, t_move_s, t_sample_s))
 
 
 def bench_virtual() -> Iterator[Measurement]:
-    """How fast a simulated wall clock runs: DP1's longest game, one process."""
+    """Measure how fast a simulated wall clock runs, in DP1's longest game and one process."""
     session = VirtualSession("blocks", "native")
     for name in sorted(COMMANDS):
         rates = []
         for _ in range(REPEATS):
             client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
-            command = COMMANDS[name]
-            command.begin(client)
-            rates.append(96 / elapsed_s(lambda: _fly_all(client, name)))  # noqa: B023  called at once
+            COMMANDS[name].begin(client)
+            rates.append(96 / elapsed_s(lambda: _fly_square(client, name, 24, 1.0, 1.0)))  # noqa: B023  called at once
         yield Measurement(f"lockstep {name.upper()}, 24 rounds of 1 s", median(rates), "simulated s/s")
 
 
-def _fly_all(client: Client, name: str) -> None:
-    for velocity in velocities("square", 24):
-        for _ in COMMANDS[name].fly(client, VelocityGoal(velocity), 1.0, 1.0):
+def _fly_square(client: Client, command_name: str, rounds: int, t_move_s: float, t_sample_s: float) -> None:
+    for velocity in velocities("square", rounds):
+        for _ in COMMANDS[command_name].fly(client, VelocityGoal(velocity), t_move_s, t_sample_s):
             pass
 
 
 def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Measurement]:
-    """A free-running server under a steady load of calls: achieved speed, and what its memory does."""
+    """Measure achieved speed and memory of a free-running server under a steady load of calls."""
     with WallSession("blocks", "native") as session:
         client = session.start_game(CLOCK_SPEED, np.random.SeedSequence(0))
         client.run()

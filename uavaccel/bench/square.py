@@ -1,4 +1,4 @@
-"""One game on the square path, flown by whatever session: common to advice and to the calibration's check."""
+"""A game on the square path, flown in any session, for advice and for the agreement of clocks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from uavaccel.wire.session import Session
 
 
 class SquareGame(NamedTuple):
-    """Where it flew, simulated seconds between its commands, wall seconds, and simulated seconds of its commands."""
+    """A game's trajectory, the simulated gaps between its commands, its wall time, and the time of its commands."""
 
     flight: Trajectory
     gap_s: np.ndarray
@@ -31,7 +31,7 @@ def fly_square(
     seed: int,
     t_th_ns: int = 0,
 ) -> SquareGame:
-    """Fly the square of 1 m/s commands `rounds` times, one sample per command; `seed` draws the latencies."""
+    """Fly the square of 1 m/s commands `rounds` times, one sample per command; `seed` is that of the latencies."""
     client = session.start_game(clock_speed, np.random.SeedSequence(seed))
     command, path = COMMANDS[command_name], velocities("square", rounds)
     command.begin(client)

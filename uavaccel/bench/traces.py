@@ -1,4 +1,4 @@
-"""Message traces of one command, from both ends of the wire, for the trellis of Figure 4."""
+"""Traces of the messages of a command, from both ends of the wire, for calibration and the trellis of Figure 4."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Event = dict[str, Plain]
 
 
 class ClientEvent(NamedTuple):
-    """Something at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
 
     kind: str
     method: str
     channel: str
     wall_ns: int
     coalesced: bool = False
-    """It travels with the next one."""
+    """Whether it travels with the next one."""
 
 
 class TracingTransport(Transport):
-    """A transport that notes when the client calls, when it goes on, and when it has its answer."""
+    """A transport that records when the client calls, when it continues, and when it has its reply."""
 
     def __init__(self, inner: Transport) -> None:
         super().__init__(inner.clock, exclusive=False)
@@ -58,7 +58,7 @@ class TracingTransport(Transport):
 
 
 def record_trace(session: Session, command_name: str, clock_speed: float, t_move_s: float) -> list[Event]:
-    """The messages of the second of two commands, in time order; the first one warms both ends up."""
+    """Return the messages of the second of two commands, in time order; the first one warms both ends up."""
     client = session.start_game(clock_speed, np.random.SeedSequence(0))
     command = COMMANDS[command_name]
     command.begin(client)
@@ -72,7 +72,7 @@ def record_trace(session: Session, command_name: str, clock_speed: float, t_move
 
 
 def _merge(client: Sequence[ClientEvent], server: Sequence[tuple[str, int, int]]) -> list[Event]:
-    """Both ends' events by wall time; simulated time at a client's event is that of the server's last one."""
+    """Merge both ends' events by wall time; the simulated time of a client's event is that of the server's last."""
     events: list[tuple[int, str, str, int | None]] = [
         (event.wall_ns, "client", f"{event.kind} {event.method}", None)
         for event in client

@@ -12,7 +12,7 @@ from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.runner import check_jobs
-from uavaccel.suites.sweep.conditions import parse_sweep
+from uavaccel.suites.sweep.config import parse_sweep
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
@@ -24,7 +24,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
     if run is None:
         return
     if other is not None:
-        from uavaccel.suites.evaluation.summary import compare
+        from uavaccel.suites.evaluation.report import compare
 
         console.print(compare(run.rows(), other))
     if films:

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.suites.report import Row
+from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import Case
 from uavaccel.units import NS_PER_S
 

@@ -15,8 +15,7 @@ from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
-from uavaccel.suites.evaluation.events import lane_events
-from uavaccel.suites.evaluation.film import best_first, film_lane
+from uavaccel.suites.evaluation.film import best_first, film_lane, lane_events
 from uavaccel.suites.evaluation.flights import lane_case
 from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import suite_of

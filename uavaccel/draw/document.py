@@ -9,7 +9,55 @@ from html import escape
 from pathlib import Path
 from typing import TypeVar
 
-from uavaccel.draw.page_look import SCRIPT, STYLE
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222;
+  background: #FFF; overflow-wrap: break-word }
+h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100%; height: auto }
+figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
+table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3; vertical-align: top }
+thead th { vertical-align: bottom } tbody th { font-weight: normal }
+tbody td, tbody th { white-space: nowrap }
+tbody .long { white-space: normal; overflow-wrap: anywhere; min-width: 14rem }
+th:first-child, td:first-child { text-align: left }
+pre { background: #F6F6F6; padding: .8rem; overflow-x: auto; font-size: 12px }
+.scrolls { overflow-x: auto; margin: 1rem 0 }
+.enlarge { display: block; padding: 0; border: 0; background: none; cursor: zoom-in }
+dialog { width: 100vw; height: 100vh; max-width: none; max-height: none; padding: 0; border: 0; box-sizing: border-box }
+dialog[open] { display: flex; flex-direction: column } dialog div { overflow: auto; cursor: zoom-out }
+dialog img { width: 100%; min-width: 60rem; max-width: none; display: block }
+dialog button { font: inherit; align-self: end; margin: .4rem; padding: .2rem .8rem }
+@media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
+@media print {
+  body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
+  .scrolls, pre { overflow: visible } tbody td, tbody th, pre { white-space: pre-wrap }
+  table { font-size: 8pt } th, td { padding: .1rem .3rem } tbody .long { min-width: 0 }
+  details:not([open]) { display: none }
+}
+"""
+
+SCRIPT = """
+const dialog = document.createElement("dialog"), pane = document.createElement("div");
+const close = document.createElement("button");
+close.textContent = "Close";
+pane.tabIndex = 0;  // scrolled with the arrow keys
+dialog.ariaLabel = "Figure, enlarged";
+dialog.append(close, pane);
+dialog.addEventListener("click", () => dialog.close());  // Esc closes it too, and focus returns to the picture
+document.body.append(dialog);
+for (const image of document.querySelectorAll("figure img")) {
+  const button = document.createElement("button");
+  button.className = "enlarge";
+  button.ariaLabel = "Enlarge: " + image.alt;
+  image.replaceWith(button);
+  button.append(image);
+  button.addEventListener("click", () => {
+    pane.replaceChildren(image.cloneNode());
+    dialog.showModal();
+  });
+}
+"""
+
 
 Entry = TypeVar("Entry")
 
@@ -30,7 +78,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain text below a header; `folded` names what one clicks to unfold it in HTML."""
+    """Rows of plain text below a header. In HTML the table is collapsed behind the name `folded`, if that is given."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -40,14 +88,14 @@ class Table:
     def of(
         cls, entries: Sequence[Entry], *columns: tuple[str, Callable[[Entry], str]], folded: str = ""
     ) -> Table:
-        """A row for each entry: each column is its header and the text that it has of an entry."""
+        """Return a table with a row for each entry; a column is its header and a function from an entry to its text."""
         header = [name for name, _ in columns]
         return cls(header, [tuple(text(entry) for _, text in columns) for entry in entries], folded)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG and the caption below it."""
+    """A PNG file and the caption below it."""
 
     path: Path
     caption: str
@@ -55,30 +103,30 @@ class Picture:
 
 @dataclass(frozen=True)
 class Listing:
-    """Text kept as it is, such as YAML; `folded` names what one clicks to unfold it in HTML."""
+    """Preformatted text, such as YAML. In HTML it is collapsed behind the name `folded`, if that is given."""
 
     text: str
     folded: str = ""
 
 
-LONG, LONG_CLASS = 32, ' class="long"'  # characters of a table's cell: longer ones are broken into lines
+LONG, LONG_CLASS = 32, ' class="long"'  # characters above which a table's cell is broken into lines
 
 Block = Heading | Paragraph | Table | Picture | Listing
 Known = TypeVar("Known")
 
 
 def or_dash(value: Known | None, form: Callable[[Known], str]) -> str:
-    """A table's cell: the value in that form, or "-" where there is none."""
+    """Return a value as the text of a table's cell, or "-" where it is None."""
     return "-" if value is None else form(value)
 
 
 def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
-    """Markdown of the report; pictures are linked relative to `folder`, where the file will lie."""
+    """Return the report as Markdown; pictures are linked relative to `folder`, in which the file will lie."""
     return "\n\n".join([f"# {title}", *(_markdown(block, folder) for block in blocks)]) + "\n"
 
 
 def to_html(title: str, blocks: Sequence[Block]) -> str:
-    """One HTML page with its style, script and pictures inside, which needs no other file and no network."""
+    """Return the report as one HTML page that embeds its style, script and pictures and needs no network."""
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_html, blocks)])
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -134,13 +182,13 @@ def _html_table(table: Table) -> str:
 
 
 def _html_row(row: Sequence[str]) -> str:
-    """Its first cell names it; short cells are not broken into lines."""
+    """The first cell is the row's header; short cells are not broken into lines."""
     cells = [f"{LONG_CLASS if len(cell) > LONG else ''}>{escape(cell)}" for cell in row]
     return f'<tr><th scope="row"{cells[0]}</th>{"".join(f"<td{cell}</td>" for cell in cells[1:])}</tr>'
 
 
 def _folded(html: str, name: str) -> str:
-    """The part of the page behind a name that one clicks, if it has one."""
+    """Collapse a part of the page behind a name to click, if it has one."""
     return f"<details><summary>{escape(name)}</summary>\n{html}</details>" if name else html
 
 

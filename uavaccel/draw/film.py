@@ -1,9 +1,9 @@
-"""A game as a film, H.264 in an MP4 that browsers play; or as a contact sheet, a PNG.
+"""A game as a film, H.264 in an MP4 that browsers play, or as a contact sheet, a PNG.
 
-Camera, DVS and map stand side by side; below them, where they are known, the view from behind, what the network was
-given and how it rated its actions. The moment of impact is marked, and held.
+Camera, DVS and map are side by side; below them, where they are known, are the view from behind, the network's input
+and its ratings of the actions. The moment of impact is marked, and its frame is held.
 
-Everything is drawn from plain arrays, so whoever keeps images of a lane can show them.
+Everything is rendered from plain arrays, so that any images of a lane can be shown.
 """
 
 from __future__ import annotations
@@ -16,10 +16,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.canvas import BLUE, FAINT, INK, PAPER, VERMILION, Bgr, paste, to_bgr, write
-from uavaccel.draw.decisions import Decisions, draw_given, draw_ratings
-from uavaccel.draw.lane_map import draw_impact, draw_lane, draw_track, follow, whole_lane
 from uavaccel.draw.movie import movie
+from uavaccel.draw.panels import (
+    BLUE,
+    FAINT,
+    INK,
+    PAPER,
+    VERMILION,
+    Bgr,
+    Decisions,
+    draw_given,
+    draw_impact,
+    draw_lane,
+    draw_ratings,
+    draw_track,
+    follow,
+    paste,
+    to_bgr,
+    whole_lane,
+    write,
+)
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LaneLayout
 
@@ -29,11 +45,11 @@ PANEL = (512, 288)  # width and height of camera and DVS: twice the camera's own
 CAMERA_AT, DVS_AT, NEAR_AT, LANE_AT = (12, 64), (536, 64), (1060, 64), (12, 380)
 NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 86)
 SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where there is one
-HELD_S = 2.0  # seconds of film for which an impact is shown
+HELD_S = 2.0  # seconds of film for which the frame of an impact is held
 
 NO_EVENT, ON, OFF = (246, 246, 246), BLUE, VERMILION
 IMPACT = VERMILION
-FULL_COLOUR_FROM = 3  # events of a pixel
+FULL_COLOUR_FROM = 3  # events per pixel
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_GAP, SHEET_CAPTION = 5, 4, 10, 24
 THUMB = (256, 144)
@@ -41,11 +57,11 @@ THUMB = (256, 144)
 
 @dataclass(frozen=True)
 class Film:
-    """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event
-    counts (n, H, W), places NED (n, 3).
+    """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event counts (n, H, W), and
+    positions NED (n, 3).
 
-    `title` says who flew, how fast and by which clock. `chase` gives the picture of a sample from behind, as large as
-    PANEL, RGB. `hit` names what the last sample ran into; empty where nothing was hit.
+    `title` names agent, speed and clock. `chase` renders the view of a sample from behind, RGB, as large as PANEL.
+    `hit` names the object of a collision at the last sample; empty if there was none.
     """
 
     title: str
@@ -64,7 +80,7 @@ class Film:
 
 
 def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Path:
-    """Write an MP4 of the film's frames, whole or not at all; returns `path`. Raises UserError where it cannot be."""
+    """Write an MP4 of the film's frames, whole or not at all, and return `path`. Raises UserError if that fails."""
     with movie(path, (WIDTH, HEIGHT + _lower(film)), frames_per_s) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
@@ -72,7 +88,7 @@ def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Pat
 
 
 def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
-    """The film's frames (480, 1280, 3), (808, 1280, 3) with a second row: one per sample, an impact's held."""
+    """Yield the film's frames (480, 1280, 3), (808, 1280, 3) with a second row: one per sample, more of an impact."""
     page, lower = _page(film), _lower(film)
     lane_view = whole_lane(LANE_SIZE)
     lane = draw_lane(film.layout, lane_view)
@@ -80,8 +96,8 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
     for i in range(len(film)):
         picture, track = page.copy(), film.position_m[: i + 1, :2]
         hit = film.hit if i == len(film) - 1 else ""
-        said = f"hit {hit}: {_moment(film, i)}" if hit else f"{_moment(film, i)}, shown at {playback:.1f}x"
-        write(picture, said, (WIDTH - 12, 26), 0.62, IMPACT if hit else INK, anchor=1.0)
+        caption = f"hit {hit}: {_moment(film, i)}" if hit else f"{_moment(film, i)}, shown at {playback:.1f}x"
+        write(picture, caption, (WIDTH - 12, 26), 0.62, IMPACT if hit else INK, anchor=1.0)
         paste(picture, to_bgr(film.images[i], PANEL), CAMERA_AT)
         paste(picture, dvs_picture(film.on_events[i], film.off_events[i], PANEL), DVS_AT)
         near_view = follow(track[-1], NEAR_SIZE)
@@ -102,7 +118,7 @@ def _lower(film: Film) -> int:
 
 
 def _page(film: Film) -> Bgr:
-    """What all frames share: the title, and what each panel is."""
+    """Return what all frames share: the title, and the panels' captions."""
     lower = _lower(film)
     page = np.full((HEIGHT + lower, WIDTH, 3), PAPER, np.uint8)
     write(page, film.title, (12, 26), 0.62)
@@ -136,13 +152,13 @@ def _below(at: tuple[int, int]) -> tuple[int, int]:
 
 
 def _frame_impact(film: Film, picture: Bgr) -> None:
-    """A frame around the pictures in which the impact is seen."""
+    """Draw a border around the images in which the impact is seen."""
     for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
         cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
 
 
 def write_contact_sheet(film: Film, path: Path) -> Path:
-    """Write a PNG of at most 20 moments, evenly spread: camera above DVS; returns `path`."""
+    """Write a PNG of at most 20 moments, evenly spaced, camera above DVS, and return `path`."""
     count = min(SHEET_COLUMNS * SHEET_ROWS, len(film))
     chosen = np.unique(np.linspace(min(1, len(film) - 1), len(film) - 1, count).round().astype(int))
     cell_width, cell_height = THUMB[0] + SHEET_GAP, 2 * THUMB[1] + SHEET_CAPTION + SHEET_GAP
@@ -170,7 +186,7 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
 
 
 def dvs_picture(on: NDArray[np.integer], off: NDArray[np.integer], size: tuple[int, int]) -> Bgr:
-    """Event counts (H, W) as a picture of `size` (width, height): the more events, the deeper the colour."""
+    """Return event counts (H, W) as an image of `size` (width, height): the more events, the deeper the colour."""
     picture = np.full((*on.shape, 3), NO_EVENT, np.float32)
     for counts, colour in ((on, ON), (off, OFF)):
         depth = np.minimum(counts / FULL_COLOUR_FROM, 1.0)[..., None]
@@ -184,6 +200,6 @@ def _moment(film: Film, i: int) -> str:
 
 
 def _playback(film: Film, frames_per_s: int) -> float:
-    """Simulated seconds per second of film."""
-    flown_s = float(film.time_s[-1] - film.time_s[0])
-    return flown_s * frames_per_s / max(len(film) - 1, 1)
+    """Return simulated seconds per second of film."""
+    simulated_s = float(film.time_s[-1] - film.time_s[0])
+    return simulated_s * frames_per_s / max(len(film) - 1, 1)

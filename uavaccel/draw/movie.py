@@ -1,4 +1,4 @@
-"""Pictures as H.264 in an MP4, which every browser plays."""
+"""An encoder of images as H.264 in an MP4, which every browser plays."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from uavaccel.draw.canvas import Bgr
+from uavaccel.draw.panels import Bgr
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 
-# Of x264, for pictures half of text and edges: bits go where the error is, so numbers that count up stay legible.
-# A game of 165 s is 1.7 MB, and a pixel's event still shows.
+# x264's options for images half of text and edges: bits go where the error is, so that counting numbers stay legible.
+# A game of 165 s takes 1.7 MB, and the event of a single pixel is still visible.
 X264 = {"crf": "36", "preset": "medium", "aq-mode": "0", "psy": "0"}
 BT709, LIMITED_RANGE = 1, 1  # as FFmpeg and H.264 number them: players need not guess
 
 
 @contextmanager
 def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Callable[[Bgr], None]]:
-    """Write an MP4 of pictures of `size` (width, height), whole or not at all: call what is given with each.
+    """Yield a function that adds an image of `size` (width, height) to an MP4, which is written whole or not at all.
 
-    H.264 in 4:2:0, the index in front: it plays from the first byte on. One thread and no dates, so that equal films
-    are equal files. Raises UserError where it cannot be written, at the end too where that was caught before.
+    It is H.264 in 4:2:0 with the index in front, so that it plays from the first byte on, encoded in one thread and
+    without dates, so that equal films are equal files. Raises UserError where it cannot be written, at the end too if
+    the first error was caught.
     """
-    import av  # what makes no film needs no FFmpeg
+    import av  # FFmpeg is needed for films alone
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -48,7 +49,7 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
         refused: list[str] = []
 
         def encode(frame: av.VideoFrame | None) -> None:
-            if refused:  # PyAV does not survive more for a file whose beginning could not be written
+            if refused:  # PyAV crashes if it goes on with a file whose beginning could not be written
                 raise UserError(refused[0])
             try:
                 with naming(Path(name)):

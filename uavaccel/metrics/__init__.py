@@ -1,1 +1,1 @@
-"""Pure functions on arrays: trajectory distances, speed-ups and their intervals."""
+"""Metrics: pure functions of arrays for trajectory distances, speed-ups, intervals and tests."""

@@ -1,18 +1,18 @@
-"""DVS Event Dissimilarity: how differently two runs saw the same path (paper, section III-C2b)."""
+"""DVS Event Dissimilarity (DVS-ED) of two runs on the same path (paper, section III-C2b)."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
 def active_pixels(counts: ArrayLike) -> NDArray[np.int64]:
-    """Pixels with at least one event, for each image of (..., H, W) counts of one polarity."""
+    """Count the pixels with at least one event, for each image of (..., H, W) counts of one polarity."""
     return np.asarray(np.count_nonzero(counts, axis=(-2, -1)), np.int64)
 
 
 def dvs_ed_percent(
     on: ArrayLike, off: ArrayLike, reference_on: ArrayLike, reference_off: ArrayLike
 ) -> NDArray[np.float64]:
-    """DVS-ED (n,) of each image of a run against the real-time run's image of the same index.
+    """Return the DVS-ED (n,) of each image of a run against the real-time run's image of the same index.
 
     |difference in ON pixels| + |difference in OFF pixels|, as a percentage of all pixels. Arguments are event
     counts (n, H, W); of two runs of unequal length the images that both have are compared.

@@ -1,10 +1,8 @@
-"""What an interval shows: that a quantity lies within stated margins, that it lies outside them, or neither.
+"""Estimates with 95 % intervals, and whether an interval lies within stated margins, outside them, or neither.
 
-That two conditions do not differ significantly is no evidence that they are alike: with four games each, everything is.
-Alike they are where the whole interval of their ratio lies within margins stated beforehand, as by two one-sided tests
-(Schuirmann, J. Pharmacokinet. Biopharm. 15, 1987); a 95 % interval makes each of the two a test at 2.5 %.
-
-scipy.stats is loaded where it is needed, as in intervals.py.
+That two conditions do not differ significantly is no evidence that they are equivalent: with four games each, no
+difference is significant. They are where the whole interval of their ratio lies within margins stated beforehand, as
+by two one-sided tests (Schuirmann, J. Pharmacokinet. Biopharm. 15, 1987), each at 2.5 % with a 95 % interval.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ Interval = tuple[float, float]
 
 
 def exceeds(interval: Interval, limit: float) -> bool | None:
-    """Whether a quantity is above `limit`: None where its interval holds the limit."""
+    """Return whether a quantity is above `limit`; None where its interval contains the limit."""
     low, high = interval
     if low > limit:
         return True
@@ -29,7 +27,7 @@ def exceeds(interval: Interval, limit: float) -> bool | None:
 
 
 def within(interval: Interval, margins: Interval) -> bool | None:
-    """Whether a quantity lies within `margins`, ends included: None where its interval is partly inside."""
+    """Return whether a quantity lies within `margins`, ends included; None where its interval is partly inside."""
     (low, high), (least, most) = interval, margins
     if least <= low and high <= most:
         return True
@@ -37,12 +35,12 @@ def within(interval: Interval, margins: Interval) -> bool | None:
 
 
 def opposite(shown: bool | None) -> bool | None:
-    """Of what is not shown, the opposite is not shown either."""
+    """Return the negation of a decision; what is undecided stays so."""
     return None if shown is None else not shown
 
 
 def all_of(shown: Iterable[bool | None]) -> bool | None:
-    """False where one part is shown to be false, True where all are shown to be true, else None."""
+    """Return False where one decision is False, True where all are True, else None."""
     parts = list(shown)
     if False in parts:
         return False
@@ -61,13 +59,13 @@ class Estimate(NamedTuple):
         return self.low, self.high
 
     def text(self, unit: str = "", digits: int = 3) -> str:
-        """61.3x [61.2, 61.4]"""
+        """Return the estimate with its interval, as in "61.3x [61.2, 61.4]"."""
         value, low, high = (f"{each:.{digits}f}" for each in self)
         return f"{value}{unit} [{low}, {high}]"
 
 
 def mean_estimate(values: ArrayLike) -> Estimate:
-    """Mean of `values` (n,), one a training, with Student's interval; a lone value has none but itself.
+    """Return the mean of `values` (n,), one per training, with Student's interval; that of a single value has no width.
 
     Raises ValueError without values.
     """
@@ -83,15 +81,15 @@ def mean_estimate(values: ArrayLike) -> Estimate:
 
 
 def success_estimate(trainings: Sequence[Proportion]) -> Estimate:
-    """Success of policies trained alike, each flown in games of its own.
+    """Return the success of policies that were trained alike, each evaluated in games of its own.
 
-    Games say how well a policy flies, not what another training would have given. Of several trainings the interval
-    is therefore the hull of Wilson's over all games and Student's over the trainings; of one it is Wilson's, and
-    holds for that policy alone. Raises ValueError without trainings.
+    Games tell how well a policy flies, not what another training would have given. For several trainings the interval
+    is therefore the hull of Wilson's over all games and Student's over the trainings; for one it is Wilson's, and holds
+    for that policy alone. It has a width at 0 and 100 % too, as Wilson's has. Raises ValueError without trainings.
     """
     if not trainings:
         raise ValueError("success needs at least one training")
-    pooled = Proportion(sum(each.successes for each in trainings), sum(each.games for each in trainings))
+    pooled = Proportion.pooled(trainings)
     low, high = pooled.interval
     if len(trainings) > 1:
         over = mean_estimate([each.ratio for each in trainings])
@@ -100,8 +98,8 @@ def success_estimate(trainings: Sequence[Proportion]) -> Estimate:
 
 
 def ratio_estimate(first: Estimate, second: Estimate) -> Estimate:
-    """first / second with the interval that follows from theirs (MOVER-R: Donner and Zou, Stat. Methods Med. Res. 21,
-    2012), both of quantities that cannot be negative; without an upper end where the second may be 0.
+    """Return first / second with the interval that follows from theirs (MOVER-R: Donner and Zou, Stat. Methods Med.
+    Res. 21, 2012). Neither quantity can be negative; the upper end is infinite where the second may be 0.
 
     Raises ValueError where the second is 0.
     """
@@ -112,7 +110,7 @@ def ratio_estimate(first: Estimate, second: Estimate) -> Estimate:
 
 
 def _end(p: float, q: float, end_p: float, end_q: float, sign: float) -> float:
-    """The lower end of a ratio from the lower of p and the upper of q (sign -1), or the upper from the others (1)."""
+    """Return the lower end of a ratio from the lower end of p and the upper of q (sign -1), or its upper end (1)."""
     product, denominator = p * q, end_q * (2 * q - end_q)
     root = np.sqrt(max(0.0, product**2 - end_p * (2 * p - end_p) * denominator))
     if abs(denominator) > 1e-12:

@@ -1,19 +1,17 @@
-"""Uncertainty of what games show: bootstrap over games, Wilson interval, exact paired McNemar test.
+"""Uncertainty over games: the bootstrap, Wilson's interval, and the exact tests of McNemar and Fisher.
 
-scipy.stats takes as long to load as the rest of a command: whoever only flies does without.
+scipy.stats takes long to load, so it is imported where it is used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-from uavaccel.files import Plain
 
 RESAMPLES = 2000
 LEVEL = 0.95
@@ -28,31 +26,32 @@ def bootstrap_interval(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its own games.
+    """Return the percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its own games.
 
-    `samples` holds arrays (games,), one value a game: pairs of games are not independent and must be
-    averaged before. `statistic` reduces the last axis. The same seed gives the same interval.
+    `samples` holds arrays (games,) with one value per game: pairs of games are not independent and must be averaged
+    before. `statistic` reduces the last axis. The same seed gives the same interval. Raises ValueError for a sample
+    without games.
     """
     rng = np.random.default_rng(seed)
-    drawn = []
+    resampled = []
     for sample in samples:
         values = np.asarray(sample, dtype=np.float64)
         if values.size == 0:
             raise ValueError("a bootstrap needs at least one game")
-        drawn.append(values[rng.integers(values.size, size=(resamples, values.size))])
+        resampled.append(values[rng.integers(values.size, size=(resamples, values.size))])
     tail = (1.0 - level) / 2.0
-    low, high = np.quantile(statistic(*drawn), (tail, 1.0 - tail))
+    low, high = np.quantile(statistic(*resampled), (tail, 1.0 - tail))
     return float(low), float(high)
 
 
 def median_interval(values: ArrayLike, seed: int, level: float = LEVEL) -> tuple[float, float]:
-    """Bootstrap interval over games of the median of `values` (games,)."""
-    return bootstrap_interval((values,), _median, seed, level)
+    """Return the bootstrap interval over games of the median of `values` (games,)."""
+    return bootstrap_interval((values,), partial(np.median, axis=-1), seed, level)
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """Games won of games flown. Raises ValueError unless 0 <= successes <= games > 0."""
+    """The games won of those flown. Raises ValueError unless 0 <= successes <= games > 0."""
 
     successes: int
     games: int
@@ -62,9 +61,14 @@ class Proportion:
             raise ValueError(f"need 0 <= successes <= games > 0, got {self.successes} of {self.games}")
 
     @classmethod
-    def of(cls, keys: Mapping[str, Plain]) -> Proportion:
-        """That of a mapping with the keys `successes` and `games`."""
+    def of(cls, keys: Mapping[str, Any]) -> Proportion:
+        """Return the proportion of a mapping with the keys `successes` and `games`."""
         return cls(keys["successes"], keys["games"])
+
+    @classmethod
+    def pooled(cls, parts: Sequence[Proportion]) -> Proportion:
+        """Return the proportion of all games of several proportions."""
+        return cls(sum(each.successes for each in parts), sum(each.games for each in parts))
 
     @property
     def ratio(self) -> float:
@@ -79,7 +83,7 @@ class Proportion:
         return float(interval.low), float(interval.high)
 
     def as_summary(self) -> dict[str, float]:
-        """What a summary says of it."""
+        """Return the keys of a summary for the proportion."""
         low, high = self.interval
         return {
             "games": self.games,
@@ -90,13 +94,13 @@ class Proportion:
         }
 
     def text(self, digits: int = 1, interval_digits: int = 0) -> str:
-        """23.0% [16, 32]"""
+        """Return the ratio with its interval in per cent, as in "23.0% [16, 32]"."""
         low, high = (f"{100 * end:.{interval_digits}f}" for end in self.interval)
         return f"{self.ratio:.{digits}%} [{low}, {high}]"
 
 
 class McNemar(NamedTuple):
-    """Games only the first condition won, games only the second won, two-sided exact p-value."""
+    """Games that only the first condition won, games that only the second won, and the two-sided exact p-value."""
 
     only_first: int
     only_second: int
@@ -104,9 +108,9 @@ class McNemar(NamedTuple):
 
 
 def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
-    """Exact McNemar test of two conditions on the same lanes: two bool arrays (games,), paired by index.
+    """Return McNemar's exact test of two conditions on the same lanes: bool arrays (games,), paired by index.
 
-    Only discordant games count; with none, p is 1. Raises ValueError on lengths that differ.
+    Only discordant games count; without any, p is 1. Raises ValueError for arrays of different lengths.
     """
     from scipy.stats import binomtest
 
@@ -119,12 +123,8 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
     return McNemar(only_first, only_second, p_value)
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    return np.asarray(np.median(values, axis=-1))
-
-
 def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """Two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are one."""
+    """Return the two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are equal."""
     from scipy.stats import fisher_exact
 
     table = np.array([[successes, games - successes] for successes, games in (first, second)])

@@ -1,4 +1,4 @@
-"""Uncertainty of what trainings show: intervals over seeds and games, and tests in which a training is one sample."""
+"""Uncertainty over trainings: the bootstrap over seeds and games, and tests in which a training is one sample."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.metrics.intervals import LEVEL, RESAMPLES
 
-MOST_EXACT = 200_000  # ways to share out trainings, or to swap their signs: beyond, so many are drawn
+MOST_EXACT = 200_000  # permutations that are enumerated; beyond, so many are sampled
 ROUNDING = 1e-12
 
 
 def hierarchical_interval(
     samples: Sequence[ArrayLike], seed: int, level: float = LEVEL, resamples: int = RESAMPLES
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean over seeds of each seed's mean: seeds are drawn, then games of each.
+    """Return the percentile bootstrap interval of the mean over seeds of each seed's mean, for real-valued results.
 
-    `samples` holds for each training seed an array (games,), one value a game. The ends are in the range of the values;
-    of one seed the interval is of its games alone. The same `seed` gives the same interval. Raises ValueError for no
-    seed, and for a seed without games.
+    `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval
+    lies in the range of the values and has no width where all are equal: for shares of games won take
+    `equivalence.success_estimate`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
+    ValueError without seeds, and for a seed without games.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]
     if not values or any(each.size == 0 for each in values):
         raise ValueError("a bootstrap over seeds needs at least one seed, and games of each")
     rng, count = np.random.default_rng(seed), len(values)
-    drawn = rng.integers(count, size=(resamples, count))
-    means = np.empty(drawn.shape)
+    resampled = rng.integers(count, size=(resamples, count))
+    means = np.empty(resampled.shape)
     for number, games in enumerate(values):
-        here = drawn == number
+        here = resampled == number
         chosen = rng.integers(games.size, size=(int(here.sum()), games.size))
         means[here] = games[chosen].mean(axis=1)
     tail = (1.0 - level) / 2.0
@@ -41,10 +42,10 @@ def hierarchical_interval(
 
 
 def permutation_p(first: ArrayLike, second: ArrayLike, seed: int = 0) -> float | None:
-    """Two-sided permutation test that two groups of trainings, a value each, have one mean.
+    """Return the two-sided p-value of a permutation test that two groups of trainings, a value each, have equal means.
 
-    Exact up to MOST_EXACT ways to share out the trainings, beyond by as many drawn ones. None where a group has fewer
-    than two trainings: whatever they show, their seeds may have done it.
+    The test is exact up to MOST_EXACT permutations; beyond, as many are sampled. None where a group has fewer than two
+    trainings: whatever their difference, the seeds may explain it.
     """
     groups = [np.asarray(group, dtype=np.float64) for group in (first, second)]
     sizes = groups[0].size, groups[1].size
@@ -58,9 +59,9 @@ def permutation_p(first: ArrayLike, second: ArrayLike, seed: int = 0) -> float |
 
 
 def sign_flip_p(differences: ArrayLike, seed: int = 0) -> float | None:
-    """Two-sided test that differences within trainings, one each, have mean 0, by swapping their signs.
+    """Return the two-sided p-value of a sign-flip test that differences within trainings, one each, have mean 0.
 
-    Exact or drawn as in `permutation_p`; None for fewer than two trainings.
+    The test is exact or sampled as in `permutation_p`; None for fewer than two trainings.
     """
     values = np.asarray(differences, dtype=np.float64)
     if values.size < 2:
@@ -74,7 +75,7 @@ def sign_flip_p(differences: ArrayLike, seed: int = 0) -> float | None:
 
 
 def _share_as_far(differences: NDArray[np.float64], seen: float, exact: bool) -> float:
-    """How many lie as far from 0 as what was seen, itself counted among those that were drawn."""
+    """Return the share that is as far from 0 as what was observed, which is counted among sampled permutations."""
     as_far = int(np.sum(np.abs(differences) >= abs(seen) - ROUNDING))
     return as_far / differences.size if exact else (as_far + 1) / (differences.size + 1)
 
@@ -85,7 +86,7 @@ def _is_exact_split(first: int, second: int) -> bool:
 
 @lru_cache(maxsize=8)
 def _shares(first: int, second: int, seed: int) -> NDArray[np.float64]:
-    """Which of the pooled trainings are in the first group, (ways, trainings) of 0 and 1."""
+    """Return which trainings each permutation has in its first group, 0 or 1 (permutations, trainings)."""
     count = first + second
     if _is_exact_split(first, second):
         chosen = np.array(list(combinations(range(count), first)))

@@ -1,4 +1,4 @@
-"""Effective speed-up of an accelerated cell over the real-time one, and where its numbers come from."""
+"""Effective speed-up of an accelerated cell over the real-time one, and the provenance of numbers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Provenance = Literal["measured", "modelled", "mixed"]
 
 
 def effective_speedup(baseline_wall_s: ArrayLike, wall_s: ArrayLike) -> float:
-    """Ratio of mean wall times for the same commands: ADSC at 1x over the cell (paper, section IV-B).
+    """Return the ratio of mean wall times of the same commands: ADSC at 1x over the cell (paper, section IV-B).
 
-    A ratio of means, not a mean of ratios: games are not paired. Raises ValueError on no games or on wall
+    It is a ratio of means, not a mean of ratios, as games are not paired. Raises ValueError on no games or on wall
     times that are not positive.
     """
     baseline, cell = _checked(baseline_wall_s), _checked(wall_s)
@@ -25,18 +25,18 @@ def effective_speedup(baseline_wall_s: ArrayLike, wall_s: ArrayLike) -> float:
 def speedup_interval(
     baseline_wall_s: ArrayLike, wall_s: ArrayLike, seed: int, level: float = 0.95
 ) -> tuple[float, float]:
-    """Bootstrap interval of `effective_speedup`: baseline and cell are resampled independently, by game."""
+    """Return the bootstrap interval of `effective_speedup`; games of baseline and cell are resampled independently."""
     baseline, cell = _checked(baseline_wall_s), _checked(wall_s)
     return bootstrap_interval((baseline, cell), _ratio_of_means, seed, level)
 
 
 def timing_provenance(timing: str) -> Provenance:
-    """ "measured" for the machine's own clock, "modelled" for a simulated one (virtual, lockstep)."""
+    """Return "measured" for the machine's own clock, "modelled" for a simulated one (virtual, lockstep)."""
     return "measured" if timing == "wall" else "modelled"
 
 
 def combined_provenance(*parts: Provenance) -> Provenance:
-    """What a number made of several numbers is: "mixed" unless all agree; ValueError on none."""
+    """Return the provenance of a number made of several: "mixed" unless all agree. Raises ValueError without parts."""
     if not parts:
         raise ValueError("a combined provenance needs at least one part")
     return parts[0] if len(set(parts)) == 1 else "mixed"

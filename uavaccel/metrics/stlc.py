@@ -26,7 +26,7 @@ from uavaccel.metrics.trajectory import FloatArray, Trajectory, distinct, mean_o
 def stlc(
     times_r: ArrayLike, points_r: ArrayLike, times_s: ArrayLike, points_s: ArrayLike, lam: float = 0.5
 ) -> float:
-    """STLC of two flights: times (n,) in seconds from the start, points (n, 3) in metres.
+    """Return the STLC of two flights: times (n,) in seconds from the start, points (n, 3) in metres.
 
     Symmetric; identical flights give exactly 2 for every `lam`. Raises ValueError on misshapen input.
     """
@@ -40,7 +40,7 @@ def mean_stlc(
     exclude_self: bool = False,
     lam: float = 0.5,
 ) -> FloatArray:
-    """Each game's STLC averaged over all references, (games,); see `trajectory.mean_over_references`."""
+    """Return each game's STLC averaged over all references (games,); see `trajectory.mean_over_references`."""
     unique_games, game_index = distinct(games)
     unique_references, reference_index = distinct(references)
     matrix = stlc_matrix(unique_games, unique_references, lam)
@@ -50,7 +50,7 @@ def mean_stlc(
 def stlc_matrix(
     games: Sequence[Trajectory], references: Sequence[Trajectory], lam: float = 0.5
 ) -> FloatArray:
-    """STLC of every game with every reference, (games, references); each KD-tree is built once."""
+    """Return the STLC of every game with every reference (games, references); each KD-tree is built once."""
     if not 0.0 <= lam <= 1.0:
         raise ValueError(f"lam must lie in [0, 1], got {lam}")
     space = _spatial_closeness(games, references) + _spatial_closeness(references, games).T
@@ -59,7 +59,7 @@ def stlc_matrix(
 
 
 def _spatial_closeness(flights: Sequence[Trajectory], targets: Sequence[Trajectory]) -> FloatArray:
-    """mean_{p in flight} e^{-d(p, target)}, (flights, targets); one query a target over all points."""
+    """Return mean_{p in flight} e^{-d(p, target)} (flights, targets), with one query per target over all points."""
     result = np.empty((len(flights), len(targets)))
     if result.size == 0:
         return result
@@ -73,7 +73,7 @@ def _spatial_closeness(flights: Sequence[Trajectory], targets: Sequence[Trajecto
 
 
 def _temporal_similarity(games: Sequence[Trajectory], references: Sequence[Trajectory]) -> FloatArray:
-    """Sim_T, (games, references); flights share few time grids, so each pair of grids is done once."""
+    """Return Sim_T (games, references); flights share few time grids, so each pair of grids is computed once."""
     known: dict[tuple[bytes, bytes], float] = {}
     result = np.empty((len(games), len(references)))
     game_keys = [game.time_s.tobytes() for game in games]
@@ -88,7 +88,7 @@ def _temporal_similarity(games: Sequence[Trajectory], references: Sequence[Traje
 
 
 def _temporal_closeness(times_s: FloatArray, target_s: FloatArray) -> float:
-    """mean_{p} e^{-t(p, target)}: the nearest of the two neighbours in the sorted target times."""
+    """Return mean_{p} e^{-t(p, target)}, with t to the nearer of the two neighbours in the sorted target times."""
     right = np.searchsorted(target_s, times_s).clip(max=target_s.size - 1)
     left = (right - 1).clip(min=0)
     gap_s = np.minimum(np.abs(times_s - target_s[left]), np.abs(times_s - target_s[right]))

@@ -1,4 +1,4 @@
-"""Position errors between two recorded flights, and the handling of identical replicas.
+"""Trajectories of recorded flights: position errors between them, and the handling of identical replicas.
 
 Times are seconds from the tick at which a game's first command was accepted; positions are metres.
 """
@@ -23,7 +23,7 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
-    """A checked `Trajectory`; raises ValueError on empty, misshapen, non-finite or unsorted input."""
+    """Return a checked `Trajectory`. Raises ValueError for empty, misshapen, non-finite or unsorted input."""
     times = np.ascontiguousarray(time_s, dtype=np.float64)
     points = np.ascontiguousarray(position_m, dtype=np.float64)
     if times.ndim != 1 or times.size == 0 or points.ndim != 2 or len(points) != times.size:
@@ -36,10 +36,10 @@ def trajectory(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
 
 
 def position_rmse(reference: Trajectory, flight: Trajectory) -> float:
-    """Root mean square distance in metres between two flights at equal simulated times.
+    """Return the root mean square distance in metres between two flights at equal simulated times.
 
-    Compared at the reference's sample times, the other flight interpolated linearly, up to the end of the
-    shorter one; NaN if the two do not overlap in time. Unlike STLC it sees a lap too few or too late.
+    They are compared at the reference's sample times, the other flight interpolated linearly, up to the end of the
+    shorter one; NaN if they do not overlap in time. Unlike STLC it reveals a lap too few or too late.
     """
     shared = min(reference.time_s.size, flight.time_s.size)
     if np.array_equal(reference.time_s[:shared], flight.time_s[:shared]):  # one grid: nothing to interpolate
@@ -62,7 +62,7 @@ def _difference_on_reference_grid(reference: Trajectory, flight: Trajectory) -> 
 def mean_position_rmse(
     games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False
 ) -> FloatArray:
-    """Each game's `position_rmse` averaged over the references, (games,); see `mean_over_references`."""
+    """Return each game's `position_rmse` averaged over the references (games,); see `mean_over_references`."""
     unique_games, game_index = distinct(games)
     unique_references, reference_index = distinct(references)
     matrix = np.array(
@@ -72,27 +72,27 @@ def mean_position_rmse(
 
 
 def duration_error_s(reference_duration_s: ArrayLike, duration_s: ArrayLike) -> FloatArray:
-    """Each game's simulated duration minus the references' mean duration, seconds (games,)."""
+    """Return each game's simulated duration minus the references' mean duration, in seconds (games,)."""
     return np.asarray(duration_s, dtype=np.float64) - float(np.mean(np.asarray(reference_duration_s)))
 
 
 def command_gaps_s(command_start_s: ArrayLike, command_end_s: ArrayLike) -> FloatArray:
-    """Simulated seconds between a command's end and the next one's acceptance, (commands - 1,)."""
+    """Return the simulated seconds between a command's end and the next one's acceptance (commands - 1,)."""
     start = np.asarray(command_start_s, dtype=np.float64)
     end = np.asarray(command_end_s, dtype=np.float64)
     return start[1:] - end[:-1]
 
 
 def quartiles(values: ArrayLike) -> tuple[float, float, float]:
-    """Lower quartile, median and upper quartile (linear interpolation); NaN where a value is NaN."""
+    """Return lower quartile, median and upper quartile (linear interpolation); NaN where a value is NaN."""
     q25, median, q75 = np.quantile(np.asarray(values, dtype=np.float64), (0.25, 0.5, 0.75))
     return float(q25), float(median), float(q75)
 
 
 def distinct(flights: Sequence[Trajectory]) -> tuple[list[Trajectory], IndexArray]:
-    """The byte-wise distinct flights in order of appearance, and each flight's index among them.
+    """Return the byte-wise distinct flights in order of appearance, and each flight's index among them.
 
-    Replicas of a native TCSC game are identical, so whatever is computed per pair is computed once.
+    Replicas of a native TCSC game are identical, so that whatever is computed per pair is computed once.
     """
     seen: dict[tuple[bytes, bytes], int] = {}
     unique: list[Trajectory] = []
@@ -109,7 +109,7 @@ def distinct(flights: Sequence[Trajectory]) -> tuple[list[Trajectory], IndexArra
 def mean_over_references(
     matrix: FloatArray, game_index: IndexArray, reference_index: IndexArray, exclude_self: bool
 ) -> FloatArray:
-    """Mean over the references of a measure known for distinct flights only, (games,).
+    """Return the mean over the references (games,) of a measure that is known for distinct flights only.
 
     `matrix` is (distinct games, distinct references). With `exclude_self` the games are the references, in
     one order, and a game is not compared with itself; a lone reference has nothing to compare with: NaN.

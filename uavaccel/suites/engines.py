@@ -1,7 +1,7 @@
-"""Where cases are flown side by side, beside joblib's own processes: a cluster of Ray's or Dask's.
+"""Engines that fly cases in parallel, beside joblib's own processes: clusters of Ray and Dask.
 
-Workers read the run's folder, so all of them must see it, and this package, under the same paths. Without a cluster
-of one's own (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) one is made of this machine's processes, on loopback.
+Workers read the run's folder, so all of them must see it, and this package, under the same paths. Without a running
+cluster (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on loopback.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ LOKY = "loky"
 PACKAGES = {"ray": "ray", "dask": "distributed"}
 ENGINES = (LOKY, *PACKAGES)
 Delayed = tuple[Callable[..., GameResult], tuple[object, ...], dict[str, object]]  # joblib's
-AHEAD = 2  # times the games that all workers together are handed at once
+AHEAD = 2  # batches per worker that are submitted at once
 
 
 def check_engine(engine: str) -> None:
-    """Raises UsageError for an engine that there is not, UserError for one whose package is missing."""
+    """Raise UsageError for an unknown engine, UserError for one whose package is missing."""
     if engine not in ENGINES:
         raise UsageError(f"--engine {engine}: is unknown; there are {', '.join(ENGINES)}")
     package = PACKAGES.get(engine)
@@ -31,7 +31,7 @@ def check_engine(engine: str) -> None:
 
 
 def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Delayed]) -> Iterator[GameResult]:
-    """The results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
+    """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
     Raises UserError where a worker is lost.
     """
@@ -42,7 +42,7 @@ def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Delayed]) -> 
     with (
         clusters[engine](jobs),
         parallel_config(backend=engine, n_jobs=jobs),
-        Parallel(batch_size=batch) as parallel,  # its workers stay, with what they opened
+        Parallel(batch_size=batch) as parallel,  # which keeps its workers, with what they opened
     ):
         for first in range(0, len(calls), most):
             try:
@@ -64,7 +64,7 @@ def _ray(jobs: int) -> Iterator[None]:
     own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "_node_ip_address": "127.0.0.1"}
     try:
         ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **own)
-    except Exception as error:  # of no kind of its own
+    except Exception as error:  # Ray has no class of errors for it
         raise UserError(f"ray cannot be started or reached: {str(error).partition(chr(10))[0]}") from error
     try:
         yield

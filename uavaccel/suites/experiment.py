@@ -1,4 +1,4 @@
-"""What experiments' configurations share, and how one is put together from YAML, options and overrides."""
+"""The keys that experiments share, and how a configuration is made from YAML, options and overrides."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CommandName = Literal["adsc", "tcsc"]
 
 
 def within(values: tuple[float, ...], least: float, most: float) -> tuple[float, ...]:
-    """The values. Raises ValueError unless there is one, each is above 0, from `least` to `most`, and they differ."""
+    """Return the values. Raises ValueError unless they are distinct, above 0, and from `least` to `most`."""
     for value in values:
         if value <= 0:
             raise ValueError(f"must be above 0, not {value}")
@@ -35,7 +35,7 @@ Distinct = TypeVar("Distinct", bound=tuple[float | str, ...])
 
 
 def distinct(values: Distinct) -> Distinct:
-    """The values. Raises ValueError unless there is one, and they differ in the six digits that name a game."""
+    """Return the values. Raises ValueError for none, and for two with the same six digits, which name a game."""
     if not values:
         raise ValueError("needs at least one value")
     names = [value if isinstance(value, str) else f"{value:g}" for value in values]
@@ -50,33 +50,33 @@ CommandNames = Annotated[tuple[CommandName, ...], AfterValidator(distinct)]
 
 
 class Experiment(Config):
-    """Keys that every suite has. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
+    """Keys of every suite. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
 
     seed: Seed = 0
 
 
 class FlightExperiment(Experiment):
-    """Keys of suites that fly commands at several ClockSpeeds."""
+    """Keys of suites that fly paths with commands at several ClockSpeeds."""
 
     clock_speed: ClockSpeeds
-    """ClockSpeeds to fly at: simulated seconds per wall second, above 0; 1.5 is 1.5."""
+    """ClockSpeeds: simulated seconds per wall second, above 0, not necessarily whole."""
     command: CommandNames = ("adsc", "tcsc")
     timing: Timing = "virtual"
     """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
     profile: ProfileName = "native"
     t_th_wall_s: Cost = 0.001
-    """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
+    """TCSC's T_th, the client's latency; used with `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel
-    """The latency model that `virtual` draws from, or the name of its file; `uavaccel calibrate` writes one."""
+    """The latency model that `virtual` samples from, or the name of its file; `uavaccel calibrate` writes one."""
 
 
 def timing_of(config: Experiment) -> str:
-    """The clock of a run's games; references may have another."""
+    """Return the timing of a run's games; references may have another."""
     return str(getattr(getattr(config, "task", config), "timing", "lockstep"))
 
 
 def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> int:
-    """TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
+    """Return TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
     return PROFILES[config.profile].t_th_ns(config.t_th_wall_s, clock_speed, t_sample_s)
 
 
@@ -84,24 +84,24 @@ ExperimentType = TypeVar("ExperimentType", bound=Experiment)
 
 
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
-    """The mapping of an experiment that ships ("dp1") or of a YAML file of one's own, and what to call it."""
+    """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
     if is_file(name):
         return load_yaml(Path(name)), name
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 
 def is_file(name: str) -> bool:
-    """Whether an experiment's name is that of a YAML file of one's own."""
+    """Return whether an experiment is named by its YAML file."""
     return Path(name).suffix in (".yaml", ".yml")
 
 
 def merged(
     mapping: Mapping[str, object], options: Mapping[str, object], overrides: Iterable[str] = ()
 ) -> dict[str, Plain]:
-    """A YAML's mapping with options by dotted key in it, then each "dotted.key=value" of --set. Raises UserError."""
+    """Return a mapping with options by dotted key, then each "dotted.key=value" of --set, applied. Raises UserError."""
     result = copy.deepcopy(dict(mapping))
     for key, value in options.items():
-        assign(result, key, copy.deepcopy(value), key)  # later keys go into it
+        assign(result, key, copy.deepcopy(value), key)  # later keys may change it
     return apply_overrides(result, overrides)
 
 
@@ -112,5 +112,5 @@ def resolve(
     options: Mapping[str, object] | None = None,
     overrides: Iterable[str] = (),
 ) -> ExperimentType:
-    """The configuration: YAML, then options by dotted key, then --set. Raises UserError."""
+    """Return the configuration from YAML, then options by dotted key, then --set. Raises UserError."""
     return validate(cls, merged(mapping, options or {}, overrides), source)

@@ -1,4 +1,4 @@
-"""Several GPUs: each process that trains takes one, and its share of the cores, whoever started it."""
+"""The assignment of GPUs to processes: each takes one, and its share of the cores, whichever run started it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ _place: TextIO | None = None  # held as long as this process lives
 
 
 def take_gpu(device: str) -> None:
-    """Let `cuda` be one of several GPUs in this process and those that it starts: that of the first free place.
+    """Assign a free GPU to this process and those that it starts, where `device` is `cuda` and there are several.
 
-    Places are files locked in the temporary folder, so processes of different runs share them, and a place is free
-    again however its process ended. Nothing happens where there is one GPU, or the device names one. It has to be
-    before CUDA's first use, which fixes what this process sees.
+    GPUs are claimed by locks on files in the temporary folder, so that processes of different runs share them, and a
+    GPU is free again however its process ended. Call it before CUDA's first use, which fixes the visible GPUs.
     """
     import torch as th
 
@@ -41,13 +40,13 @@ def take_gpu(device: str) -> None:
 
 @contextmanager
 def on_own_gpu(opened: Opened, device: str = "cuda") -> Iterator[Opened]:
-    """For `Suite.open`: what is opened, in a process that has a GPU of its own from now on, where there are several."""
+    """Yield what `Suite.open` opens, in a process that has a GPU of its own from now on."""
     take_gpu(device)
     yield opened
 
 
 def _stay_on_cores(share: int, shares: int) -> None:
-    """As many as every GPU's process has: its lanes fly on them, and do not crowd out its neighbours'."""
+    """Restrict this process to its share of the cores, so that it does not slow the other GPUs' processes down."""
     if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
         return
     cores = sorted(os.sched_getaffinity(0))
@@ -57,7 +56,7 @@ def _stay_on_cores(share: int, shares: int) -> None:
 
 
 def visible_gpus() -> list[str]:
-    """The GPUs of this process, as CUDA_VISIBLE_DEVICES names them."""
+    """Return the GPUs of this process, as CUDA_VISIBLE_DEVICES names them."""
     if named := os.environ.get(VISIBLE):
         return [name.strip() for name in named.split(",") if name.strip()]
     import torch as th
@@ -66,7 +65,7 @@ def visible_gpus() -> list[str]:
 
 
 def _take_place() -> int:
-    """The first place that no other process holds."""
+    """Return the first place that no other process holds."""
     import fcntl  # not on Windows
 
     global _place

@@ -1,4 +1,4 @@
-"""What a run took on the machine's own clock, from its timing.jsonl: never the same twice, so in no summary."""
+"""How long a run took on this machine, from its timing.jsonl; no summary has it, since it is never reproduced."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, dict[str, float]]:
-    """What a piece of work gives, and for timing.jsonl what it took and how busy the machine was."""
+    """Return the result of some work, and the entries of timing.jsonl for its duration and the machine's load."""
     clock = MonotonicClock()
     start_ns = clock.now_ns()
     result = work()
@@ -24,19 +24,19 @@ def timed(work: Callable[[], Result]) -> tuple[Result, dict[str, float]]:
 
 
 def wall_s(run: RunDirectory) -> float:
-    """Seconds of wall clock from the first command to the last, of all starts together; 0 where nobody measured."""
-    return (running_s(run) or [0.0])[-1]
+    """Return the wall time from the first command to the last, over all starts; 0 where it was not measured."""
+    return (cumulative_wall_s(run) or [0.0])[-1]
 
 
-def running_s(run: RunDirectory) -> list[float]:
-    """Seconds of wall clock up to each entry that has them, the starts one after another."""
+def cumulative_wall_s(run: RunDirectory) -> list[float]:
+    """Return the wall time in seconds up to each entry that has it, over all starts."""
     readings = [entry["wall_s"] for entry in run.timings() if "wall_s" in entry]
     steps = [after - before if after >= before else after for before, after in pairwise([0.0, *readings])]
     return list(accumulate(steps))
 
 
 def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
-    """The sums of stopwatches that begin anew whenever a run is resumed."""
+    """Return the sums of stopwatches that restart whenever a run is resumed."""
     total = Counter[str](readings[-1] if readings else {})
     for before, after in pairwise(readings):
         if sum(after.values()) < sum(before.values()):
@@ -45,7 +45,7 @@ def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
 
 
 def pace(run: RunDirectory) -> str:
-    """How long all its games took, and how fast that was; nothing where nobody measured."""
+    """Return in words how long the games took, and their speed; empty where it was not measured."""
     took_s = wall_s(run)
     if not took_s:
         return ""
@@ -54,7 +54,7 @@ def pace(run: RunDirectory) -> str:
 
 
 def in_words(seconds: float) -> str:
-    """A duration in the unit of its size."""
+    """Return a duration in seconds, minutes or hours."""
     if seconds < 600:
         return f"{seconds:.1f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,26 +1,26 @@
-"""What the paper gives for its own trainings (Table I, section IV-D), and what numbers of its size can tell."""
+"""The paper's own results of its trainings (Table I, section IV-D)."""
 
 from __future__ import annotations
 
-GAMES = 100  # evaluated for each number of Table I
+GAMES = 100  # evaluation games for each number of Table I
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
 SUCCESSES = {
     "adsc": dict(zip(CLOCKS, (23, 1, 0, 0, 0), strict=True)),
     "tcsc": dict(zip(CLOCKS, (21, 30, 23, 14, 13), strict=True)),
 }
-SIMULATION_SPEEDUP = {5.0: 4.0, 10.0: 6.4, 50.0: 14.8, 100.0: 15.4}  # of TCSC, rendering on
-TRAINING_SPEEDUP = {5.0: 3.6, 10.0: 5.2}  # with all phases
-REAL_TIME_S = 182 * 3600.0  # of its training with ADSC in real time: 7 days and 14 hours
+SIMULATION_SPEEDUP = {5.0: 4.0, 10.0: 6.4, 50.0: 14.8, 100.0: 15.4}  # TCSC, rendering on
+TRAINING_SPEEDUP = {5.0: 3.6, 10.0: 5.2}  # TCSC, all phases
+REAL_TIME_S = 182 * 3600.0  # training with ADSC in real time: 7 days and 14 hours
 TRAINING_GAMES = 5000
 
 
 def thinking_share() -> float:
-    """What a command takes beside its simulation, over its simulation in real time: fitted by least squares to the
-    difference between the speed-ups of the simulation alone and those of the whole training, 4x and 3.6x at 5x, 6.4x
-    and 5.2x at 10x (section IV-D), as the paper gives nothing of Figure 9 in numbers.
+    """Return the time of a command beside its simulation, over that of its simulation in real time.
 
-    The simulation's time is divided by its speed-up s; the rest, o of it, stays: the whole is (1 + o) / (1 / s + o)
-    times faster. Each of the two alone gives .038 and .045.
+    It is fitted by least squares to the speed-ups of the simulation alone and of the whole training, 4x and 3.6x at 5x,
+    6.4x and 5.2x at 10x (section IV-D), as the paper gives no numbers for Figure 9. Where the simulation becomes s
+    times faster and the rest, a share o of it, stays, the whole becomes (1 + o) / (1 / s + o) times faster. Either pair
+    alone gives .038 and .045.
     """
     from scipy.optimize import minimize_scalar
 
@@ -34,9 +34,9 @@ def thinking_share() -> float:
 
 
 def phase_hours(clock_speed: float) -> tuple[float, float]:
-    """Hours of the paper's training in simulation and beside it, as its speed-ups and `thinking_share` imply.
+    """Return the hours of the paper's training in simulation and beside it, as `thinking_share` implies.
 
-    Raises KeyError at a ClockSpeed that it does not speak of.
+    Raises KeyError for a ClockSpeed at which the paper gives no speed-up.
     """
     real_time_h, share = REAL_TIME_S / 3600, thinking_share()
     speedup = 1.0 if clock_speed == 1.0 else SIMULATION_SPEEDUP[clock_speed]
@@ -44,7 +44,7 @@ def phase_hours(clock_speed: float) -> tuple[float, float]:
 
 
 def successes(profile: str, variant: str, command: str, clock_speed: float) -> int | None:
-    """Of 100 games, where the paper has a number for the cell; its simulator was AirSim."""
+    """Return the successes in 100 games, where the paper has them for the cell; its simulator was AirSim."""
     if profile != "airsim" or variant:
         return None
     return SUCCESSES[command].get(clock_speed)
@@ -53,7 +53,7 @@ def successes(profile: str, variant: str, command: str, clock_speed: float) -> i
 def speedups(
     profile: str, variant: str, command: str, clock_speed: float
 ) -> tuple[float | None, float | None]:
-    """Of simulation alone, and of the whole training."""
+    """Return the speed-ups of simulation alone and of the whole training, where the paper has them for the cell."""
     if profile != "airsim" or variant or command != "tcsc":
         return None, None
     return SIMULATION_SPEEDUP.get(clock_speed), TRAINING_SPEEDUP.get(clock_speed)

@@ -1,4 +1,4 @@
-"""Suites made of runs of other suites: each part is a run directory of its own, below the whole one's."""
+"""Parts of a run that are runs of other suites, each in a run directory of its own below the whole run's."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ class Part(Config):
     """A run of another experiment, with some of its keys changed."""
 
     experiment: str
-    """Of the experiments that ship, or a YAML file's name."""
+    """Name of an experiment that ships, or of a YAML file."""
     keys: dict[str, Plain] = Field(default_factory=dict)
-    """By dotted key, as --set takes them."""
+    """Values by dotted key, as for --set."""
 
 
 def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
-    """The part's suite and configuration. Raises UserError."""
+    """Return the part's suite and configuration. Raises UserError."""
     mapping, source = read_mapping(part.experiment)
     suite = find_suite(mapping.get("suite"), source)
     return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
 
 
 def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Summary:
-    """Fly, in this process, what the whole run's part of that name still lacks, and report it; its summary.
+    """Fly, in this process, what the part still lacks, report it, and return its summary.
 
-    Without `pages` that is all: `uavaccel report` draws the part when it is asked to.
+    Without `pages` summary.json alone is written; `uavaccel report` makes the rest.
     """
     suite, config = part_suite(part, seed)
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
@@ -46,12 +46,12 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
 
 
 def part_folder(run: RunDirectory, name: str) -> Path:
-    """Where a part is, or will be."""
+    """Return the folder of a part, which need not exist."""
     return run.path / "parts" / name
 
 
 def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
-    """Simulated seconds of a part, wall seconds and bytes on disk, about."""
+    """Estimate the simulated seconds of a part, and its cost."""
     suite, config = part_suite(part, seed)
     cases = list(suite.cases(config))
     costs = [suite.cost(config, case) for case in cases]
@@ -60,5 +60,5 @@ def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
 
 
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
-    """A part's own run directory. Raises UserError if it was not flown."""
+    """Return a part's run directory. Raises UserError if it was not flown."""
     return RunDirectory(part_folder(run, name))

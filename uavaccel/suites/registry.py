@@ -1,4 +1,4 @@
-"""The suites by the key `suite` of their YAML: those below, and anybody's own as "module:name"."""
+"""The registry of suites by the key `suite` of their YAML; custom ones are named "module:name"."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.report import Report
 from uavaccel.suites.suite import AnySuite, Suite
 
-# A line per suite; its module is imported when it is asked for.
+# A line per suite; its module is imported on demand.
 SUITES = {
     "dp1": "uavaccel.suites.dp1.suite:Dp1",
     "dp2": "uavaccel.suites.dp2.suite:Dp2",
@@ -29,9 +29,9 @@ SUITES = {
 
 
 def find_suite(name: object, source: str, folder: Path | None = None) -> AnySuite:
-    """The suite of that name. One of one's own, "module:name", is looked for in `folder` and the working directory.
+    """Return the suite of a name; a custom one, "module:name", is searched in `folder` and the working directory.
 
-    Raises UserError, naming `source`, if there is none.
+    Raises UserError, which names `source`, if there is none.
     """
     if isinstance(name, str) and ":" in name:
         return _own_suite(name, source, folder)
@@ -42,7 +42,7 @@ def find_suite(name: object, source: str, folder: Path | None = None) -> AnySuit
 
 
 def suite_of(run: RunDirectory) -> AnySuite:
-    """The suite that flew a run; one of one's own is looked for where the run found it. Raises UserError."""
+    """Return the suite of a run; a custom one is searched where the run found it. Raises UserError."""
     name = run.config().get("suite")
     own = isinstance(name, str) and ":" in name
     folder = run.manifest().get("suite_folder") if own else None
@@ -50,7 +50,7 @@ def suite_of(run: RunDirectory) -> AnySuite:
 
 
 def own_folder(suite: AnySuite) -> Path | None:
-    """The folder from which the module of one's own suite is imported; None for a suite that ships."""
+    """Return the folder from which a custom suite's module is imported; None for a suite that ships."""
     module = sys.modules[type(suite).__module__]
     shipped = {place.partition(":")[0] for place in SUITES.values()}
     if module.__name__ in shipped or module.__file__ is None:
@@ -81,7 +81,7 @@ def _load(place: str) -> AnySuite:
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
-    report = getattr_static(suite, "report_class")  # a property would import what draws
+    report = getattr_static(suite, "report_class")  # a property would import matplotlib
     if not (isinstance(report, property) or (isinstance(report, type) and issubclass(report, Report))):
         raise TypeError(f"{name}.report_class has to be a subclass of uavaccel.suites.report.Report")
     if not isinstance(getattr(suite, "name", None), str):

@@ -1,11 +1,11 @@
-"""What a finished run says: its rows and arrays become a summary, figures and a page. No game is flown."""
+"""The base class of reports: rows and arrays of a run become a summary, figures and a page; no game is flown."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -13,68 +13,31 @@ from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, or_d
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
-
-Row = Mapping[str, Plain]
-"""A finished game, or a whole part, as rows.jsonl has it; a suite may have a `GameRow` of its own."""
-
-
-class Disturbances(TypedDict, total=False):
-    """What kept a game on the machine's own clock from running as it should: keys that its row has only then."""
-
-    lost_wall_s: float
-    """Wall time that the simulation could not make good."""
-    stalled_wall_s: float
-    """Wall time for which the server did not answer."""
-    restarts: int
-    """Servers that were started again."""
-    disturbed: bool
-
-
-class GameRow(Disturbances):
-    """The keys that the row of a game has in every suite."""
-
-    suite: str
-    case: str
-    arrays: NotRequired[str]
-    arrays_sha256: NotRequired[str]
-
-
-class LaneRow(GameRow):
-    """What is kept of a game in the obstacle lane, in a training as in an evaluation."""
-
-    is_success: bool
-    distance_m: float
-    collision: str | None
-    lane: int
-    commands: int
-    phase_s: dict[str, float]
-    sim_time_s: float
-    conditions: NotRequired[Mapping[str, float]]
-
+from uavaccel.suites.rows import Row
 
 Summary = Mapping[str, Plain]
 Values = dict[str, Plain]
-"""A row or a summary that is being made."""
+"""A summary, or an entry of one, under construction."""
 SummaryCell = Mapping[str, Plain]
-"""An entry of a summary: the games of one setting, in numbers."""
+"""An entry of a summary: numbers of the games under one condition."""
 Arrays = Mapping[str, NDArray[Any]]
 LoadArrays = Callable[[Row], Arrays]
-"""Gives the arrays of a row, as `RunDirectory.load_arrays`."""
+"""Loads the arrays of a row, as `RunDirectory.load_arrays` does."""
 
 Column = tuple[str, Callable[[SummaryCell], str]]
-"""Of a table of cells: its header, and its text."""
+"""A column of a table: its header, and a function from an entry to its text."""
 
 
 def number(header: str, key: str, form: str) -> Column:
-    """The column of a cell's number, "-" where it is not known; `form` as for `str.format`."""
+    """Return the column of a number, "-" where it is not known; `form` is that of `str.format`."""
     return header, lambda cell: or_dash(cell[key], form.format)
 
 
 class Report(ABC):
-    """The report of one run: rows -> summary -> figures -> blocks of a page, a method each."""
+    """The report of one run, with a method for each step: rows -> summary -> figures -> blocks of a page."""
 
     def __init__(self, run: RunDirectory, suite: str) -> None:
-        """Raises UserError if the run has no finished game of that suite."""
+        """Read the rows. Raises UserError if the run has no finished game of that suite."""
         self.run = run
         self.config = run.config()
         self.rows: list[Plain] = [row for row in run.rows() if row.get("suite") == suite]
@@ -83,30 +46,30 @@ class Report(ABC):
 
     @abstractmethod
     def summarise(self) -> Summary:
-        """What summary.json holds: plain data and numpy's, of this run's rows and arrays."""
+        """Return the contents of summary.json, from this run's rows and arrays: plain data and numpy's."""
 
     @abstractmethod
     def title(self) -> str:
-        """The page's."""
+        """Return the page's title."""
 
     def figures(self) -> Sequence[Picture]:
-        """Draw them into the run's folder `figures`."""
+        """Plot the figures into the run's folder `figures`."""
         return ()
 
     @abstractmethod
     def blocks(self, figures: Sequence[Picture]) -> Sequence[Block]:
-        """The page, from its first sentence on; configuration and manifest follow of themselves."""
+        """Return the blocks of the page; configuration and manifest are added below them."""
 
     def headline(self) -> str:
-        """The result in a sentence, printed when the run ends."""
+        """Return the result in a sentence, which is printed when the run ends."""
         return ""
 
     def pace(self) -> str:
-        """What the games took on this machine; it is in no summary, since it is never the same twice."""
+        """Return how long the games took on this machine; no summary has it, since it is never reproduced."""
         return ""
 
     def overview(self) -> Table | None:
-        """The result in a small table, printed when the run ends."""
+        """Return the result in a small table, which is printed when the run ends."""
         return None
 
     @cached_property
@@ -133,11 +96,11 @@ def _provenance(run: RunDirectory) -> list[Block]:
 
 
 def summary_table(summary: Summary) -> Table:
-    """summary.json to unfold, without its lists."""
+    """Return the summary without its lists as a collapsed table."""
     plain = [(key, str(value)) for key, value in summary.items() if not isinstance(value, list)]
     return Table(("", ""), plain, folded="summary.json")
 
 
 def listed(values: Sequence[object]) -> str:
-    """1, 2, 3."""
+    """Return values in words, as in "1, 2, 3"."""
     return ", ".join(str(value) for value in values)

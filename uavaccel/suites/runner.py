@@ -1,4 +1,4 @@
-"""Flies the cases of a suite into a run directory: in order, over processes where the timing allows, resumable."""
+"""The runner: it flies the cases of a suite into a run directory, in order, in parallel where the timing allows."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.parent import work_for_parent
 from uavaccel.records import RunDirectory
-from uavaccel.suites.disturbed import disturbances
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
+from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
 from uavaccel.wire.server_watch import ServerGoneError
 
-MOST_RESTARTS = 3  # of the server in one game
+MOST_RESTARTS = 3  # of the server in a game
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
-    """Raises UsageError for a number of processes that cannot be."""
+    """Raise UsageError for a number of processes that is out of range or that the suite or its timing excludes."""
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     if jobs > MOST_PROCESSES:
@@ -41,7 +41,7 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
 
 
 def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
-    """Raises UserError for cases that could not be told apart, or whose names cannot be files'."""
+    """Raise UserError for cases with equal names, or with names that files cannot have."""
     seen: set[str] = set()
     for case in cases:
         name = case.id
@@ -53,7 +53,7 @@ def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
 
 
 def _check_result(suite: AnySuite, case: Case, game: object) -> None:
-    """Raises UserError for what a suite of one's own flew, where that is no game's result."""
+    """Raise UserError where a custom suite's `fly` returned no valid result."""
     where = f"{suite.name}: fly of {case.id}"
     if not isinstance(game, GameResult):
         raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
@@ -68,8 +68,8 @@ def _check_result(suite: AnySuite, case: Case, game: object) -> None:
 def begin_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
-    """The run's folder, new or, with `resume`, brought to a point from which the run can go on. Raises UserError."""
-    folder = own_folder(suite)  # where a report finds the suite again, from whatever folder it is asked for
+    """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
+    folder = own_folder(suite)  # from which `report` imports a custom suite
     found = {} if folder is None else {"suite_folder": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     suite.prepare(config, run)
@@ -81,15 +81,15 @@ def run_suite(
     config: Experiment,
     run: RunDirectory,
     jobs: int = 1,
-    on_flown: OnGame = lambda case, row: None,
+    on_game: OnGame = lambda case, row: None,
     engine: str = LOKY,
 ) -> None:
     """Fly the cases that have no row yet, append their rows in canonical order, then let the suite finish.
 
-    Games on the machine's own clock are flown one by one, whatever `jobs`, since neighbours would spoil them. Where
-    their server dies or hangs it is started again, and the game flown again; its row says how often, `restarts`.
-    `engine` is one of engines.ENGINES. `on_flown` is told of each game. Raises UserError, and UsageError as
-    `check_jobs`.
+    Games on the machine's own clock are flown one by one, whatever `jobs`, since parallel games would disturb them.
+    Where their server dies or hangs it is started again, and the game flown again; the key `restarts` of its row says
+    how often. `engine` is one of engines.ENGINES. `on_game` is called after each game. Raises UserError, and UsageError
+    as `check_jobs` does.
     """
     check_jobs(suite, config, jobs)
     clear_leftovers()
@@ -97,7 +97,7 @@ def run_suite(
     while True:
         left = _without_row(suite, config, run)
         try:
-            _fly(suite, config, left, run, jobs, on_flown, restarts, engine)
+            _fly(suite, config, left, run, jobs, on_game, restarts, engine)
             suite.finish(config, run)
             return
         except ServerGoneError as error:
@@ -119,7 +119,7 @@ def _fly(
     cases: Sequence[Case],
     run: RunDirectory,
     jobs: int,
-    on_flown: OnGame,
+    on_game: OnGame,
     restarts: Mapping[str, int],
     engine: str,
 ) -> None:
@@ -134,11 +134,11 @@ def _fly(
                 row |= run.save_arrays(case.id, game.arrays)
             run.append_row(row, on_disk=not game.next_is_ready)
             run.append_timing({"case": case.id, **game.host}, on_disk=not game.next_is_ready)
-            on_flown(case, row)
+            on_game(case, row)
 
 
 def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
-    """Runs of neighbours that share a timing and a stage, so that order is kept."""
+    """Yield consecutive cases that share a timing and a stage, so that the order is kept."""
     for (timing, _), group in groupby(cases, lambda case: (case.timing, suite.stage(case))):
         yield timing, list(group)
 
@@ -161,14 +161,14 @@ def _fly_in_parallel(
 ) -> Iterator[GameResult]:
     from joblib import Parallel, delayed, parallel_config
 
-    # bound to this process before they import what takes them seconds
+    # workers end with this process from the start, before they import what takes seconds
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
-        ahead = f"{suite.batch}*n_jobs"  # of long games none, or an interruption would find them waiting
+        ahead = f"{suite.batch}*n_jobs"  # no queue of long games, which would delay an interruption
         parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch=ahead, batch_size=suite.batch)
         games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
         try:
-            yield from _told_of_dead_workers(games)
+            yield from _check_workers(games)
         finally:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of games that an interruption cancels
@@ -185,7 +185,8 @@ def _fly_on_cluster(
     yield from on_cluster(engine, jobs, suite.batch, calls)
 
 
-def _told_of_dead_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
+def _check_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
+    """Yield the games. Raises UserError where a worker process was killed."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     try:
@@ -201,12 +202,12 @@ _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened]] = {}
 
 
 def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
-    """Fly a case in this worker process, which keeps what it opened; Ctrl-C is the parent's to handle."""
+    """Fly a case in this worker process, which keeps what it opened; the parent handles Ctrl-C."""
     key = (str(folder), case.timing)
     if key not in _OPENED:
         if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
             work_for_parent(os.getppid())
-        # drawing in software, it leaves the other cores to its siblings
+        # software rendering leaves the other cores to the other workers
         os.environ.setdefault("LP_NUM_THREADS", "0")
         run = RunDirectory(folder)
         suite = suite_of(run)
@@ -216,7 +217,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
-    """Fly one case and note the host's time and load, which are never the same twice."""
+    """Fly one case, and add the host's time and load to its result."""
     game, host = timed(lambda: suite.fly(config, case, opened))
     _check_result(suite, case, game)
     return replace(game, host={**host, **game.host})

@@ -1,7 +1,7 @@
-"""What an experiment is: one protocol, which the runner flies, the command line shows and `report` reports.
+"""The base class of experiments, which the runner flies and the command line shows.
 
-A suite lives in one folder and is registered in one line of suites/registry.py; one of one's own lives anywhere, and
-its YAML names it: `suite: my_module:MySuite`.
+A suite has a folder of its own and a line in suites/registry.py; a custom suite may be in any module, and its YAML
+names it: `suite: my_module:MySuite`.
 """
 
 from __future__ import annotations
@@ -20,49 +20,62 @@ from uavaccel.files import Plain
 from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
-from uavaccel.suites.report import Report, Row
+from uavaccel.suites.report import Report
+from uavaccel.suites.rows import Row
 
 if TYPE_CHECKING:
     from uavaccel.draw.film import Film
 
 
 class Case(Protocol):
-    """One game of a run."""
+    """One game of a run, or a whole run of another suite."""
 
     @property
     def id(self) -> str:
-        """Its name: that of its row and of its arrays' file, the same in any subset of a run."""
+        """The name of its row and of its arrays' file, the same in any subset of a run."""
         ...
 
     @property
     def timing(self) -> str:
-        """The clock that it is flown by: wall, virtual or lockstep."""
+        """The clock on which it is flown: wall, virtual or lockstep."""
         ...
 
     def simulated_s(self) -> float:
-        """Simulated seconds that it takes, about."""
+        """Estimate the simulated seconds that it takes."""
         ...
 
 
 @dataclass(frozen=True)
+class SimpleCase:
+    """A case with a name, a timing, and an estimate of its simulated seconds."""
+
+    id: str
+    timing: str
+    typical_s: float
+
+    def simulated_s(self) -> float:
+        return self.typical_s
+
+
+@dataclass(frozen=True)
 class GameResult:
-    """A finished game: its row, its raw samples, and what is never the same twice, for timing.jsonl."""
+    """A finished game: its row, its raw samples, and the host's times, which go to timing.jsonl."""
 
     row: Row
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
     host: Mapping[str, object] = field(default_factory=dict)
     next_is_ready: bool = False
-    """Whether the next game has been flown already: this one's row need not be on disk before it is asked for."""
+    """Whether the next game has been flown already, so that this row need not be on disk before it."""
 
 
 class Cost(NamedTuple):
-    """About what a game takes on this machine."""
+    """An estimate of what a game takes on this machine."""
 
     wall_s: float
     disk_bytes: float
 
 
-Opened: TypeAlias = Any  # what a suite's games are flown in
+Opened: TypeAlias = Any  # a session, an environment, a training: whatever `Suite.open` opens
 
 ConfigType = TypeVar("ConfigType", bound=Experiment)
 CaseType = TypeVar("CaseType", bound=Case)
@@ -70,109 +83,109 @@ RowType = TypeVar("RowType", bound=Mapping[str, object])
 
 
 class Suite(ABC, Generic[ConfigType, CaseType]):
-    """An experiment. A game is flown by `fly`, in whatever `open` opened: a session, an environment, a training."""
+    """An experiment. `fly` flies a game in what `open` opened: a session, an environment, a training."""
 
     name: ClassVar[str]
     """The key `suite` of its YAML."""
     config: type[ConfigType]
     serial: ClassVar[str] = ""
-    """Why its games must be flown one after another in one process; empty where they need not."""
+    """The reason why its games must be flown one after another in one process; empty if there is none."""
     batch: ClassVar[int] = 4
-    """Games that a worker process is handed at once; 1 where each takes minutes."""
+    """Number of games that a worker process takes at once; 1 where each takes minutes."""
     quick: ClassVar[Mapping[str, object] | None] = None
-    """Keys of a quick measurement on the wall clock: a shipped experiment with a single --clock. None: it has none."""
+    """Keys of a quick measurement on the wall clock, a shipped experiment with a single --clock, if it has one."""
 
     @property
     @abstractmethod
     def report_class(self) -> type[Report]:
-        """What a finished run says: a class attribute, or a property that imports it when it is asked for."""
+        """The class of its report: a class attribute, or a property that imports it on demand."""
 
     @abstractmethod
     def cases(self, config: ConfigType) -> Iterator[CaseType]:
-        """Every game of a run, in canonical order."""
+        """Yield every game of a run, in canonical order."""
 
     @abstractmethod
     def open(self, config: ConfigType, timing: str, run: RunDirectory) -> AbstractContextManager[Opened]:
-        """What games of that timing are flown in, one process at a time; closed when they are done."""
+        """Open what games of a timing are flown in, in each process; it is closed when they are done."""
 
     @abstractmethod
     def fly(self, config: ConfigType, case: CaseType, opened: Opened) -> GameResult:
-        """Fly one game. Its row has the keys `suite` and `case`; the runner adds the arrays' path."""
+        """Fly one game. Its row has the keys `suite` and `case`; the runner adds the path of the arrays."""
 
     def report(self, run: RunDirectory) -> Report:
-        """The report of a run, which is yet to be written. Raises UserError if the run has no finished game."""
+        """Return the report of a run, which is yet to be written. Raises UserError for a run without finished games."""
         return self.report_class(run, self.name)
 
     def why_serial(self, config: ConfigType) -> str:
-        """`serial`, where that depends on the configuration."""
+        """Return `serial`; overridden where it depends on the configuration."""
         return self.serial
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
-        """Keys whose numbers may be larger when the run in `folder` is gone on with: its cases stay as they are."""
+        """Return keys whose numbers may grow when the run in `folder` is resumed, without a change to its cases."""
         return ()
 
     def prepare(self, config: ConfigType, run: RunDirectory) -> None:
-        """Before a run is begun or gone on with: bring what is in its folder to a point from which it can go on."""
+        """Bring the run's folder to a state from which it can be resumed; called before a run is begun or resumed."""
 
     def finish(self, config: ConfigType, run: RunDirectory) -> None:
-        """Once all games are flown: record what else the report needs."""
+        """Record what else the report needs; called once all games are flown."""
 
     def cost(self, config: ConfigType, case: CaseType) -> Cost:
-        """What a game takes, about; by default its simulated time over a usual speed, and a row."""
+        """Estimate the cost of a game; by default its simulated time over a typical speed, and the size of a row."""
         return Cost(flying_s(case), ROW_BYTES)
 
     def stage(self, case: CaseType) -> int:
-        """Cases of a later stage are begun once all of the earlier ones are done: they build on them."""
+        """Return the stage of a case, which is begun once all cases of earlier stages are done."""
         return 0
 
     def games(self, config: ConfigType, case: CaseType) -> int:
-        """How many games a case is, where it is a whole run of another suite."""
+        """Return the number of games of a case, which may be a whole run of another suite."""
         return 1
 
     def renders(self, config: ConfigType) -> bool:
-        """Whether games need OpenGL."""
+        """Return whether games need OpenGL."""
         return False
 
     def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
-        """A YAML with the keys that it leaves out and that are known from elsewhere. Raises UserError."""
+        """Return a YAML's mapping with omitted keys that are known from elsewhere. Raises UserError."""
         return mapping
 
     def check(self, config: ConfigType) -> None:
-        """Before anything is written: raises UserError for what only looking at other files or classes can tell."""
+        """Raise UserError for mistakes that only other files or classes reveal; called before anything is written."""
 
     def provenance(self, config: ConfigType) -> Mapping[str, object]:
-        """What the manifest has to say beside versions, host and renderer."""
+        """Return what the manifest has beside versions, host and renderer."""
         return {}
 
     def status(self, rows: Sequence[Row]) -> str:
-        """How it goes, in a few words for the progress display."""
+        """Return a few words for the progress display."""
         return ""
 
     def compare(self, runs: Sequence[RunDirectory]) -> Sequence[Path]:
-        """Draw several runs side by side, into the first one's folder, beside its own figures; the pictures' paths."""
+        """Compare several runs in files in the first one's folder, and return their paths."""
         return ()
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        """A game's name and film; without `case` the most interesting. Raises UserError where nothing can be shown."""
+        """Return a game's name and film, by default of the most interesting. Raises UserError without images."""
         raise UserError(f"{run.path}: a run of {self.name} keeps no images to show")
 
 
 AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
 
-VIRTUAL_RATE = 300.0  # simulated seconds per wall second and process, about
-CORE_RATE = 250.0  # of lanes over arrays in the threads of one core, pictures and decisions with them
-LANE_RATE, FULL = 150.0, 1024  # of a lane on a GPU, as long as it has room for more
+VIRTUAL_RATE = 300.0  # approximate simulated seconds per wall second and process
+CORE_RATE = 250.0  # the same of the kernels on one core, with rendering and decisions
+LANE_RATE, FULL = 150.0, 1024  # the same of a lane on a GPU, and the lanes that occupy it fully
 ROW_BYTES = 1_000
 
 
 def flying_s(case: Case, clock_speed: float = 1.0) -> float:
-    """Wall time of a game without calls and images, about."""
+    """Estimate the wall time of a game without calls and images."""
     return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
 
 
 def kernels_s(case: Case, device: str, lanes: int) -> float:
-    """Wall time of a game that the kernels fly among so many lanes, about."""
+    """Estimate the wall time of a game that the kernels fly among so many lanes."""
     rate = LANE_RATE * min(lanes, FULL) if device.startswith("cuda") else CORE_RATE * usable_cores()
     return case.simulated_s() / rate
 
@@ -180,14 +193,14 @@ def kernels_s(case: Case, device: str, lanes: int) -> float:
 def configuration(
     suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str
 ) -> ConfigType:
-    """A suite's checked configuration from a YAML's mapping, what it leaves out completed. Raises UserError."""
+    """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
     config = resolve(suite.config, suite.complete(mapping), source)
     suite.check(config)
     return config
 
 
 def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[RowType]) -> RowType:
-    """The row of a case, or without one the most interesting. Raises UserError if there is no such game."""
+    """Return the row of a case, by default of the most interesting. Raises UserError if there is no such game."""
     if not by_interest:
         raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
     if case is None:

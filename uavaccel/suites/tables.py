@@ -1,6 +1,6 @@
-"""A run as tables, CSV or Parquet: its rows, one line per game, and its raw samples, a table for each length of array.
+"""Export of a run as CSV or Parquet: its rows, a line per game, and its samples, a table for each length of array.
 
-In Parquet numbers keep their types; in CSV a float is written with as many digits as read back equal.
+In Parquet numbers keep their types; in CSV floats have as many digits as are needed to read them back equal.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.records import RunDirectory
-from uavaccel.suites.report import Arrays, Row
+from uavaccel.suites.report import Arrays
+from uavaccel.suites.rows import Row
 
 Columns = dict[str, list[object] | NDArray[np.generic]]
 WriteTable = Callable[[Columns, IO[bytes]], None]
 MISSING = "Parquet needs the package pyarrow: pip install 'uavaccel[parquet]'; CSV needs nothing more"
-WIDEST = 64  # numbers per line of an array that becomes columns; images stay in the run
+WIDEST = 64  # numbers per line of an array that is exported; images are not
 
 
 def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
-    """Write `rows` and, below `samples`, a table per game and length of its arrays; the files as they are written.
+    """Write `rows` and, below `samples`, a table per game and length of its arrays, and yield each file written.
 
     `kind` is csv or parquet. Raises UserError where the run has no rows, the folder cannot be written, or pyarrow is
     missing.
@@ -50,7 +51,7 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
 
 
 def row_table(rows: Sequence[Row]) -> Columns:
-    """A column per dotted key; lists, and what one row has and another lacks, as JSON and None."""
+    """Return a column per dotted key, with lists as JSON, and None in rows that lack a key."""
     flat = [
         {
             key: json.dumps(value) if isinstance(value, list) else value
@@ -64,7 +65,7 @@ def row_table(rows: Sequence[Row]) -> Columns:
 
 
 def _of_one_kind(values: list[object]) -> list[object]:
-    """As they are, or texts where some are and others are none."""
+    """Return the values, all as texts where their types differ."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) < 2 or kinds <= {int, float}:
         return values
@@ -72,9 +73,9 @@ def _of_one_kind(values: list[object]) -> list[object]:
 
 
 def sample_tables(arrays: Arrays) -> Iterator[tuple[int, Columns]]:
-    """By their length, the arrays (n, ...) of a game: a column for each number of a line, as position_m.0.
+    """Yield the arrays (n, ...) of a game by length n, with a column for each number of a line, such as position_m.0.
 
-    Pictures, whose lines have more than 64 numbers, are left where they are.
+    Images, whose lines have more than 64 numbers, are left out.
     """
     lengths = sorted({len(each) for each in arrays.values() if each.size and each.ndim})
     for length in lengths:

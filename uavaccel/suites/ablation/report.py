@@ -1,26 +1,122 @@
-"""An ablation's report: accuracy and speed-up of each command and ClockSpeed under every variant."""
+"""The report of an ablation: accuracy and speed-up of each command and ClockSpeed under every variant."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
-from uavaccel.suites.ablation.variants import curves, plot_variants
 from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.suites.dp1.report import games_text
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.provenance import source_line
 from uavaccel.suites.report import Report, Summary, SummaryCell, Values, number
-from uavaccel.suites.source_line import source_line
+
+SIMILAR_STLC = 1.8
+_LINES = {"adsc": "-", "tcsc": "--"}
+
+
+@dataclass(frozen=True)
+class VariantCurve:
+    """A command at a ClockSpeed: the variants' places on the axis, numbers or names, and their values (variants,)."""
+
+    command: str
+    clock_speed: float
+    places: Sequence[float | str]
+    stlc: np.ndarray
+    position_rmse_m: np.ndarray
+    speedup: np.ndarray
+
+
+def curves(entries: Sequence[SummaryCell], times_clock_speed: bool) -> list[VariantCurve]:
+    """Return a curve for each command and ClockSpeed; values without a reference are NaN."""
+    grouped: dict[tuple[str, float], list[SummaryCell]] = defaultdict(list)
+    for entry in entries:
+        grouped[entry["command"], entry["clock_speed"]].append(entry)
+    return [
+        VariantCurve(
+            command,
+            clock_speed,
+            [_place(entry["variant"], clock_speed if times_clock_speed else 1.0) for entry in own],
+            np.array([(entry["stlc_quartiles"] or [np.nan] * 3)[1] for entry in own], float),
+            np.array([entry["position_rmse_m_median"] for entry in own], float),
+            np.array([entry["effective_speedup"] for entry in own], float),
+        )
+        for (command, clock_speed), own in sorted(grouped.items())
+    ]
+
+
+def _place(name: str, factor: float) -> float | str:
+    try:
+        return float(name) * factor
+    except ValueError:
+        return name
+
+
+def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source: str) -> Figure:
+    """Plot STLC, position error and speed-up in three panels; places that are numbers are on a logarithmic axis."""
+    with style.project_style():
+        figure = style.new_figure(12, 4.2, title, source)
+        panels = figure.subplots(1, 3)
+        clocks = sorted({curve.clock_speed for curve in curves})
+        for axes, name, label in zip(
+            panels,
+            ("stlc", "position_rmse_m", "speedup"),
+            ("STLC, median", "position error, m (RMSE, median)", "effective speed-up"),
+            strict=True,
+        ):
+            for curve in curves:
+                colour = style.colour(clocks.index(curve.clock_speed))
+                text = f"{style.command_name(curve.command)} {style.clock_label(curve.clock_speed)}"
+                axes.plot(
+                    _places(curves, curve), getattr(curve, name), _LINES.get(curve.command, ":"),
+                    marker="o", markersize=4, color=colour, label=text,
+                )  # fmt: skip
+            axes.set(ylabel=label, xlabel=axis)
+            _set_axis(axes, curves)
+        panels[0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
+        panels[2].set_yscale("log")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
+        return figure
+
+
+def _numeric(curves: Sequence[VariantCurve]) -> bool:
+    return all(isinstance(place, float) for curve in curves for place in curve.places)
+
+
+def _names(curves: Sequence[VariantCurve]) -> list[str]:
+    return list(dict.fromkeys(str(place) for curve in curves for place in curve.places))
+
+
+def _places(curves: Sequence[VariantCurve], curve: VariantCurve) -> list[float]:
+    if _numeric(curves):
+        return [float(place) for place in curve.places]
+    names = _names(curves)
+    return [float(names.index(str(place))) for place in curve.places]
+
+
+def _set_axis(axes: Axes, curves: Sequence[VariantCurve]) -> None:
+    if not _numeric(curves):
+        names = _names(curves)
+        axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+        return
+    above = [float(place) for curve in curves for place in curve.places if float(place) > 0]
+    if above and max(above) / min(above) > 20:
+        axes.set_xscale("symlog", linthresh=min(above))
+
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
 
 
 class AblationReport(Report):
-    """Of `uavaccel run ablation`."""
+    """The report of `uavaccel run ablation`."""
 
     def summarise(self) -> Summary:
         entries: list[Values] = []
@@ -36,10 +132,10 @@ class AblationReport(Report):
         return str(self.config["title"])
 
     def figures(self) -> list[Picture]:
-        drawn = curves(self.summary["entries"], self.config["times_clock_speed"])
+        by_setting = curves(self.summary["entries"], self.config["times_clock_speed"])
         source, path = source_line(self.rows), self.run.file("figures/ablation.png")
-        style.save(plot_variants(drawn, self.config["axis"], self.title(), source), path)
-        return [Picture(path, f"{self.title()}. {_READING} Source: {source}.")]
+        figure = plot_variants(by_setting, self.config["axis"], self.title(), source)
+        return [style.picture(figure, path, f"{self.title()}. {_READING}", source)]
 
     def overview(self) -> Table:
         return table(self.summary)
@@ -49,9 +145,9 @@ class AblationReport(Report):
 
 
 def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[SummaryCell]) -> list[Values]:
-    """An entry a command and ClockSpeed: games of all T_moves and rounds pooled, games without latency left out.
+    """Return an entry for each command and ClockSpeed, with the games of all T_moves and rounds pooled.
 
-    The speed-up is the mean over the T_moves of the most rounds, as the paper averages it.
+    Games in lockstep are left out. The speed-up is the mean over the T_moves of the most rounds, as in the paper.
     """
     pooled: dict[tuple[str, float], list[CellScores]] = defaultdict(list)
     for score in scores:
@@ -91,22 +187,18 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Summar
 
 
 def table(summary: Summary) -> Table:
-    """A row for each variant, command and ClockSpeed; what cannot be known is "-"."""
+    """Return a table of each variant, command and ClockSpeed, with "-" for numbers that cannot be known."""
     return Table.of(
         summary["entries"],
         ("variant", lambda entry: str(entry["variant"])),
         ("command", lambda entry: command_name(entry["command"])),
         ("ClockSpeed", lambda entry: clock_label(entry["clock_speed"])),
-        ("games", lambda entry: str(entry["games"]) + _failed(entry)),
+        ("games", games_text),
         ("STLC median [q25, q75]", lambda entry: or_dash(entry["stlc_quartiles"], _quartiles)),
         number("RMSE median, m", "position_rmse_m_median", "{:.3f}"),
         number("effective speed-up", "effective_speedup", "{:.2f}"),
         number("gaps beyond the goal timeout", "share_beyond_goal_timeout", "{:.0%}"),
     )
-
-
-def _failed(entry: SummaryCell) -> str:
-    return f" ({entry['failed_games']} failed)" if entry["failed_games"] else ""
 
 
 def _quartiles(stlc: Sequence[float]) -> str:

@@ -1,20 +1,73 @@
-"""Ablations as a suite: the games of DP1 under every variant, with the same seeds in each."""
+"""The suite `ablation`: the games of DP1 under several variants of its configuration, with the same seeds in each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
+from pydantic import Field, field_validator, model_validator
+
+from uavaccel.config import Config, validate
+from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
-from uavaccel.suites.ablation.config import AblationConfig
 from uavaccel.suites.ablation.report import AblationReport
-from uavaccel.suites.dp1 import cases as dp1_cases
+from uavaccel.suites.dp1 import flights as dp1
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import SCENE, fly_game
 from uavaccel.suites.dp1.suite import game_cost
+from uavaccel.suites.experiment import Experiment, merged
 from uavaccel.suites.suite import Cost, GameResult, Suite
 from uavaccel.wire.session import Session, open_session
+
+
+class Variant(Config):
+    """A variant of the experiment, by what it changes."""
+
+    name: str
+    """The name in the table and on the figure's axis; where all names are numbers, they are values on it."""
+    changes: dict[str, Plain] = Field(default_factory=dict)
+    """Values by dotted key of the DP1 configuration, as for --set."""
+
+
+class AblationConfig(Experiment):
+    """`suite: ablation`."""
+
+    suite: Literal["ablation"]
+    title: str = "Ablation"
+    axis: str = "variant"
+    """Label of the figure's axis: the quantity whose values are the variants' names."""
+    times_clock_speed: bool = False
+    """Whether the figure's axis is the variants' value times ClockSpeed."""
+    base: dict[str, Plain]
+    """A DP1 configuration; `suite` and `seed` may be left out. Its latency is a block or what ships for the profile."""
+    variants: Annotated[tuple[Variant, ...], Field(min_length=1)]
+
+    @field_validator("variants")
+    @classmethod
+    def _distinct(cls, variants: tuple[Variant, ...]) -> tuple[Variant, ...]:
+        names = [variant.name for variant in variants]
+        if len(set(names)) < len(names):
+            raise ValueError("must have names of their own")
+        return variants
+
+    @model_validator(mode="after")
+    def _can_be_flown(self) -> AblationConfig:
+        for variant in self.variants:
+            self.experiment(variant)
+        return self
+
+    @property
+    def timing(self) -> str:
+        """The timing of the games."""
+        return str(self.base.get("timing", "virtual"))
+
+    def experiment(self, variant: Variant) -> Dp1Config:
+        """Return the DP1 experiment of a variant. Raises UserError, which names the variant and the key."""
+        known = {**self.base, "suite": "dp1", "seed": self.seed}
+        validate(Dp1Config, known, "base")
+        return validate(Dp1Config, merged(known, variant.changes), f"variant {variant.name!r}")
 
 
 @dataclass(frozen=True)
@@ -22,7 +75,7 @@ class Case:
     """A game of DP1 under a variant, by its place in the configuration."""
 
     variant: int
-    game: dp1_cases.Case
+    game: dp1.Case
 
     @property
     def id(self) -> str:
@@ -37,14 +90,14 @@ class Case:
 
 
 class Sessions:
-    """One session per variant, opened when its first game is flown."""
+    """A session per variant, opened when its first game is flown."""
 
     def __init__(self, config: AblationConfig, timing: str, stack: ExitStack) -> None:
         self._config, self._timing, self._stack = config, timing, stack
         self._opened: dict[int, tuple[Dp1Config, Session]] = {}
 
     def of(self, variant: int) -> tuple[Dp1Config, Session]:
-        """The variant's experiment and the session that it is flown in."""
+        """Return the variant's experiment and its session."""
         if variant not in self._opened:
             config = self._config.experiment(self._config.variants[variant])
             session = open_session(self._timing, config.profile, SCENE, config.latency)
@@ -61,7 +114,7 @@ class Ablation(Suite[AblationConfig, Case]):
 
     def cases(self, config: AblationConfig) -> Iterator[Case]:
         for index, variant in enumerate(config.variants):
-            for game in dp1_cases.cases(config.experiment(variant)):
+            for game in dp1.cases(config.experiment(variant)):
                 if game.role != "figure2":
                     yield Case(index, game)
 

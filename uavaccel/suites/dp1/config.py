@@ -1,4 +1,4 @@
-"""DP1's configuration: which squares are flown, how fast, how often and against what."""
+"""DP1's configuration: the path, how fast and how often it is flown, and what it is compared with."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ class Dp1Config(FlightExperiment):
 
     suite: Literal["dp1"]
     path: Path | tuple[tuple[Velocity, Velocity, Velocity], ...] = "square"
-    """A named path, or velocities of one's own: one command each, NED in m/s."""
+    """A named path, or a list of velocities, one command each, NED in m/s."""
     speed_m_s: Speed = 1.0
-    """Of a named path."""
+    """Speed on a named path."""
     height_m: Annotated[float, Field(ge=-MOST_HEIGHT_M, le=MOST_HEIGHT_M)] | None = None
-    """NED z to hold, as moveByVelocityZ does; none: plain moveByVelocity, as in the paper."""
+    """NED z to hold, as moveByVelocityZ does; without it plain moveByVelocity is called, as in the paper."""
     rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
     t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
     t_sample_s: float | None = None
-    """How often the client gathers the state itself; none: once per command, the server's recorder samples."""
+    """How often the client itself gathers the state; without it once per command, beside the server's recorder."""
     games: int = 20
-    """A cell: command, ClockSpeed, T_move and rounds."""
+    """Games of each cell, that is of each command, ClockSpeed, T_move and number of rounds."""
     reference_games: int = 20
-    """Real-time ADSC games of each T_move and rounds, unless the run flies that cell anyway."""
+    """Real-time ADSC games of each T_move and number of rounds, unless the run flies that cell anyway."""
     reference_timing: Timing = "virtual"
 
     @field_validator("rounds")

@@ -1,36 +1,118 @@
-"""DP1's report: the metrics of all cells, Figures 2 to 6, and a table."""
+"""DP1's report: tables, Figures 2 to 6, and warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
 
 import joblib
 
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.style import clock_label, command_name
 from uavaccel.records import arrays_of
-from uavaccel.suites.dp1.accuracy import accuracy_figure
+from uavaccel.suites.dp1.cell_figures import accuracy_figure, speedup_figure
+from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.speedup import speedup_figure
 from uavaccel.suites.dp1.summary import summarise
-from uavaccel.suites.dp1.table import overview, table
-from uavaccel.suites.dp1.trajectories import trajectory_figure
 from uavaccel.suites.dp1.trellis import trellis_figure
-from uavaccel.suites.dp1.velocity import velocity_figure
-from uavaccel.suites.report import Report, Summary, Values
-from uavaccel.suites.source_line import source_line
+from uavaccel.suites.provenance import source_line
+from uavaccel.suites.report import Report, Summary, SummaryCell
+
+
+def table(summary: Summary) -> Table:
+    """Return the table of all cells, with "-" for numbers that cannot be known."""
+    return Table.of(
+        summary["cells"],
+        ("command", lambda cell: command_name(cell["command"])),
+        ("clock", lambda cell: clock_label(cell["clock_speed"])),
+        ("T_move s", lambda cell: f"{cell['t_move_s']:g}"),
+        ("rounds", lambda cell: str(cell["rounds"])),
+        ("games", lambda cell: games_text(cell) + _disturbed([cell])),
+        ("STLC median [q25, q75]", lambda cell: or_dash(cell["stlc_median"], _with_quartiles(cell))),
+        ("RMSE m", lambda cell: or_dash(cell["position_rmse_m"], _metres)),
+        ("v. lockstep", lambda cell: or_dash(cell["position_rmse_vs_lockstep_m"], _metres)),
+        ("duration s", lambda cell: or_dash(cell["duration_error_s"], _seconds)),
+        ("speed-up", lambda cell: or_dash(cell["effective_speedup"], "{:.2f}".format) + _mixed(cell)),
+        ("achieved", lambda cell: or_dash(cell["real_time_factor"], "{:.2f}".format)),
+        ("source", lambda cell: str(cell["provenance"])),
+        folded=f"{len(summary['cells'])} cells",
+    )
+
+
+def overview(summary: Summary) -> Table:
+    """Return a table of each command, ClockSpeed and timing: the worst cell, and the range of speeds."""
+    groups: dict[tuple[str, float, str], list[SummaryCell]] = {}
+    for cell in summary["cells"]:
+        groups.setdefault((cell["command"], cell["clock_speed"], cell["timing"]), []).append(cell)
+    worst_m = "position_rmse_m", "position_rmse_vs_lockstep_m"
+    return Table.of(
+        list(groups.values()),
+        ("command", lambda cells: command_name(cells[0]["command"])),
+        ("ClockSpeed", lambda cells: clock_label(cells[0]["clock_speed"])),
+        ("games", lambda cells: str(sum(cell["games"] for cell in cells)) + _disturbed(cells)),
+        ("lowest STLC median", lambda cells: or_dash(_extreme(min, cells, "stlc_median"), "{:.4f}".format)),
+        ("largest RMSE v. reference, m", lambda cells: or_dash(_extreme(max, cells, worst_m[0]), _metres)),
+        ("largest RMSE v. lockstep, m", lambda cells: or_dash(_extreme(max, cells, worst_m[1]), _metres)),
+        ("effective speed-up", lambda cells: _range(cells, "effective_speedup") + _mixed(cells[0])),
+        ("real-time factor", lambda cells: _range(cells, "real_time_factor")),
+        ("source", lambda cells: str(cells[0]["provenance"])),
+    )
+
+
+def games_text(cell: SummaryCell) -> str:
+    """Return the number of games of a cell, with that of the failed ones: "18 (2 failed)"."""
+    return str(cell["games"]) + (f" ({cell['failed_games']} failed)" if cell["failed_games"] else "")
+
+
+def _with_quartiles(cell: SummaryCell) -> Callable[[float], str]:
+    return lambda median: f"{median:.3f} [{cell['stlc_q25']:.3f}, {cell['stlc_q75']:.3f}]"
+
+
+def _disturbed(cells: Sequence[SummaryCell]) -> str:
+    """Mark cells with games that lost wall time, or whose server stalled or was started again."""
+    count = sum(cell.get("disturbed_games", 0) for cell in cells)
+    return f" ({count} disturbed)" if count else ""
+
+
+def _mixed(cell: SummaryCell) -> str:
+    """Mark a speed-up of which one wall time is measured and the other modelled."""
+    return " (mixed)" if cell["effective_speedup_provenance"] == "mixed" else ""
+
+
+def _extreme(
+    choose: Callable[[Iterable[float]], float], cells: Sequence[SummaryCell], key: str
+) -> float | None:
+    values = [cell[key] for cell in cells if cell[key] is not None]
+    return choose(values) if values else None
+
+
+def _range(cells: Sequence[SummaryCell], key: str) -> str:
+    low, high = (or_dash(_extreme(choose, cells, key), "{:.2f}".format) for choose in (min, max))
+    return low if low == high else f"{low} to {high}"
+
+
+def _seconds(error_s: float) -> str:
+    return f"{error_s:+.3f}".replace("-0.000", "+0.000")
+
+
+def _metres(value: float) -> str:
+    """Format with a few significant digits, as errors range from micrometres to metres; only an exact 0 is "0"."""
+    if value == 0:
+        return "0"
+    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"
+
 
 PARALLEL_FROM_GAMES = 400  # below, starting worker processes takes longer than the work
 MOST_JOBS = 8
 
 
 class Dp1Report(Report):
-    """Beside the summary it writes scores.json: accuracies game by game, for those who pool cells."""
+    """DP1's report. Beside the summary it writes scores.json, the accuracy of each game, to pool cells from."""
 
     @cached_property
     def jobs(self) -> int:
-        """Processes that compute the metrics; the results do not depend on it."""
+        """The number of processes that compute the metrics; the results do not depend on it."""
         return 1 if len(self.rows) < PARALLEL_FROM_GAMES else min(joblib.cpu_count(), MOST_JOBS)
 
     @cached_property
@@ -38,7 +120,11 @@ class Dp1Report(Report):
         return score_cells(cells_of(self.rows), partial(arrays_of, self.run.path), self.jobs)
 
     def summarise(self) -> Summary:
-        self.run.write_json("scores.json", [_games(score) for score in self.scores])
+        by_cell = [
+            {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
+            for score in self.scores
+        ]
+        self.run.write_json("scores.json", by_cell)
         return summarise(self.rows, self.scores)
 
     def title(self) -> str:
@@ -70,10 +156,6 @@ class Dp1Report(Report):
             Heading("All cells"),
             table(self.summary),
         ]
-
-
-def _games(score: CellScores) -> Values:
-    return {**asdict(score.cell.key), "stlc": score.stlc, "position_rmse_m": score.position_rmse_m}
 
 
 def _warnings(summary: Summary) -> list[str]:

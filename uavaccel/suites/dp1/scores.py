@@ -1,4 +1,4 @@
-"""DP1's per-game accuracy, cell by cell: the part of the report that takes time.
+"""DP1's scores: the accuracy of every game, cell by cell, which is the part of the report that takes time.
 
 A cell is all games of one command, ClockSpeed, T_move, number of rounds and timing. Its references are the
 run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
@@ -22,13 +22,13 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     trajectory,
 )
-from uavaccel.suites.dp1.cases import Dp1Row
+from uavaccel.suites.dp1.flights import Dp1Row
 from uavaccel.suites.report import Arrays, LoadArrays
 
 
 @dataclass(frozen=True, order=True)
 class CellKey:
-    """What the games of a cell share; its order is the canonical order of the cells."""
+    """The conditions that the games of a cell share, ordered as the cells are."""
 
     command: str
     clock_speed: float
@@ -39,7 +39,7 @@ class CellKey:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell's finished games and what they are compared with; `is_reference`: with each other."""
+    """A cell's finished games and those that they are compared with: each other, where `is_reference`."""
 
     key: CellKey
     rows: tuple[Dp1Row, ...]
@@ -51,9 +51,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class CellScores:
-    """One value a finished game, in the order of `cell.rows`; NaN where there is nothing to compare with.
+    """Scores of a cell's finished games (games,), in the order of `cell.rows`; NaN where there is no reference.
 
-    `stlc` and `position_rmse_m` are means over the references, `command_gap_s` pools the gaps of all games.
+    `stlc` and `position_rmse_m` are means over the references; `command_gap_s` pools the gaps of all games.
     """
 
     cell: Cell
@@ -65,22 +65,23 @@ class CellScores:
 
 
 def cells_of(rows: Sequence[Dp1Row]) -> list[Cell]:
-    """The run's cells in canonical order, made of the rows of role "game" and "reference".
+    """Group the rows of role "game" and "reference" into cells, in canonical order.
 
-    Where a cell holds references, these are its games: ADSC at 1x is not counted twice.
+    Where a cell has references, these are its games, so that ADSC at 1x is not counted twice.
     """
     grouped: dict[CellKey, list[Dp1Row]] = defaultdict(list)
     for row in rows:
         if row["role"] in ("game", "reference"):
-            grouped[_key(row)].append(row)
+            speeds = float(row["clock_speed"]), float(row["t_move_s"])
+            grouped[CellKey(row["command"], *speeds, row["rounds"], row["timing"])].append(row)
     return [_cell(key, grouped[key], rows) for key in sorted(grouped)]
 
 
 def score_cells(cells: Sequence[Cell], load_arrays: LoadArrays, jobs: int = 1) -> list[CellScores]:
-    """Scores of all cells, in their order; the same numbers whatever `jobs`, the number of processes."""
+    """Return the scores of all cells, in their order; they do not depend on `jobs`, the number of processes."""
     if jobs == 1:
         return [score_cell(cell, load_arrays) for cell in cells]
-    longest_first = sorted(range(len(cells)), key=lambda i: -_flown_s(cells[i]))
+    longest_first = sorted(range(len(cells)), key=lambda i: -sum(row["duration_s"] for row in cells[i].rows))
     scored = Parallel(n_jobs=jobs, batch_size=1)(
         delayed(score_cell)(cells[i], load_arrays) for i in longest_first
     )
@@ -89,7 +90,7 @@ def score_cells(cells: Sequence[Cell], load_arrays: LoadArrays, jobs: int = 1) -
 
 
 def score_cell(cell: Cell, load_arrays: LoadArrays) -> CellScores:
-    """Scores of one cell; raises whatever `load_arrays` raises."""
+    """Return the scores of one cell. Raises whatever `load_arrays` raises."""
     arrays = [load_arrays(row) for row in cell.rows]
     games = [_flight(a) for a in arrays]
     unknown = np.full(len(games), np.nan)
@@ -105,16 +106,6 @@ def score_cell(cell: Cell, load_arrays: LoadArrays) -> CellScores:
     gaps = [command_gaps_s(a["command_start_s"], a["command_end_s"]) for a in arrays]
     gap_s = np.concatenate(gaps) if gaps else np.empty(0)
     return CellScores(cell, stlc, rmse_m, lockstep_rmse_m, gap_s, len(distinct(games)[0]))
-
-
-def _key(row: Dp1Row) -> CellKey:
-    return CellKey(
-        str(row["command"]),
-        float(row["clock_speed"]),
-        float(row["t_move_s"]),
-        int(row["rounds"]),
-        str(row["timing"]),
-    )
 
 
 def _cell(key: CellKey, cell_rows: Sequence[Dp1Row], rows: Sequence[Dp1Row]) -> Cell:
@@ -134,12 +125,12 @@ def _cell(key: CellKey, cell_rows: Sequence[Dp1Row], rows: Sequence[Dp1Row]) -> 
 
 
 def _finished(rows: Iterable[Dp1Row]) -> tuple[Dp1Row, ...]:
-    """Rows without an error, by game."""
+    """Return the rows of games that ended without an error, by game."""
     return tuple(sorted((row for row in rows if row.get("error") is None), key=lambda row: row["game"]))
 
 
 def _lockstep_row(rows: Sequence[Dp1Row], command: str) -> Dp1Row | None:
-    """The zero-latency game of the same commands, of the cell's own command if there are several."""
+    """Return the game without latency on the same path, that of the cell's own command if there are several."""
     lockstep = _finished(row for row in rows if row["role"] == "lockstep")
     own = [row for row in lockstep if row["command"] == command]
     return next(iter(own or lockstep), None)
@@ -149,10 +140,6 @@ def _flight(arrays: Arrays) -> Trajectory:
     return trajectory(arrays["time_s"], arrays["position_m"])
 
 
-def _flown_s(cell: Cell) -> float:
-    return sum(float(row["duration_s"]) for row in cell.rows)
-
-
 def rows_of(scores: Sequence[CellScores]) -> list[Dp1Row]:
-    """The games of all those cells."""
+    """Return the rows of all games of these cells."""
     return [row for score in scores for row in score.cell.rows]

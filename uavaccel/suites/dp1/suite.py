@@ -1,4 +1,4 @@
-"""DP1 as a suite: square paths flown on a session, compared with the real-time ones."""
+"""The suite `dp1`: paths flown with ADSC and TCSC, compared with those of real time (paper, section III-C2a)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.cases import Case, cases
 from uavaccel.suites.dp1.config import Dp1Config
+from uavaccel.suites.dp1.flights import SCENE, Case, cases, fly_game
 from uavaccel.suites.report import Report
 from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
 
 if TYPE_CHECKING:
     from uavaccel.wire.session import Session
 
-CALL_S = 150e-6  # wall time of a call on a loopback socket, about
-CALLS = 6  # of a command
-RECORDER_BYTES_PER_S = 20 * 14 * 8  # of simulated time
+CALL_S = 150e-6  # approximate wall time of a call on a loopback socket
+CALLS = 6  # per command
+RECORDER_BYTES_PER_S = 20 * 14 * 8  # per simulated second
 
 
 class Dp1(Suite[Dp1Config, Case]):
@@ -40,19 +40,15 @@ class Dp1(Suite[Dp1Config, Case]):
         return ("games",)
 
     def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> Session:
-        from uavaccel.suites.dp1.flights import SCENE
         from uavaccel.wire.session import open_session
 
         return open_session(timing, config.profile, SCENE, config.latency)
 
     def fly(self, config: Dp1Config, case: Case, opened: Session) -> GameResult:
-        from uavaccel.suites.dp1.flights import fly_game
-
-        row, arrays = fly_game(config, case, opened)
-        return GameResult(row, arrays)
+        return GameResult(*fly_game(config, case, opened))
 
     def finish(self, config: Dp1Config, run: RunDirectory) -> None:
-        """One trace of each command, for Figure 4."""
+        """Record the messages of one command of each kind, for Figure 4."""
         from uavaccel.bench.traces import record_trace
 
         with self.open(config, config.timing, run) as session:
@@ -65,6 +61,6 @@ class Dp1(Suite[Dp1Config, Case]):
 
 
 def game_cost(case: Case) -> Cost:
-    """What a game takes, about."""
+    """Estimate the wall time and disk space of a game."""
     calls_s = CALLS * CALL_S * case.simulated_s() / case.t_move_s
     return Cost(flying_s(case, case.clock_speed) + calls_s, case.simulated_s() * RECORDER_BYTES_PER_S)

@@ -1,4 +1,4 @@
-"""DP1's summary.json: one entry a cell, from rows and arrays alone, the same bytes whatever the jobs."""
+"""DP1's summary.json: an entry for each cell, from its rows and scores."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from uavaccel.metrics.speedup import (
     timing_provenance,
 )
 from uavaccel.metrics.trajectory import duration_error_s, quartiles
-from uavaccel.suites.disturbed import disturbed_games
-from uavaccel.suites.dp1.cases import Dp1Row
+from uavaccel.suites.dp1.flights import Dp1Row
 from uavaccel.suites.dp1.scores import Cell, CellScores
-from uavaccel.suites.report import Row, Values
+from uavaccel.suites.report import Values
+from uavaccel.suites.rows import Row, disturbed_games
 
 
 def summarise(rows: Sequence[Dp1Row], scores: Sequence[CellScores]) -> Values:
-    """The summary of a run's rows and the scores of their cells.
+    """Summarise a run's rows and the scores of their cells.
 
-    Accuracies are medians over games of each game's mean over the references, a reference without itself.
-    Durations and wall times are compared with the references' means. Intervals are 95 % bootstrap intervals
-    over games. Numbers that cannot be known (no reference in the run, a lone reference) are None. Raises ValueError
-    without rows.
+    Accuracies are medians over games of each game's mean over the references; a reference is not compared with itself.
+    Durations and wall times are compared with the references' means. Intervals are 95 % bootstrap intervals over games.
+    Numbers that cannot be known (no reference in the run, a lone reference) are None. Raises ValueError without rows.
     """
     if not rows:
         raise ValueError("a summary needs at least one row")

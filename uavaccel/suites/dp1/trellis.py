@@ -1,4 +1,4 @@
-"""The message trellis of commands, drawn from recorded traces (the paper's Figure 4).
+"""DP1's trellis of the messages between client and server, from recorded traces (the paper's Figure 4).
 
 A trace is a list of events in time order, each with the keys "source" ("client" or "server"), "event" (str),
 "wall_s" and "sim_s" (float). Client events are "call <method>" and "return <method>", server events
@@ -20,8 +20,8 @@ from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
-from uavaccel.suites.dp1.cases import Dp1Row
-from uavaccel.suites.source_line import clock_words, conditions
+from uavaccel.suites.dp1.flights import Dp1Row
+from uavaccel.suites.provenance import clock_words, profiles_and_seeds
 
 Event = Mapping[str, Plain]
 Trace = Sequence[Event]
@@ -36,29 +36,28 @@ _LEGEND = {"call": _CALL, "answer": _ANSWER, "simulated time runs": _RUNNING}
 
 @dataclass(frozen=True)
 class Message:
-    """One arrow: indices of the event it leaves and the event it arrives at."""
+    """An arrow of the trellis: the indices of the events at which it starts and ends."""
 
     sent: int
     received: int
 
 
 def trellis_figure(run_dir: Path, rows: Sequence[Dp1Row], path: Path) -> Picture:
-    """Figure 4 from the traces that the run recorded, if it did."""
-    traces = _traces(run_dir)
+    """Draw Figure 4 from the traces that the run recorded, if any."""
+    traces = _read_traces(run_dir)
     timings = sorted({row["timing"] for row in rows if row["role"] == "game"})
     clocks = [clock_words(timing) for timing in timings]
-    source = " · ".join(["one recorded command each", *clocks, *conditions(rows)])
-    style.save(plot_trellis(traces, source), path)
-    return Picture(
-        path,
-        "Figure 4. Messages of one command between client and server, from a recorded trace; not to scale. "
-        "Thick: simulated time runs. Left of the client's line wall time, right of the server's simulated "
-        f"time, both since the first event. Source: {source}.",
+    source = " · ".join(["one recorded command each", *clocks, *profiles_and_seeds(rows)])
+    caption = (
+        "Figure 4. Messages of one command between client and server, from a recorded trace; not to scale. Thick: "
+        "simulated time runs. Left of the client's line wall time, right of the server's simulated time, both since "
+        "the first event."
     )
+    return style.picture(plot_trellis(traces, source), path, caption, source)
 
 
-def _traces(run_dir: Path) -> dict[str, Trace]:
-    """The recorded traces, by what stands above them: TCSC first, as in the paper."""
+def _read_traces(run_dir: Path) -> dict[str, Trace]:
+    """Read the recorded traces, by the title of their panel: TCSC first, as in the paper."""
     found: dict[str, Trace] = {}
     for command in ("tcsc", "adsc"):
         path = run_dir / "traces" / f"{command}.json"
@@ -72,10 +71,10 @@ def _traces(run_dir: Path) -> dict[str, Trace]:
 
 
 def plot_trellis(traces: Mapping[str, Trace], source: str) -> Figure:
-    """One trellis per trace, side by side, named by the mapping's keys.
+    """Plot a trellis per trace, side by side, with the mapping's keys as titles.
 
-    Time runs downwards by events, not to scale: wall milliseconds stand at the client, simulated seconds at
-    the server. The server's line is thick while simulated time runs.
+    Time runs downwards by events, not to scale: wall milliseconds are given at the client, simulated seconds at the
+    server. The server's line is thick while simulated time runs.
     """
     longest = max((min(len(trace), MOST_EVENTS) for trace in traces.values()), default=1)
     with style.project_style():
@@ -85,21 +84,23 @@ def plot_trellis(traces: Mapping[str, Trace], source: str) -> Figure:
         if not traces:
             style.note(panels[0], "no trace recorded")
         for axes, (name, trace) in zip(panels, traces.items(), strict=False):
-            _draw_trace(axes, trace[:MOST_EVENTS])
+            _plot_trace(axes, trace[:MOST_EVENTS])
             axes.set_title(name)
         if traces:
-            _legend(figure)
+            lines = [Line2D([], [], label=label, **line_style) for label, line_style in _LEGEND.items()]
+            figure.legend(handles=lines, loc="outside upper right", ncols=len(lines))
         return figure
 
 
 def messages(trace: Trace) -> list[Message]:
-    """The arrows of a trace: each call to its handling, and each answer back to its return.
+    """Return the arrows of a trace, from each call to its handling and from each reply to its return.
 
-    Calls of one method are handled, and return, in order. A deferred answer leaves at the last "end" between
-    handling and return, any other at its handling.
+    Calls of one method are handled, and return, in order. A deferred reply starts at the last "end" between handling
+    and return, any other at its handling.
     """
     arrows: list[Message] = []
-    for method in _methods(trace):
+    methods = {str(e["event"]).removeprefix("call ") for e in trace if e["event"].startswith("call ")}
+    for method in sorted(methods):
         handled = _indices(trace, "server", f"handle {method}")
         called = _indices(trace, "client", f"call {method}")
         returned = _indices(trace, "client", f"return {method}")
@@ -109,9 +110,9 @@ def messages(trace: Trace) -> list[Message]:
 
 
 def running_spans(trace: Trace) -> list[tuple[int, int]]:
-    """Index ranges in which simulated time runs: from a "run" to the next "pause".
+    """Return the index ranges in which simulated time runs, from a "run" to the next "pause".
 
-    The trace's ends count too: without any "run" or "pause" the server runs free all the time.
+    The trace's ends count too: without any "run" or "pause" simulated time runs throughout.
     """
     switches = [(i, e["event"]) for i, e in enumerate(trace) if e["event"] in ("run", "pause")]
     start = 0 if not switches or switches[0][1] == "pause" else None
@@ -123,10 +124,6 @@ def running_spans(trace: Trace) -> list[tuple[int, int]]:
             spans.append((start, i))
             start = None
     return spans if start is None else [*spans, (start, len(trace) - 1)]
-
-
-def _methods(trace: Trace) -> list[str]:
-    return sorted({str(e["event"]).removeprefix("call ") for e in trace if e["event"].startswith("call ")})
 
 
 def _indices(trace: Trace, source: str, event: str) -> list[int]:
@@ -142,32 +139,27 @@ def _answer(trace: Trace, handled: int, returned: int) -> int:
     return ends[-1] if ends else handled
 
 
-def _draw_trace(axes: Axes, trace: Trace) -> None:
+def _plot_trace(axes: Axes, trace: Trace) -> None:
     axes.set_axis_off()
     axes.set_xlim(-1.85, 2.0)
     axes.set_ylim(len(trace) - 0.3, -1.9)
     for x, name in ((_CLIENT_X, "client"), (_SERVER_X, "server")):
         axes.plot([x, x], [-0.7, len(trace) - 0.5], color=style.GREY, linewidth=1.0)
         axes.text(x, -1.0, name, ha="center", va="bottom", fontweight="bold")
-    for start, end in running_spans(trace):
-        axes.plot([_SERVER_X] * 2, [start, end], **_RUNNING, zorder=1)
+    for span in running_spans(trace):
+        axes.plot([_SERVER_X] * 2, span, **_RUNNING, zorder=1)
+    places = {"client": _CLIENT_X, "server": _SERVER_X}
     for arrow in messages(trace):
-        _draw_arrow(axes, trace, arrow)
+        start, end = ((places[trace[i]["source"]], i) for i in (arrow.sent, arrow.received))
+        line = _CALL if trace[arrow.sent]["source"] == "client" else _ANSWER
+        arrowprops = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 3, **line}
+        axes.annotate("", xy=end, xytext=start, arrowprops=arrowprops)
     for row, event in enumerate(trace):
-        _draw_event(axes, row, event, float(trace[0]["wall_s"]), float(trace[0]["sim_s"]))
+        _plot_event(axes, row, event, float(trace[0]["wall_s"]), float(trace[0]["sim_s"]))
 
 
-def _draw_arrow(axes: Axes, trace: Trace, arrow: Message) -> None:
-    x = {"client": _CLIENT_X, "server": _SERVER_X}
-    ends = [(x[trace[i]["source"]], i) for i in (arrow.received, arrow.sent)]
-    line = _CALL if trace[arrow.sent]["source"] == "client" else _ANSWER
-    axes.annotate(
-        "", xy=ends[0], xytext=ends[1], arrowprops={"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 3, **line}
-    )
-
-
-def _draw_event(axes: Axes, row: int, event: Event, wall0_s: float, sim0_s: float) -> None:
-    """A call has its method's name at the client; where an arrow arrives, the time alone says enough."""
+def _plot_event(axes: Axes, row: int, event: Event, wall0_s: float, sim0_s: float) -> None:
+    """A call is labelled with its method at the client; where an arrow ends, the time alone is enough."""
     kind, _, method = str(event["event"]).partition(" ")
     if event["source"] == "client":
         name = f"{method}   " if kind == "call" else ""
@@ -177,8 +169,3 @@ def _draw_event(axes: Axes, row: int, event: Event, wall0_s: float, sim0_s: floa
         name = "" if kind == "handle" else f"   {event['event']}"
         time = f"{event['sim_s'] - sim0_s:.3f} s"
         axes.text(_SERVER_X + 0.08, row, time + name, ha="left", va="center", fontsize=7.5)
-
-
-def _legend(figure: Figure) -> None:
-    lines = [Line2D([], [], label=label, **line_style) for label, line_style in _LEGEND.items()]
-    figure.legend(handles=lines, loc="outside upper right", ncols=len(lines))

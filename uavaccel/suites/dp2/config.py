@@ -1,4 +1,4 @@
-"""DP2's configuration: which lane, which path, which camera, and what may go wrong with its images."""
+"""DP2's configuration: lane, path, event camera, image guard, and a model of perturbed images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Velocity = tuple[limits.Velocity, limits.Velocity]
 
 
 class DrawnLane(Config):
-    """A lane drawn from a seed."""
+    """A lane sampled from a seed."""
 
     seed: Seed
     difficulty: Difficulty = Difficulty()
@@ -35,24 +35,24 @@ class GuardConfig(Config):
     """Limits of the image guard (uavaccel.vision.guard); `max_retries: 0` switches it off."""
 
     max_change: NotNegative = 0.10
-    """Of the last image's mean brightness."""
+    """Accepted change of mean brightness, as a share of the last image's."""
     min_brightness: NotNegative = 10.0
-    """Mean of 0 to 255 below which an image is too dark."""
+    """Mean brightness, from 0 to 255, below which an image is too dark."""
     max_retries: Annotated[int, Field(ge=0, le=1000)] = 3
     accept_identical: bool = True
-    """An image asked for again that comes out identical is accepted."""
+    """Whether an image that comes out identical when it is requested again is accepted."""
 
     def settings(self) -> GuardSettings:
         return GuardSettings(**self.model_dump())
 
 
 class PerturbationConfig(Config):
-    """A MODEL of images gone wrong on their way (uavaccel.vision.perturb); share 0 is off."""
+    """A MODEL of images that are corrupted on their way (uavaccel.vision.perturb); share 0 switches it off."""
 
     share: Share = 0.0
-    """Of the images that are received, those asked for again included."""
+    """Share of the received images that are perturbed, those requested again included."""
     half_excess: Annotated[float, Field(gt=0.0)] | None = None
-    """ClockSpeed above 1 at which half the share is reached: a renderer with less time; none: the same at all."""
+    """ClockSpeed above 1 at which half of the share is reached, as a renderer has less time; without it all have it."""
     kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
 
 
@@ -61,26 +61,26 @@ class Dp2Config(FlightExperiment):
 
     suite: Literal["dp2"]
     lane: Seed | DrawnLane | LaneFile = 3
-    """A seed; a seed with a difficulty; a lane of one's own, written out or the name of its YAML file."""
+    """A seed, a seed with a difficulty, or a custom lane, written out or as the name of its YAML file."""
     path: Literal["planned"] | tuple[Velocity, ...] = "planned"
-    """planned: a collision-free path to the lane's end; or velocities of one's own: north, east, m/s."""
+    """planned: a collision-free path to the lane's end; or a list of velocities north and east, in m/s."""
     height_m: Annotated[float, Field(lt=0.0, ge=-limits.MOST_HEIGHT_M)] = -10.0
-    """NED z of the start, and held: -10 is 10 m up."""
+    """NED z at which the path starts, and which is held: -10 is 10 m up."""
     t_move_s: Seconds = 1.0
     t_sample_s: Seconds = 0.33
     reference_timing: Timing = "virtual"
-    """Of the run at 1x that each command is compared with, unless the run flies that one anyway."""
+    """Timing of the game at 1x that each command is compared with, unless the run flies that one anyway."""
     guard: GuardConfig = GuardConfig()
     perturbation: PerturbationConfig = PerturbationConfig()
-    """Of the games alone; what they are compared with stays clean."""
+    """Perturbation of the games' images; those that they are compared with stay clean."""
     auto_exposure: bool = False
     """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
-    """v2e's parameters of the DVS by which the report looks at the images."""
+    """v2e's parameters of the DVS that the report applies to the images."""
     dvs_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
-    """Frames per simulated second that the DVS sees while a game is flown; else it looks at the images afterwards."""
+    """Frames per simulated second that the DVS receives in flight; without it the stored images are its frames."""
     sensor_seed: Seed = 0
-    """Of the DVS's thresholds: one sensor for all ClockSpeeds."""
+    """Seed of the DVS's thresholds: one sensor for all ClockSpeeds."""
 
     @field_validator("lane", mode="before", json_schema_input_type=int | DrawnLane | LaneFile | str)
     @classmethod
@@ -109,9 +109,9 @@ class Dp2Config(FlightExperiment):
         return self
 
     def wire_lane(self) -> object:
-        """The lane as Client.set_lane takes it."""
+        """Return the lane as Client.set_lane takes it."""
         return self.lane if isinstance(self.lane, int) else self.lane.model_dump(mode="json")
 
     def layout(self) -> LaneLayout:
-        """Where the obstacles stand. Raises UserError where one stands on the start."""
+        """Return the places of the obstacles. Raises UserError where one stands at the start."""
         return lane_layout(self.wire_lane())

@@ -1,4 +1,4 @@
-"""DP2's mission computer with an event camera on board, which sees more frames than there are samples."""
+"""DP2's client with an event camera on board, which receives more frames than there are samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 class EventClient(CameraClient):
-    """Counts the events from one sample to the next, in the simulation: nothing of it travels, or takes wall time."""
+    """A camera client that counts events between samples, inside the simulation, without messages or wall time."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class EventClient(CameraClient):
         self._counter.look(self._session.picture(), time_ns)
 
     def gather(self, state: Kinematics) -> Sample:
-        """The sample, and beside it the events since the last one; the first begins the game."""
+        """Return the sample, and count the events since the last one; the first sample begins the game."""
         if not self._counts:
             self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
         elif not self._counter.has_seen(state.time_ns):
@@ -57,7 +57,7 @@ class EventClient(CameraClient):
         return super().gather(state)
 
     def arrays(self, samples: int) -> Arrays:
-        """`dvs_on` and `dvs_off` (n, 144, 256) of the first samples: bytes, unless a pixel had more than 255 events."""
+        """Return `dvs_on` and `dvs_off` (n, 144, 256) of the first n samples: uint8, or uint16 beyond 255 events."""
         both = np.array(self._counts[:samples])
         both = both.astype(np.uint8 if both.max() < 256 else np.uint16)
         return {"dvs_on": both[:, 0], "dvs_off": both[:, 1]}

@@ -1,8 +1,10 @@
-"""One game of DP2: the path flown with a camera, and what it saw."""
+"""DP2's games: which are flown, in canonical order, how one is flown, and what is recorded of it."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 
@@ -10,22 +12,89 @@ from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.suites.disturbed import note_stalls
-from uavaccel.suites.dp2.cases import Case, Dp2Collision, Dp2Row, velocities
+from uavaccel.sim.lane.path import plan_path
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.dp2.event_client import Arrays, EventClient
 from uavaccel.suites.experiment import t_th_ns
+from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import luma
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, share_at
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Session
 
+
+@dataclass(frozen=True)
+class Case(FlightCase):
+    """One game: a reference flies at 1x with clean images; the one in lockstep flies TCSC without latency."""
+
+    planned_s: float
+
+    def simulated_s(self) -> float:
+        """Return the simulated time of the commands, without gaps between them."""
+        return self.planned_s
+
+    def seed(self, run_seed: int) -> np.random.SeedSequence:
+        """Return the game's own seed."""
+        return named_seed(run_seed, self.id)
+
+
+class Dp2Collision(TypedDict):
+    """What a flight collided with: the object, simulated seconds since the start, and the place in NED metres."""
+
+    object: str
+    time_s: float
+    position_m: list[float]
+
+
+class Dp2Row(FlightRow):
+    """The row of a game of DP2."""
+
+    t_move_s: float
+    t_sample_s: float
+    commands: int
+    planned_commands: int
+    samples: int
+    distance_m: float
+    collision: Dp2Collision | None
+    guard_retries: int
+
+
+def cases(config: Dp2Config) -> Iterator[Case]:
+    """Yield every game of a run in canonical order: references, lockstep, games."""
+    planned_s = len(velocities(config)) * config.t_move_s
+    grid = [(command, clock_speed) for command in config.command for clock_speed in config.clock_speed]
+    clean = config.perturbation.share == 0
+    flown_anyway = {command for command, clock_speed in grid if clock_speed == 1.0} if clean else set()
+    if config.timing != config.reference_timing:
+        flown_anyway = set()
+    for command in config.command:
+        if command not in flown_anyway:
+            yield Case("reference", command, 1.0, config.reference_timing, planned_s)
+    yield Case("lockstep", "tcsc", 1.0, "lockstep", planned_s)
+    for command, clock_speed in grid:
+        role = "reference" if clock_speed == 1.0 and command in flown_anyway else "game"
+        yield Case(role, command, clock_speed, config.timing, planned_s)
+
+
+def velocities(config: Dp2Config) -> tuple[Velocity, ...]:
+    """Return the velocity of each command, north and east in m/s. Raises UserError where no path is free."""
+    if config.path != "planned":
+        return config.path
+    key = config.model_dump_json(include={"lane", "height_m", "t_move_s"})
+    if key not in _planned:
+        _planned[key] = tuple(plan_path(config.layout(), -config.height_m, command_s=config.t_move_s))
+    return _planned[key]
+
+
+_planned: dict[str, tuple[Velocity, ...]] = {}
+
+
 SCENE = "lane"
 
 
 class Flight(NamedTuple):
-    """Samples with their indices: 0 is the start, then the place in the path, the same in every game."""
+    """A flight's samples with their indices: 0 at the start, then the place in the path, the same in every game."""
 
     samples: list[Sample]
     indices: list[int]
@@ -35,7 +104,7 @@ class Flight(NamedTuple):
 
 
 def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, dict[str, np.ndarray]]:
-    """Fly one game: its row, without the arrays' path, and its arrays (see `arrays_of`)."""
+    """Fly one game, and return its row, without the arrays' path, and its arrays (see `arrays_of`)."""
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
     asked = (
@@ -52,38 +121,23 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, d
         with EventClient(*asked, config=config, session=session) as camera:
             flight = fly_path(config, case, camera)
             counts = camera.arrays(len(flight.samples))
-    speed, recording = client.speed(), client.recording()
-    start = flight.samples[0].state
+    shared, _ = flight_row("dp2", case, config, client, flight.wall_s)
     row: Dp2Row = {
-        "suite": "dp2",
-        "case": case.id,
-        "role": case.role,
-        "command": case.command,
-        "clock_speed": case.clock_speed,
+        **shared,
         "t_move_s": config.t_move_s,
         "t_sample_s": config.t_sample_s,
-        "timing": case.timing,
-        "profile": config.profile,
-        "seed": config.seed,
         "commands": flight.commands,
         "planned_commands": len(velocities(config)),
         "samples": len(flight.samples),
-        "distance_m": _north_m(flight) - start.position_m[0],
+        "distance_m": _north_m(flight) - flight.samples[0].state.position_m[0],
         "collision": _collision(flight),
         "guard_retries": sum(sample.retries for sample in flight.samples),
-        "wall_s": flight.wall_s,
-        "sim_time_s": speed["simulated_ns"] / NS_PER_S,
-        "duration_s": round(int(recording.commands[-1, 1]) * recording.tick_ns / NS_PER_S, 9),
-        "real_time_factor": speed["real_time_factor"],
-        "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
-        "error": speed["failure"],
     }
-    note_stalls(row, client.transport.stalled_ns)
     return row, arrays_of(flight, velocities(config)[: flight.commands]) | counts
 
 
 def fly_path(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:
-    """Fly the path to its end or to a collision, and keep what was sampled up to there."""
+    """Fly the path to its end or to a collision, and return the samples up to there."""
     command, slots = COMMANDS[case.command], len(samples_due(config.t_move_s, config.t_sample_s))
     t_th = t_th_ns(config, case.clock_speed, config.t_sample_s)
     samples, indices, commands = [camera.gather(camera.kinematics())], [0], 0
@@ -105,19 +159,19 @@ def fly_path(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:
 
 
 def _stands_still(samples: list[Sample]) -> bool:
-    """Whether nothing has moved between the last two samples: a collision freezes the vehicle where it is."""
+    """Whether the vehicle has not moved between the last two samples: a collision freezes it."""
     return samples[-1].state.position_m == samples[-2].state.position_m
 
 
 def _before(collision: Collision | None, samples: list[Sample]) -> int:
-    """How many samples were taken before the collision; the others show a vehicle that stands frozen."""
+    """Return how many samples were taken before the collision; the others show the frozen vehicle."""
     if not collision:
         return len(samples)
     return sum(sample.state.time_ns <= collision["time_ns"] for sample in samples)
 
 
 def _picture(config: Dp2Config, case: Case) -> str:
-    """Colour where colours can go wrong, and once per run, to study the guard with; else what the DVS needs."""
+    """Return the kind of image: colour where colours may be perturbed, and once per run for the guard study."""
     return "colour" if case.role == "lockstep" or _perturbation(config, case) else "gray"
 
 
@@ -146,9 +200,9 @@ def _collision(flight: Flight) -> Dp2Collision | None:
 
 
 def arrays_of(flight: Flight, flown: tuple[Velocity, ...]) -> dict[str, np.ndarray]:
-    """Arrays of a game, n samples: `sample_index`, `time_s` since the start, `position_m` (n, 3) NED,
-    `orientation_wxyz` (n, 4), `image` (n, 144, 256) gray, `retries`; `command_velocity_m_s` (commands, 2);
-    and, where the camera took it, `colour` (n, 144, 256, 3).
+    """Return the arrays of a game with n samples: `sample_index`, `time_s` since the start, `position_m` (n, 3) NED,
+    `orientation_wxyz` (n, 4), `image` (n, 144, 256) gray, `retries`, `command_velocity_m_s` (commands, 2) and, where
+    the images are in colour, `colour` (n, 144, 256, 3).
     """
     states = [sample.state for sample in flight.samples]
     images = np.stack([sample.image for sample in flight.samples])

@@ -1,4 +1,4 @@
-"""What the image guard would let through of DP2's own images, were a share of them perturbed (MODELLED)."""
+"""DP2's study of the image guard: what it accepts where a share of the run's own images is perturbed (MODELLED)."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from uavaccel.vision.guard_study import guard_study
 from uavaccel.vision.perturb import PerturbationKind
 
 SHARE = 0.05
-STREAMS = 20  # of the same images, each perturbed by a seed of its own: one stream has too few of each kind
+STREAMS = 20  # the same images, perturbed with another seed in each: one stream has too few of each kind
 
 HEADER = ("kind of perturbation", "perturbed images sent", "pass without guard", "pass the guard")
 
 
 def study(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> Values:
-    """Perturbed images sent and handed on, by kind, over `STREAMS` streams of `images` (n, H, W, 3).
+    """Count the perturbed images sent and accepted, by kind, over `STREAMS` streams of `images` (n, H, W, 3).
 
-    An image that the guard asks for again may be perturbed again, so with the guard more are sent.
+    An image that the guard requests again may be perturbed again, so with the guard more are sent.
     """
     streams = [guard_study(list(images), SHARE, seed + stream, settings) for stream in range(STREAMS)]
     clean = streams[0]["clean"]
@@ -49,7 +49,7 @@ def _by_kind(streams: list[Values], kind: str) -> Values:
 
 
 def table(guard: Summary) -> list[tuple[str, ...]]:
-    """One row of text a kind, below `HEADER`, and one of all images together."""
+    """Return a row of text for each kind, below `HEADER`, and one for all images."""
     rows = [
         (
             kind.replace("_", " "),
@@ -65,7 +65,7 @@ def table(guard: Summary) -> list[tuple[str, ...]]:
 
 
 def sentence(guard: Summary) -> str:
-    """The false alarms, and what of all images handed on is perturbed."""
+    """Return the false alarms and the perturbed share of all accepted images, in a sentence."""
     handed_on = guard["perturbed_share_handed_on"]
     return (
         f"False alarms: {guard['clean_false_alarms']} of {guard['images']} clean images. "

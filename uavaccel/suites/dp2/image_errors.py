@@ -1,4 +1,4 @@
-"""Position error over DVS-ED: a point per image, a colour per ClockSpeed, a panel per command (paper's Figure 7)."""
+"""DP2's figure of position error over DVS-ED: a point per image, a panel per command (the paper's Figure 7)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from uavaccel.draw import style
 
 LEAST_PERCENT, LEAST_M = 0.1, 0.001  # below, the axes are linear
 
-_MARKERS = "osD^v<>"
-
 
 @dataclass(frozen=True)
 class ImageCloud:
@@ -28,15 +26,15 @@ class ImageCloud:
 
     @property
     def at_zero(self) -> NDArray[np.bool_]:
-        """Which images have neither error, (images,)."""
+        """Whether an image has neither error (images,)."""
         exact: NDArray[np.bool_] = (self.dvs_ed_percent == 0) & (self.position_error_m == 0)
         return exact
 
 
 def plot_images(clouds: Sequence[ImageCloud], source: str) -> Figure:
-    """The clouds; both axes are common to all panels.
+    """Plot the clouds on common axes.
 
-    A command whose images are all at 0, 0 gets no panel, which would be empty, but a line below the others'.
+    A command whose images all have no error gets a line below the panels in place of an empty panel.
     """
     commands = sorted({cloud.command for cloud in clouds if not cloud.at_zero.all()}, reverse=True)
     exact = sorted({cloud.command for cloud in clouds} - set(commands), reverse=True)
@@ -56,7 +54,7 @@ def plot_images(clouds: Sequence[ImageCloud], source: str) -> Figure:
             style.note(panels[0], some)
             return figure
         for axes, command in zip(panels, commands, strict=True):
-            _draw_panel(axes, [cloud for cloud in clouds if cloud.command == command], clocks)
+            _plot_panel(axes, [cloud for cloud in clouds if cloud.command == command], clocks)
         panels[0].set_ylabel("position error, m")
         _set_scales(panels[0])
         return figure
@@ -69,11 +67,11 @@ def _all_at_zero(command: str, clouds: Sequence[ImageCloud]) -> str:
     return f"{style.command_name(command)} at {clocks}: all {images} images at 0, 0"
 
 
-def _draw_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float]) -> None:
-    """Fastest first, so that few and near points lie on top; those at 0 as rings that do not hide each other."""
+def _plot_panel(axes: Axes, clouds: Sequence[ImageCloud], clocks: Sequence[float]) -> None:
+    """The fastest are plotted first, so that few and near points lie on top; images without error are rings."""
     for cloud in sorted(clouds, key=lambda cloud: -cloud.clock_speed):
         place = clocks.index(cloud.clock_speed)
-        colour, marker = style.CYCLE[place % len(style.CYCLE)], _MARKERS[place % len(_MARKERS)]
+        colour, marker = style.colour(place), style.MARKERS[place % len(style.MARKERS)]
         away = ~cloud.at_zero
         x, y = cloud.dvs_ed_percent[away], cloud.position_error_m[away]
         axes.scatter(x, y, s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
@@ -102,7 +100,7 @@ def _count(at_zero: NDArray[np.bool_]) -> str:
 
 
 def _set_scales(axes: Axes) -> None:
-    """Logarithmic, as the clouds lie decades apart, but linear below what matters, so that 0 has its place."""
+    """Scales are logarithmic, as the clouds lie decades apart, but linear around 0, so that 0 has its place."""
     for axis, unit, ticks in ((axes.xaxis, LEAST_PERCENT, "{x:g}"), (axes.yaxis, LEAST_M, "{x:g}")):
         getattr(axes, f"set_{axis.axis_name}scale")("symlog", linthresh=unit, linscale=0.6)
         axis.set_major_formatter(ticks)

@@ -6,20 +6,67 @@ from collections.abc import Sequence
 from functools import cached_property
 
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.style import clock_label, command_name
 from uavaccel.suites.dp2 import guard as dp2_guard
-from uavaccel.suites.dp2.cases import Dp2Row
+from uavaccel.suites.dp2.flights import Dp2Row
 from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
-from uavaccel.suites.dp2.scores import GameScore, score_games
-from uavaccel.suites.dp2.summary import summary_of
-from uavaccel.suites.dp2.table import table
-from uavaccel.suites.report import Report, Row, Summary
-from uavaccel.suites.source_line import source_line
+from uavaccel.suites.dp2.scores import GameScore, score_games, summary_of
+from uavaccel.suites.provenance import source_line
+from uavaccel.suites.report import Report, Summary, SummaryCell
+from uavaccel.suites.rows import Row
 from uavaccel.vision.guard import GuardSettings
 
 
+def table(summary: Summary) -> Table:
+    """Return a table of each command and ClockSpeed, with "-" for numbers that cannot be known."""
+    return Table.of(
+        summary["cells"],
+        ("command", lambda cell: command_name(cell["command"])),
+        ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"]) + _role(cell)),
+        ("images", lambda cell: str(cell["paired_images"])),
+        ("position error, m: median, max", lambda cell: _pair(cell, "position_error_m", 3)),
+        ("attitude error, deg: max", lambda cell: _exact_number(cell["attitude_error_deg_max"], 2)),
+        ("DVS-ED, %: median, max", lambda cell: _pair(cell, "dvs_ed_percent", 2)),
+        ("guard retries", lambda cell: str(cell["guard_retries"])),
+        ("poses, counts v. lockstep", _against_lockstep),
+        ("distance, m", lambda cell: f"{cell['distance_m']:.1f}" + _hit(cell)),
+        ("simulated s a wall s", lambda cell: _exact_number(cell["simulated_s_per_wall_s"], 2)),
+        ("source", lambda cell: str(cell["provenance"])),
+    )
+
+
+def _role(cell: SummaryCell) -> str:
+    reference = " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else ""
+    return reference + (" (disturbed)" if cell.get("disturbed") else "")
+
+
+def _hit(cell: SummaryCell) -> str:
+    return f" (hit {cell['collision']['object']})" if cell["collision"] else ""
+
+
+def _against_lockstep(cell: SummaryCell) -> str:
+    compared = (cell[key] for key in ("poses_equal_lockstep", "dvs_counts_equal_lockstep"))
+    return ", ".join(or_dash(equal, {True: "equal", False: "differ"}.__getitem__) for equal in compared)
+
+
+def _pair(cell: SummaryCell, name: str, digits: int) -> str:
+    return ", ".join(_exact_number(cell[f"{name}_{which}"], digits) for which in ("median", "max"))
+
+
+def _exact_number(value: float | None, digits: int) -> str:
+    """Format a number so that only an exact 0 is "0", and one too small for the digits is written with an exponent."""
+
+    def form(known: float) -> str:
+        if known == 0:
+            return "0"
+        return f"{known:.{digits}f}" if known >= 10.0**-digits else f"{known:.0e}"
+
+    return or_dash(value, form)
+
+
 class Dp2Report(Report):
-    """Of `uavaccel run dp2`. Beside the summary it writes scores.json: the errors image by image."""
+    """DP2's report. Beside the summary it writes scores.json, the errors of each image."""
 
     @cached_property
     def scores(self) -> list[GameScore]:
@@ -32,7 +79,7 @@ class Dp2Report(Report):
         return summary_of(self.config, self.scores, self._guard_study())
 
     def _guard_study(self) -> Summary | None:
-        """On the one game whose images are kept in colour."""
+        """Study the guard on the images of the one game that are stored in colour."""
         row = next((row for row in self.rows if row["role"] == "lockstep" and row["error"] is None), None)
         if row is None:
             return None
@@ -54,10 +101,10 @@ class Dp2Report(Report):
         caption = (
             "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path "
             "of the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both "
-            f"axes are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm. Source: {source}."
+            f"axes are logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm."
         )
         path = self.run.file("figures/figure7_images.png")
-        return [Picture(style.save(plot_images(clouds, source), path), caption)]
+        return [style.picture(plot_images(clouds, source), path, caption, source)]
 
     def overview(self) -> Table:
         return table(self.summary)
@@ -83,9 +130,9 @@ def _guard_blocks(guard: Summary | None) -> list[Block]:
         Paragraph(dp2_guard.sentence(guard)),
         Paragraph(
             f"The images are those of the game without latency, sent {guard['streams']} times with another seed. "
-            "MuJoCo draws every image right: what goes wrong with them here is a model of a renderer short of time, "
-            "of this project's own choice in its sizes. The guard looks at mean brightness alone and cannot see what "
-            "leaves that as it is."
+            "MuJoCo renders every image correctly: the perturbations are a model of a renderer short of time, whose "
+            "sizes are this project's own choice. The guard checks mean brightness alone and cannot detect what leaves "
+            "that as it is."
         ),
     ]
 
@@ -124,7 +171,7 @@ def _warnings(rows: Sequence[Dp2Row], summary: Summary, config: Row) -> list[str
 _READING = (
     "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
     "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "
-    "elsewhere. One DVS, with one map of thresholds, looks at the images of all games. An error of 0 is exactly 0. "
+    "elsewhere. One DVS, with one map of thresholds, is applied to all games' images. An error of 0 is exactly 0. "
     "Equal to lockstep means that every pose, or every pixel's event count, has the same bits as in the game flown "
     "without latency. Measured: the machine's clock. Modelled: a simulated clock."
 )

@@ -1,7 +1,7 @@
-"""DP2's per-image errors against the same command's run at 1x, paired by the sample's place in the path.
+"""DP2's scores and summary: errors of each image against the same command's run at 1x, paired by place in the path.
 
-The DVS looks at the stored images here, so that its parameters can be changed without flying again. It is one sensor
-for all ClockSpeeds: one map of thresholds, drawn from `sensor_seed` (paper, section III-C2b).
+The DVS is applied to the stored images here, so that its parameters can be changed without flying again. It is one
+sensor for all ClockSpeeds, with one map of thresholds from `sensor_seed` (paper, section III-C2b).
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
-from uavaccel.suites.dp2.cases import Dp2Row
-from uavaccel.suites.report import Arrays, LoadArrays
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.suites.dp2.flights import Dp2Row
+from uavaccel.suites.report import Arrays, LoadArrays, Summary, Values
+from uavaccel.suites.rows import Row
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 
@@ -23,8 +25,8 @@ Counts = NDArray[np.unsignedinteger]
 
 
 @dataclass(frozen=True)
-class SeenFlight:
-    """A game's samples and what the DVS made of them: `on` and `off` (n, H, W) event counts, 0 for the first."""
+class ObservedFlight:
+    """A game's samples with the DVS's event counts `on` and `off` (n, H, W), 0 for the first sample."""
 
     row: Dp2Row
     sample_index: NDArray[np.int32]
@@ -36,10 +38,10 @@ class SeenFlight:
 
 @dataclass(frozen=True)
 class GameScore:
-    """One game's errors, one value an image that both it and the run at 1x have; the first image is the start's.
+    """The errors of one game's images that the run at 1x has too, but for the first, which is that of the start.
 
-    `equal_poses`, `equal_counts`: whether poses and DVS counts equal those of the game without latency to the last
-    bit; None where the run has no such game. `reference`: the row of the run at 1x, None without one.
+    `equal_poses` and `equal_counts` say whether poses and DVS counts equal those of the game without latency to the
+    last bit; they are None where the run has no such game. `reference` is the row of the run at 1x, None without one.
     """
 
     row: Dp2Row
@@ -51,7 +53,7 @@ class GameScore:
     equal_counts: bool | None
 
     def by_image(self) -> dict[str, Any]:
-        """The errors of every image, for JSON, with what tells the game from the run's others."""
+        """Return the errors of every image for scores.json, with the keys that identify the game."""
         return {
             **{key: self.row[key] for key in ("command", "clock_speed", "role")},
             "position_error_m": self.position_error_m.tolist(),
@@ -63,7 +65,7 @@ class GameScore:
 def count_events(
     images: NDArray[np.uint8], time_s: NDArray[np.float64], dvs: DvsParameters, sensor_seed: int
 ) -> tuple[Counts, Counts]:
-    """ON and OFF counts (n, H, W) of gray images (n, H, W) taken at `time_s`; the first one makes no events."""
+    """Return ON and OFF counts (n, H, W) of gray images (n, H, W) taken at `time_s`; the first causes no events."""
     sensor = make_sensor(dvs, images.shape[1:], sensor_seed)
     state = init_state(sensor, images[0], float(time_s[0]), noise_seed=sensor_seed)
     on, off = np.zeros(images.shape, np.uint16), np.zeros(images.shape, np.uint16)
@@ -73,42 +75,39 @@ def count_events(
 
 
 def counts_of(arrays: Arrays, preset: str, sensor_seed: int) -> tuple[Counts, Counts]:
-    """What the DVS saw in a game: counted while it was flown, or else in the images that were kept."""
+    """Return the DVS's counts in a game: those counted in flight, or else those of the stored images."""
     if "dvs_on" in arrays:
         return arrays["dvs_on"], arrays["dvs_off"]
     return count_events(arrays["image"], arrays["time_s"], PRESETS[preset], sensor_seed)
 
 
-def see(row: Dp2Row, arrays: Arrays, preset: str, sensor_seed: int) -> SeenFlight:
-    """A game with its DVS counts."""
-    on, off = counts_of(arrays, preset, sensor_seed)
-    return SeenFlight(row, arrays["sample_index"], arrays["position_m"], arrays["orientation_wxyz"], on, off)
-
-
 def score_games(
     rows: Sequence[Dp2Row], load_arrays: LoadArrays, preset: str, sensor_seed: int
 ) -> Iterator[GameScore]:
-    """Scores of the finished games at all ClockSpeeds, by command and ClockSpeed; the run at 1x is one of them.
+    """Yield the scores of the finished games, by command and ClockSpeed; the run at 1x is one of them.
 
-    Only two games beside the present one are held at a time: images are many.
+    Only two games beside the present one are held in memory at a time.
     """
     finished = [row for row in rows if row["error"] is None]
 
-    def seen(row: Dp2Row | None) -> SeenFlight | None:
-        return None if row is None else see(row, load_arrays(row), preset, sensor_seed)
+    def observe(row: Dp2Row) -> ObservedFlight:
+        arrays = load_arrays(row)
+        poses = arrays["sample_index"], arrays["position_m"], arrays["orientation_wxyz"]
+        return ObservedFlight(row, *poses, *counts_of(arrays, preset, sensor_seed))
 
-    lockstep = seen(next((row for row in finished if row["role"] == "lockstep"), None))
+    lockstep = next((observe(row) for row in finished if row["role"] == "lockstep"), None)
     for command in sorted({row["command"] for row in finished}):
         own = [row for row in finished if row["command"] == command and row["role"] != "lockstep"]
-        reference = seen(next((row for row in own if row["role"] == "reference"), None))
+        reference = next((observe(row) for row in own if row["role"] == "reference"), None)
         for row in sorted(own, key=lambda row: (row["clock_speed"], row["role"] != "reference")):
-            flight = reference if reference is not None and row is reference.row else seen(row)
-            assert flight is not None
-            yield score_game(flight, reference, lockstep)
+            is_reference = reference is not None and row is reference.row
+            yield score_game(reference if is_reference and reference else observe(row), reference, lockstep)
 
 
-def score_game(flight: SeenFlight, reference: SeenFlight | None, lockstep: SeenFlight | None) -> GameScore:
-    """One game's score; without a reference its errors are empty."""
+def score_game(
+    flight: ObservedFlight, reference: ObservedFlight | None, lockstep: ObservedFlight | None
+) -> GameScore:
+    """Return one game's score; without a reference its errors are empty."""
     equal_poses = None if lockstep is None else _equal(flight, lockstep, "position_m", "orientation_wxyz")
     equal_counts = None if lockstep is None else _equal(flight, lockstep, "on", "off")
     if reference is None:
@@ -130,5 +129,74 @@ def score_game(flight: SeenFlight, reference: SeenFlight | None, lockstep: SeenF
     )
 
 
-def _equal(flight: SeenFlight, other: SeenFlight, *names: str) -> bool:
+def _equal(flight: ObservedFlight, other: ObservedFlight, *names: str) -> bool:
     return all(np.array_equal(getattr(flight, name), getattr(other, name)) for name in names)
+
+
+def summary_of(config: Row, scores: Sequence[GameScore], guard: Summary | None) -> Values:
+    """Summarise a run's scores, with an entry for each command and ClockSpeed; `guard` is the guard study.
+
+    Errors are those of the images that a game shares with the same command's run at 1x: the images of a game that
+    collides end at its collision. Numbers that cannot be known are None.
+    """
+    return {
+        "suite": "dp2",
+        "profile": config["profile"],
+        "seed": config["seed"],
+        "dvs_preset": config["dvs_preset"],
+        "sensor_seed": config["sensor_seed"],
+        "perturbed_share": config["perturbation"]["share"],
+        "cells": [_cell(score) for score in scores],
+        "guard_study": guard,
+    }
+
+
+def _cell(score: GameScore) -> Values:
+    row = score.row
+    return {
+        "command": row["command"],
+        "clock_speed": row["clock_speed"],
+        "t_move_s": row["t_move_s"],
+        "timing": row["timing"],
+        "provenance": timing_provenance(row["timing"]),
+        "reference": _reference_of(score),
+        "images": row["samples"],
+        "paired_images": len(score.position_error_m),
+        "position_error_m_median": _median(score.position_error_m),
+        "position_error_m_max": _maximum(score.position_error_m),
+        "attitude_error_deg_median": _median(score.attitude_error_deg),
+        "attitude_error_deg_max": _maximum(score.attitude_error_deg),
+        "dvs_ed_percent_median": _median(score.dvs_ed_percent),
+        "dvs_ed_percent_max": _maximum(score.dvs_ed_percent),
+        "poses_equal_lockstep": score.equal_poses,
+        "dvs_counts_equal_lockstep": score.equal_counts,
+        "guard_retries": row["guard_retries"],
+        "collision": row["collision"],
+        "distance_m": row["distance_m"],
+        "wall_s": row["wall_s"],
+        "simulated_s_per_wall_s": row["duration_s"] / row["wall_s"] if row["wall_s"] > 0 else None,
+        "real_time_factor": row["real_time_factor"],
+        "lost_wall_s": row["lost_wall_s"],
+        **{key: row[key] for key in ("disturbed", "stalled_wall_s", "restarts") if key in row},
+    }
+
+
+def _reference_of(score: GameScore) -> Values | None:
+    if score.reference is None:
+        return None
+    timing = score.reference["timing"]
+    return {
+        "case": score.reference["case"],
+        "clock_speed": score.reference["clock_speed"],
+        "timing": timing,
+        "provenance": timing_provenance(timing),
+        "is_this_cell": score.reference["case"] == score.row["case"],
+    }
+
+
+def _median(values: NDArray[np.float64]) -> float | None:
+    return float(np.median(values)) if values.size else None
+
+
+def _maximum(values: NDArray[np.float64]) -> float | None:
+    return float(np.max(values)) if values.size else None

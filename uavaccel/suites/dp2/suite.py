@@ -1,22 +1,58 @@
-"""DP2 as a suite: a path through the lane flown on a session with a camera, images compared with the real-time ones."""
+"""The suite `dp2`: a path through the lane, whose images are compared with those of real time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
-from uavaccel.draw.film import Film
+from uavaccel.config import validate
+from uavaccel.draw.film import PANEL, Film
+from uavaccel.draw.style import clock_label, command_name
+from uavaccel.errors import UserError
+from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp2 import film
-from uavaccel.suites.dp2.cases import Case, cases
+from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import SCENE, fly_game
+from uavaccel.suites.dp2.flights import SCENE, Case, Dp2Row, cases, fly_game
 from uavaccel.suites.dp2.report import Dp2Report
-from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
+from uavaccel.suites.dp2.scores import counts_of
+from uavaccel.suites.suite import Cost, GameResult, Suite, choose_row, flying_s
 from uavaccel.wire.session import Session, open_session
 
-IMAGE_S = 5e-3  # wall time of an image: drawn in software, sent, deflated and looked at, about
-IMAGE_BYTES = 9_000  # of a deflated one, about
+
+def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
+    """Return the name and film of a case, by default of the fastest game, TCSC before ADSC.
+
+    Raises UserError where the run has no images.
+    """
+    row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
+    config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
+    arrays = run.load_arrays(row)
+    if "image" not in arrays:
+        raise UserError(f"{run.path / row['arrays']}: holds no images")
+    on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
+    images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
+    position_m, layout = arrays["position_m"], config.layout()
+    chase = ChaseView(layout, position_m, arrays["orientation_wxyz"], PANEL)
+    film = Film(_film_title(row), arrays["time_s"], images, on, off, position_m, layout, chase)
+    return row["case"], film
+
+
+def _interest(row: Dp2Row) -> tuple[bool, bool, float]:
+    return row["role"] == "game", row["command"] == "tcsc", row["clock_speed"]
+
+
+def _film_title(row: Dp2Row) -> str:
+    if row["timing"] == "lockstep":
+        return f"{command_name(row['command'])} in lockstep, without latency"
+    clock = f"{command_name(row['command'])} at ClockSpeed {clock_label(row['clock_speed'])}"
+    achieved = f"achieved {row['real_time_factor']:.1f}x, {timing_provenance(row['timing'])}"
+    end = f", hit {row['collision']['object']}" if row["collision"] else ""
+    return f"{clock} ({achieved}{end})"
+
+
+IMAGE_S = 5e-3  # approximate wall time of an image: rendered in software, sent, compressed and evaluated
+IMAGE_BYTES = 9_000  # approximate size of a compressed one
 
 
 class Dp2(Suite[Dp2Config, Case]):
@@ -34,8 +70,7 @@ class Dp2(Suite[Dp2Config, Case]):
         return open_session(timing, config.profile, SCENE, config.latency)
 
     def fly(self, config: Dp2Config, case: Case, opened: Session) -> GameResult:
-        row, arrays = fly_game(config, case, opened)
-        return GameResult(row, arrays)
+        return GameResult(*fly_game(config, case, opened))
 
     def renders(self, config: Dp2Config) -> bool:
         return True
@@ -45,4 +80,4 @@ class Dp2(Suite[Dp2Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        return film.film_game(run, case)
+        return film_game(run, case)

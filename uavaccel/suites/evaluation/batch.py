@@ -1,7 +1,7 @@
-"""An evaluation's games flown side by side: each lane of a batch flies whole games, its agent in the same process.
+"""An evaluation's games in several processes: each environment of a batch flies whole games with an agent of its own.
 
-So nothing is waited for between commands, and each decision is of one observation, as in a single environment: of
-several at once a network's ratings differ in their last bits.
+No process waits for another between commands, and each decision is made from a single observation, as in a single
+environment: a network's ratings of several observations at once differ in their last bits.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from uavaccel.suites.host_time import timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
-FlownOnLane = tuple[EvaluateRow, dict[str, float]]  # row, host times
+TimedRow = tuple[EvaluateRow, dict[str, float]]  # row, host times
 
 
 class AgentLane(ObstacleLane):
-    """An `ObstacleLane` with its agent on board."""
+    """An `ObstacleLane` with an agent in the same process."""
 
     def take_agent(self, config: Mapping[str, object]) -> None:
-        """The agent that a configuration of the evaluation, as plain data, names."""
+        """Load the agent that an evaluation's configuration, as plain data, names."""
         th.set_num_threads(1)
         self._config = validate(EvaluateConfig, config, "evaluation")
         self._agent: Agent = make_agent(self._config.agent, self._config.task)
 
-    def fly(self, lane: int) -> FlownOnLane:
-        """A game's row, and what it took on this machine."""
+    def fly(self, lane: int) -> TimedRow:
+        """Fly a game, and return its row and the time that it took on this machine."""
         return timed(lambda: fly_game(self._config, self, self._agent, lane))
 
 
 class GamesInBatch:
-    """Flies the games of `lanes` over `config.environments` environments; one that is done takes the next game."""
+    """Flies the games of `lanes` in `config.environments` environments, each of which takes the next game when idle."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         count = min(config.environments, len(lanes))
@@ -52,8 +52,8 @@ class GamesInBatch:
             raise
 
     def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        """Once all games so far are over: fly those of `lanes`, with the agent that this configuration names."""
-        self._left, self._flown = deque(lanes), dict[int, FlownOnLane]()
+        """Start on the games of `lanes`, with the agent of this configuration, once all earlier games are over."""
+        self._left, self._flown = deque(lanes), dict[int, TimedRow]()
         self._batch.call("take_agent", config.model_dump(mode="json"))
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
@@ -61,7 +61,7 @@ class GamesInBatch:
             self._send_off(environment)
 
     def game(self, lane: int) -> GameResult:
-        """The game on that lane, once it is over. Host times have `wall_s`, since the first game began.
+        """Wait for the game on a lane, and return it; its host times have `wall_s` since the first game began.
 
         Raises BatchError where a process has ended.
         """
@@ -77,5 +77,5 @@ class GamesInBatch:
             self._batch.call_async(environment, "fly", self._left.popleft())
 
     def close(self) -> None:
-        """End the processes; games that are still flown are given up."""
+        """End the processes and abandon unfinished games."""
         self._batch.close()

@@ -1,4 +1,4 @@
-"""Configuration of an evaluation: who flies, which lanes, under which clock."""
+"""Configuration of an evaluation: agent, lanes, simulator and clock."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class EvaluateConfig(Experiment):
 
     suite: Literal["evaluate"] = "evaluate"
     agent: str = DEFAULT
-    """Folder of a policy (a training's run directory), default (the one that ships), or a baseline: straight,
+    """Folder of a policy (a training's run directory), `default` (the policy that ships), or a baseline: straight,
     offset:METRES."""
     games: Games = 300
     first_lane: Annotated[int, Field(ge=0)] = 0
     environments: Processes = 1
-    """Lanes flown side by side, with one renderer where there is a GPU; 1 with wall. Rows are the same."""
+    """Lanes flown in parallel, with one renderer where there is a GPU; 1 with wall. It does not change the rows."""
     simulator: Simulator = "mujoco"
-    """mujoco: exact, seen through OpenGL; kernels: all lanes as one batch of arrays (docs/kernels.md)."""
+    """mujoco: exact, rendered with OpenGL; kernels: all lanes as one batch of arrays (docs/kernels.md)."""
     device: Device = "cpu"
-    """Where the kernels fly: cpu, in threads, or cuda, on one GPU."""
+    """Where the kernels run: cpu, in threads, or cuda, on one GPU."""
     inference_s: Cost = 0.0005
-    """What a decision costs the simulated wall clock of `virtual`."""
+    """Time of a decision on the simulated wall clock of `virtual`."""
     task: LaneTask = LaneTask(split="evaluation", timing="virtual")
-    """Keys left out are those that the agent was trained with; those that its network cannot take are refused."""
+    """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
 
     @model_validator(mode="after")
     def _lanes_exist(self) -> EvaluateConfig:
@@ -59,7 +59,7 @@ class EvaluateConfig(Experiment):
 
 
 def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
-    """The mapping with what its agent was trained with where it says nothing. Raises UserError if there is no agent."""
+    """Return the mapping completed by the keys of its agent's training. Raises UserError if there is no such agent."""
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses

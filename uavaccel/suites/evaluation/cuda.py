@@ -1,4 +1,4 @@
-"""An evaluation's lanes on one GPU: flown, seen and decided there; the host reads what became of each command."""
+"""An evaluation's lanes on one GPU, with rendering and decisions; the host reads the outcome of each command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DEVICE = "cuda"
 
 
 class LanesOnGpu:
-    """Lanes whose games are not renewed."""
+    """Lanes on a GPU, one game each."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._device, self._inference_s = th.device(DEVICE), config.inference_s
@@ -40,14 +40,14 @@ class LanesOnGpu:
         self._lanes.charge(self._lanes.going, self._inference_s, "inference")
         actions = self._decide(going)
         self._fly(actions)
-        told = self._lanes.ended.tolist()  # the host waits for the device here
-        self._places = [row[AT.place : AT.place + 3] for row in told]
-        over = [place for place in going.tolist() if told[place][AT.over]]
-        ended = [(place, self._lanes.info(place, told[place])) for place in over]
+        outcome = self._lanes.ended.tolist()  # the host waits for the device here
+        self._places = [row[AT.place : AT.place + 3] for row in outcome]
+        over = [place for place in going.tolist() if outcome[place][AT.over]]
+        ended = [(place, self._lanes.info(place, outcome[place])) for place in over]
         return actions.cpu().numpy()[going], ended
 
     def _decide(self, going: NDArray[np.int64]) -> th.Tensor:
-        """Numbers of actions (L,), of those that fly."""
+        """Return the actions (L,) of all lanes, of which those still flying are valid."""
         actions = th.zeros(self._lanes.count, dtype=th.int64, device=self._device)
         seen = self._lanes.observations
         if not isinstance(self._agent, PolicyAgent):
@@ -63,11 +63,11 @@ class LanesOnGpu:
         return actions
 
     def close(self) -> None:
-        """What is on the device goes with the last that names it."""
+        """The device's memory is released with the last reference to it."""
 
 
 def _greedy(policy: Policy, seen: th.Tensor) -> th.Tensor:
-    """The best actions (n,) for observations (n, ...) on the device."""
+    """Return the best actions (n,) for observations (n, ...) on the device."""
     if not isinstance(policy.network, DQNPolicy):
         return th.from_numpy(policy.act(seen.cpu().numpy())).to(seen.device)
     with th.inference_mode():
@@ -75,7 +75,7 @@ def _greedy(policy: Policy, seen: th.Tensor) -> th.Tensor:
 
 
 def _moved(agent: Agent, device: th.device) -> Agent:
-    """The agent with a network of its own on the device: a policy that was read is not to be changed."""
+    """Return the agent with a copy of its network on the device; the policy that was loaded stays as it is."""
     if not isinstance(agent, PolicyAgent):
         return agent
     return PolicyAgent(replace(agent.policy, network=deepcopy(agent.policy.network).to(device)))

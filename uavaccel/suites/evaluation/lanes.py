@@ -1,8 +1,8 @@
-"""An evaluation's games over arrays, `simulator: kernels`: all lanes as one batch, decisions for many at once.
+"""An evaluation's games in the kernels: all lanes as one batch of arrays, with decisions for many lanes at once.
 
-A game's decisions are the same whoever flies beside it, on however many cores: a lane has its place in a block of
-observations of one size, which one thread rates whole. A network's ratings of one observation and of several, or by one
-thread and by several, differ in their last bits.
+A game's decisions do not depend on its neighbours or on the number of cores: each lane has a fixed row in a block of
+observations of fixed size, and one thread rates a whole block. A network's ratings of one observation and of several,
+or by one thread and by several, differ in their last bits.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from uavaccel.suites.evaluation.flights import EvaluateRow, game_seed, row_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
-MOST_LANES = 1024  # at once: a lane's event camera takes about 300 KB
-BLOCK = 32  # observations that are rated together
+MOST_LANES = 1024  # in a batch: a lane's event camera takes about 300 KB
+BLOCK = 32  # observations that a network rates at once
 Ended = tuple[int, Info]  # place in the batch, info of the game's end
 
 
 class Lanes(Protocol):
-    """A batch of an evaluation's lanes."""
+    """A batch of an evaluation's lanes, on cores or on a GPU."""
 
     def decide_and_fly(self, going: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Ended]]:
-        """A command of the lanes in these places: their actions, and the games that it ended."""
+        """Fly a command of the lanes in these places, and return their actions and the games that ended."""
         ...
 
     def close(self) -> None: ...
 
 
 class GamesOverArrays:
-    """Flies the games of `lanes`, up to MOST_LANES at once, in the order in which they are asked for."""
+    """Flies the games of `lanes` in batches of up to MOST_LANES, in the order of `game`'s calls."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._config, self._left = config, deque(lanes)
@@ -53,7 +53,7 @@ class GamesOverArrays:
         self._start_ns: int | None = None
 
     def game(self, lane: int) -> GameResult:
-        """The game on that lane, once it is over. Host times have `wall_s`, since the first game began."""
+        """Fly until the game on a lane is over; its host times have `wall_s` since the first game began."""
         while lane not in self._rows:
             if self._batch is None:
                 self._begin()
@@ -83,7 +83,7 @@ class GamesOverArrays:
             self.close()
 
     def close(self) -> None:
-        """Give up what is still flown."""
+        """Abandon unfinished games."""
         if self._batch is not None:
             self._batch.close()
         self._batch = None
@@ -98,7 +98,7 @@ def _open(config: EvaluateConfig, lanes: Sequence[int]) -> Lanes:
 
 
 class LanesOnCores:
-    """Lanes in threads of this process."""
+    """Lanes on CPU cores, in threads of this process."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         from uavaccel.envs.kernel_batch import KernelBatch
@@ -145,13 +145,13 @@ class LanesOnCores:
 
 
 class Blocks:
-    """Which lanes are rated together, and which row of their block each has: that depends on the lane alone."""
+    """The fixed block of observations, and the row in it, that each lane has; they depend on the lane alone."""
 
     def __init__(self, lanes: Sequence[int]) -> None:
         self._block, self._row = np.divmod(np.asarray(lanes), BLOCK)
 
     def of(self, going: NDArray[np.int64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Places of the lanes of each block, and their rows in it."""
+        """Return the places of the flying lanes of each block, and their rows in it."""
         blocks = self._block[going]
         members = [going[blocks == block] for block in np.unique(blocks)]
         return [(each, self._row[each]) for each in members]

@@ -1,4 +1,4 @@
-"""Suites whose cases are evaluations of one policy, each a run directory of its own below the run's."""
+"""Suites that evaluate one policy under several conditions, each in a run directory of its own below the run's."""
 
 from __future__ import annotations
 
@@ -17,32 +17,36 @@ from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
-from uavaccel.suites.report import Arrays, Row
-from uavaccel.suites.suite import AnySuite, Cost, GameResult, Suite
+from uavaccel.suites.report import Arrays
+from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.suite import AnySuite, Cost, GameResult, SimpleCase, Suite
 
 
 class PolicyExperiment(Experiment):
     """Keys of suites that evaluate one policy under several conditions."""
 
     agent: str = DEFAULT
-    """As `uavaccel evaluate` takes it."""
+    """The policy, as `uavaccel evaluate` takes it."""
     games: Games = 300
-    """Evaluation lanes under each condition, the same ones under all."""
+    """Number of evaluation lanes, which are the same under each condition."""
     evaluation: Part = Part(experiment="evaluate")
 
 
 @dataclass(frozen=True)
-class EvaluationCase:
-    """An evaluation: its dotted keys that are no other's, and what its row says of them."""
+class EvaluationCase(SimpleCase):
+    """An evaluation under one condition: the dotted keys that set it, and the keys of its row that name it."""
 
-    id: str
     keys: Mapping[str, object]
     labels: Mapping[str, object]
-    timing: str = "virtual"
-    simulated: float = 0.0
 
-    def simulated_s(self) -> float:
-        return self.simulated
+
+class PolicyRow(GameRow):
+    """The row of an evaluation; suites add the keys of their conditions."""
+
+    games: int
+    successes: int
+    distance_m_median: float
+    sim_time_s: float
 
 
 PolicyConfig = TypeVar("PolicyConfig", bound=PolicyExperiment)
@@ -53,19 +57,19 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
 
     batch = 1
     kept: ClassVar[Sequence[str]] = ("games", "successes", "distance_m_median", "sim_time_s")
-    """Of an evaluation's summary, in its row."""
+    """Keys of the evaluation's summary that its row keeps."""
 
     def evaluations(self, config: PolicyConfig) -> Iterator[EvaluationCase]:
-        """Every condition, whether or not it is flown."""
+        """Yield every condition, whether or not it is flown."""
         return self.cases(config)
 
     def part(self, config: PolicyConfig, case: EvaluationCase) -> Part:
-        """The evaluation that a case is."""
+        """Return the evaluation of a case."""
         keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
         return Part(experiment=config.evaluation.experiment, keys=keys)
 
     def first(self, config: PolicyConfig) -> tuple[AnySuite, EvaluateConfig]:
-        """Suite and configuration of the first evaluation, which stands for all where they do not differ."""
+        """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
         suite, evaluation = part_suite(self.part(config, next(self.evaluations(config))), config.seed)
         if not isinstance(evaluation, EvaluateConfig):
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
@@ -87,7 +91,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         return suite.renders(evaluation)
 
     def provenance(self, config: PolicyConfig) -> Mapping[str, object]:
-        """Raises UserError for a device that this machine does not have."""
+        """Return the policy's hash. Raises UserError for a device that this machine does not have."""
         suite, evaluation = self.first(config)
         suite.provenance(evaluation)
         return {"policy_sha256": policy_sha256(config.agent)}
@@ -98,7 +102,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
         return on_own_gpu(run)
 
     def fly(self, config: PolicyConfig, case: EvaluationCase, opened: RunDirectory) -> GameResult:
-        """The row has what the evaluation's summary says, the arrays what became of each lane."""
+        """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
         summary = fly_part(opened, case.id, self.part(config, case), config.seed)
         found = {name: summary[name] for name in self.kept}
         row = {"suite": self.name, "case": case.id, **case.labels, **found}
@@ -109,7 +113,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
 
 
 def outcomes(run: RunDirectory) -> Arrays:
-    """Of an evaluation's games (n,): lane, success, and metres north."""
+    """Return lane, success and metres north (n,) of an evaluation's games."""
     rows = run.rows()
     return {
         "lane": np.array([row["lane"] for row in rows], np.int64),
@@ -119,5 +123,5 @@ def outcomes(run: RunDirectory) -> Arrays:
 
 
 def agent_name(agent: str) -> str:
-    """An agent in a sentence."""
+    """Return an agent as it is named in a sentence."""
     return "the policy that ships" if agent == DEFAULT else agent

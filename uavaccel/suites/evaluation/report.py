@@ -1,25 +1,134 @@
-"""An evaluation's report: summary.json, Figure 8, report.md and report.html; several evaluations in one Figure 8."""
+"""The report of an evaluation: success with its interval, distances flown (the paper's Figure 8), paired tests."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from uavaccel.config import validate
+from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table
 from uavaccel.draw.style import command_name
-from uavaccel.metrics.intervals import Proportion
+from uavaccel.envs.simulators import EXACT, flown_by
+from uavaccel.errors import UserError
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.sim.lane.layout import LENGTH_M
 from uavaccel.suites import paper_results
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.summary import how_flown, summarise
-from uavaccel.suites.evaluation.survival import draw_evaluations, evaluations_source
+from uavaccel.suites.evaluation.flights import EvaluateRow
 from uavaccel.suites.host_time import pace
-from uavaccel.suites.report import Report, Summary, summary_table
+from uavaccel.suites.provenance import disturbed_words
+from uavaccel.suites.report import Report, Summary, Values, listed, summary_table
+from uavaccel.suites.rows import Row, disturbed_games
 
-FIGURE = "figures/figure8_survival.png"
+
+def summarise(config: EvaluateConfig, rows: Sequence[EvaluateRow]) -> Values:
+    """Summarise an evaluation: the success ratio with its 95 % Wilson interval, and the distances flown."""
+    task = config.task
+    sim_time_s, wall_s = (sum(row[name] for row in rows) for name in ("sim_time_s", "wall_s"))
+    disturbed = disturbed_games(rows)
+    return {
+        **({"disturbed_games": disturbed} if disturbed else {}),
+        "suite": "evaluate",
+        "agent": config.agent,
+        "profile": task.profile,
+        "command": task.command,
+        "clock_speed": task.clock_speed,
+        "timing": task.timing,
+        "simulator": config.simulator,
+        **({} if config.simulator == EXACT else {"device": config.device}),
+        "seed": config.seed,
+        **Proportion(sum(row["is_success"] for row in rows), len(rows)).as_summary(),
+        "sim_time_s": sim_time_s,
+        "wall_s": wall_s,
+        "simulated_s_per_wall_s": sim_time_s / wall_s,
+        "distance_m_median": float(np.median([row["distance_m"] for row in rows])),
+    }
+
+
+def how_flown(keys: Row) -> str:
+    """Return "measured" or "modelled", and the simulator, from a summary or a configuration with its timing."""
+    by = flown_by(keys.get("simulator", EXACT), keys.get("device", ""))
+    return ", ".join([timing_provenance(keys["timing"]), *filter(None, [by])])
+
+
+def compare(rows: Sequence[EvaluateRow], other: RunDirectory) -> str:
+    """Return McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
+    theirs = {row["lane"]: row["is_success"] for row in other.rows() if row.get("suite") == "evaluate"}
+    paired = [(row["is_success"], theirs[row["lane"]]) for row in rows if row["lane"] in theirs]
+    if not paired:
+        raise UserError(f"{other.path}: is no evaluation of the same lanes")
+    first, second = np.array(paired).T
+    test = mcnemar_exact(first, second)
+    return (
+        f"against {other.path} on the same {len(paired)} lanes: {int(first.sum())} v {int(second.sum())} successes, "
+        f"exact McNemar p = {test.p_value:.3g}"
+    )
+
+
+COMPARISON = "figures/figure8_survival_compared.png"
+
+
+def plot_evaluations(runs: Sequence[RunDirectory], path: Path) -> Picture:
+    """Plot Figure 8 with a line for each evaluation."""
+    distances = {_run_label(run, runs): [row["distance_m"] for row in run.rows()] for run in runs}
+    source = _source(runs)
+    caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
+    return style.picture(plot_survival(distances, source), path, caption, source)
+
+
+def _source(runs: Sequence[RunDirectory]) -> str:
+    timings = {how_flown(run.config() | {"timing": run.config()["task"]["timing"]}) for run in runs}
+    games = sorted({len(run.rows()) for run in runs})
+    seeds = sorted({run.config()["seed"] for run in runs})
+    parts = [
+        f"{' and '.join(sorted(timings))} · {listed(games)} games each · seed {listed(seeds)}",
+        *disturbed_words([row for run in runs for row in run.rows()]),
+    ]
+    return " · ".join(parts)
+
+
+def _run_label(run: RunDirectory, runs: Sequence[RunDirectory]) -> str:
+    name = _agent_and_simulator(run)
+    alike = [other for other in runs if _agent_and_simulator(other) == name]
+    return name if len(alike) == 1 else f"{name} ({run.path})"  # folders may share their last name
+
+
+def _agent_and_simulator(run: RunDirectory) -> str:
+    config = run.config()
+    by = flown_by(config.get("simulator", EXACT), config.get("device", ""))
+    return ", ".join([str(config["agent"]), *filter(None, [by])])
+
+
+def plot_survival(distances_m: Mapping[str, Sequence[float]], source: str) -> Figure:
+    """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval.
+
+    `distances_m` has the distances in metres by the name of the evaluation.
+    """
+    with style.project_style():
+        figure = style.new_figure(8.0, 4.6, "Distance travelled", source)
+        axes = figure.subplots()
+        for name, values in distances_m.items():
+            places, share = style.survival(values, LENGTH_M)
+            games = len(values)
+            (line,) = axes.step(places, share, where="post", label=name)
+            low, high = zip(*(Proportion(left, games).interval for left in range(games, -1, -1)), strict=True)
+            axes.fill_between(places, low, high, step="post", color=line.get_color(), alpha=0.15, linewidth=0)
+        axes.axvline(LENGTH_M, color=style.BLACK, linewidth=1.2, linestyle="--", label="end of the lane")
+        axes.set_xlabel("distance north, m")
+        axes.set_ylabel("share of games that got there")
+        axes.set_ylim(0.0, 1.05)
+        axes.legend(loc="lower left")
+        return figure
 
 
 class EvaluationReport(Report):
-    """Of `uavaccel evaluate`."""
+    """The report of `uavaccel evaluate`."""
 
     def summarise(self) -> Summary:
         config = validate(EvaluateConfig, self.config, str(self.run.path / "config.yaml"))
@@ -29,7 +138,7 @@ class EvaluationReport(Report):
         return f"Evaluation of {self.summary['agent']}"
 
     def headline(self) -> str:
-        """The result in a sentence, with its interval, its clock and its seed."""
+        """Return the success with its interval, clock and seed in a sentence."""
         summary = self.summary
         return (
             f"{summary['successes']} of {summary['games']} lanes ({summary['success_ratio']:.1%}, 95 % Wilson interval "
@@ -42,9 +151,7 @@ class EvaluationReport(Report):
         return pace(self.run)
 
     def figures(self) -> list[Picture]:
-        path = draw_evaluations([self.run], self.run.file(FIGURE))
-        said = "Share of the games that got at least so far north, with its 95 % Wilson interval"
-        return [Picture(path, f"Figure 8. {said}. Source: {evaluations_source([self.run])}.")]
+        return [plot_evaluations([self.run], self.run.file("figures/figure8_survival.png"))]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         beside = _beside_the_papers(self.summary)
@@ -52,7 +159,7 @@ class EvaluationReport(Report):
 
 
 def _beside_the_papers(summary: Summary) -> Table:
-    """Its success, and the best of the paper's trainings with each command (Table I)."""
+    """Return a table of the success beside that of the paper's best training with each command (Table I)."""
     own = Proportion.of(summary).text()
     rows: list[tuple[str, ...]] = [(str(summary["agent"]), own, str(summary["games"]), how_flown(summary))]
     for command, by_clock in paper_results.SUCCESSES.items():

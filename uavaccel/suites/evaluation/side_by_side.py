@@ -1,4 +1,4 @@
-"""Evaluations of one agent on the same lanes in both simulators, side by side: simulators.md and simulators.html."""
+"""The comparison of one agent's evaluations in both simulators on the same lanes: simulators.md, simulators.html."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from uavaccel.files import Plain
 from uavaccel.metrics.intervals import mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.flights import EvaluateRow
-from uavaccel.suites.evaluation.summary import how_flown
+from uavaccel.suites.evaluation.report import how_flown
 
 PAGE = "simulators"
 TITLE = "One agent in two simulators"
 
 
 def write_simulators(runs: Sequence[RunDirectory]) -> list[Path]:
-    """The pages, in the first run's folder; none where no agent flew the same lanes in both simulators."""
+    """Write the pages into the first run's folder, if an agent flew the same lanes in both simulators."""
     pairs = list(_pairs(runs))
     if not pairs:
         return []
@@ -33,7 +33,7 @@ def write_simulators(runs: Sequence[RunDirectory]) -> list[Path]:
 
 
 def _pairs(runs: Sequence[RunDirectory]) -> Iterator[tuple[RunDirectory, RunDirectory]]:
-    """The exact simulator's run first."""
+    """Yield pairs of runs that can be compared, the exact simulator's first."""
     for pair in combinations(runs, 2):
         exact, other = sorted(pair, key=lambda run: _simulator(run) != EXACT)
         if (
@@ -49,12 +49,12 @@ def _simulator(run: RunDirectory) -> str:
 
 
 def _who(run: RunDirectory) -> Plain:
-    """The policy's weights; of a baseline, which has none, its name."""
+    """Return what identifies the agent: the hash of a policy's weights, or the name of a baseline."""
     return run.manifest().get("policy_sha256") or run.config()["agent"]
 
 
 def _shared(exact: RunDirectory, other: RunDirectory) -> list[tuple[EvaluateRow, EvaluateRow]]:
-    """Rows of the lanes that both flew."""
+    """Return the rows of the lanes that both runs flew."""
     theirs = {row["lane"]: row for row in other.rows()}
     return [(row, theirs[row["lane"]]) for row in exact.rows() if row["lane"] in theirs]
 
@@ -64,14 +64,14 @@ def _blocks(exact: RunDirectory, other: RunDirectory) -> list[Block]:
     lines = [_line(run, [pair[side] for pair in shared]) for side, run in enumerate((exact, other))]
     won = np.array([[row["is_success"] for row in pair] for pair in shared], bool)
     same_end = int((won[:, 0] == won[:, 1]).sum())
-    alike = sum(ours["actions"] == theirs["actions"] for ours, theirs in shared)
+    same_actions = sum(ours["actions"] == theirs["actions"] for ours, theirs in shared)
     test = mcnemar_exact(won[:, 0], won[:, 1])
-    said = (
+    sentence = (
         f"{exact.config()['agent']} on the {len(shared)} lanes that both flew: {same_end} end alike, "
-        f"won or lost, {alike} with the same actions throughout; exact McNemar p = {test.p_value:.3g}."
+        f"won or lost, {same_actions} with the same actions throughout; exact McNemar p = {test.p_value:.3g}."
     )
     header = ("simulator", "run", "won", "of", "median distance m", "simulated s")
-    return [Paragraph(said), Table(header, lines)]
+    return [Paragraph(sentence), Table(header, lines)]
 
 
 def _line(run: RunDirectory, rows: Sequence[EvaluateRow]) -> tuple[str, ...]:

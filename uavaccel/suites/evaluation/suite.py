@@ -1,4 +1,4 @@
-"""Evaluation as a suite: lanes flown in an environment by an agent."""
+"""The suite `evaluate`: an agent flies lanes that no training has seen (paper, section IV-D)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import check_agent, make_agent, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
-from uavaccel.suites.evaluation.flights import Case, cases, fly_game
-from uavaccel.suites.report import Report, Row
+from uavaccel.suites.evaluation.flights import Case, fly_game, lane_case
+from uavaccel.suites.report import Report
+from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, choose_row, flying_s, kernels_s
 
 if TYPE_CHECKING:
@@ -48,20 +49,21 @@ class Evaluation(Suite[EvaluateConfig, Case]):
             check_flyable(config.task, 1, config.device)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Case]:
-        return cases(config)
+        for lane in range(config.first_lane, config.first_lane + config.games):
+            yield Case(lane_case(lane), config.task.timing, config.task.typical_s, lane)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
 
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Opened]:
-        """What flies the game on a lane: an environment and the agent, or many of them side by side."""
+        """Yield a function that flies the game on a lane, in one environment or in a batch."""
         from uavaccel.suites.evaluation.batch import GamesInBatch
         from uavaccel.suites.evaluation.lanes import GamesOverArrays
 
         if self.why_serial(config):
             done = run.done_cases()
-            left = [case.lane for case in cases(config) if case.id not in done]
+            left = [case.lane for case in self.cases(config) if case.id not in done]
             games = GamesOverArrays if config.simulator == KERNELS else GamesInBatch
             with closing(games(config, left)) as batch:
                 yield batch.game
@@ -77,7 +79,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return opened(case.lane)
 
     def why_serial(self, config: EvaluateConfig) -> str:
-        """A batch has processes of its own, or threads."""
+        """A batch has processes or threads of its own."""
         if config.simulator == KERNELS:
             return "simulator = kernels flies all lanes as one batch"
         many = config.environments
@@ -93,7 +95,10 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
-        """Raises UserError for a device that this machine does not have, and for weights that cannot be read."""
+        """Return the policy's hash and the simulator.
+
+        Raises UserError for a device that this machine does not have, and for weights that cannot be read.
+        """
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device}
@@ -103,14 +108,14 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        from uavaccel.suites.evaluation.report import COMPARISON, plot_evaluations
         from uavaccel.suites.evaluation.side_by_side import write_simulators
-        from uavaccel.suites.evaluation.survival import COMPARISON, draw_evaluations
 
         both = write_simulators(runs)
-        return [draw_evaluations(runs, runs[0].file(COMPARISON)), *both]
+        return [plot_evaluations(runs, runs[0].file(COMPARISON)).path, *both]
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        """The game once more, by default the best: the same one in `virtual` and `lockstep`, a new one in `wall`."""
+        """Fly a game again, by default the best, and film it: in `virtual` and `lockstep` it is the same game."""
         from uavaccel.suites.evaluation.film import best_first, film_lane
 
         row = choose_row(run, case, best_first(run.rows()))

@@ -1,4 +1,4 @@
-"""Configuration of a run of the paper: its parts, and which claims they decide."""
+"""Configuration of the suite `paper`: its parts, and the claims that they decide."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import Part
 from uavaccel.yaml_io import load_yaml
 
-PROFILES = ("airsim", "native")
+PROFILES: tuple[Literal["airsim", "native"], ...] = ("airsim", "native")
 Kind = Literal["dp1", "dp2", "rl"]
 
 
 class Claim(Config):
-    """A sentence of the paper's that a run can decide."""
+    """A claim of the paper that a run can decide."""
 
     id: str
     place: str
     """Section of the paper."""
     says: str
-    """The claim in short."""
+    """The claim in brief."""
     paper: str
     """The paper's number."""
     decided_by: Annotated[tuple[Kind, ...], Field(min_length=1)]
-    """Kinds of runs, in the order in which the deciding function takes them."""
+    """Kinds of runs that decide it, in the order of the deciding function's arguments."""
     basis: Literal["fitted", "chosen", "predicted"]
-    """Where the deciding number under `airsim` comes from: fitted to the paper, decided by a choice of this project's
-    that the paper says nothing of, or predicted by what was fitted to something else."""
+    """Origin of the deciding number under `airsim`: fitted to the paper, due to a choice of this project on which the
+    paper is silent, or predicted by a model that was fitted to something else."""
     paper_counts: tuple[int, int] | None = None
     """Successes of 100 games each, where the paper compares two."""
 
 
 class Claims(Config):
-    """The file of claims."""
+    """The contents of a file of claims."""
 
     claims: tuple[Claim, ...]
 
@@ -48,9 +48,9 @@ class PaperConfig(Experiment):
     parts: Annotated[dict[str, Part], Field(min_length=1)]
     """Runs by name, KIND-PROFILE: dp1-airsim, dp2-native, and so on."""
     claims: str = "claims.yaml"
-    """Of the files that ship with the experiments."""
+    """File of claims among those that ship with the experiments."""
     with_run: str | None = None
-    """Run directory of the suite `rl`, which decides the claims that need training."""
+    """Run directory of the suite `rl`, which decides the claims on training."""
 
     @field_validator("parts")
     @classmethod
@@ -63,6 +63,6 @@ class PaperConfig(Experiment):
 
 
 def read_claims(config: PaperConfig) -> tuple[Claim, ...]:
-    """The claims, in the paper's order. Raises UserError."""
+    """Read the claims, in the paper's order. Raises UserError for an invalid file."""
     path = experiment(config.claims)
     return validate(Claims, load_yaml(path), str(path)).claims

@@ -1,4 +1,4 @@
-"""The numbers that decide claims, out of the runs of the paper's experiments."""
+"""The evidence for claims: numbers with their intervals, from runs of the paper's experiments."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from uavaccel.suites.report import SummaryCell
 
 FloatArray = NDArray[np.float64]
 Trained = tuple[str, float]
-"""Command and ClockSpeed of a training."""
+"""The command and ClockSpeed of a training."""
 
-LEAST_FLIGHTS = 6  # of a cell of DP1: the range of five holds their median with less than 95 %
-LEAST_IMAGES = 100  # none of so many above a limit: fewer than 3 % of all are, with 95 %
-LEAST_GAMES = 100  # of a training, and of its evaluation: as many as the paper's
-SIMULATION = ("simulation", "rendering")  # the paper's "simulation": its images come out of it
-THINKING = ("image_processing", "inference", "learning")
+LEAST_FLIGHTS = 6  # in a cell of DP1: the range of five contains the median with less than 95 %
+LEAST_IMAGES = 100  # if none of so many exceeds a limit, fewer than 3 % of all do, with 95 %
+LEAST_GAMES = 100  # of a training, and of its evaluation, as in the paper
+SIMULATION = ("simulation", "rendering")  # the paper's "simulation" renders the images
+BESIDE_SIMULATION = ("image_processing", "inference", "learning")
 
 
 class NoEvidence(Exception):
-    """The runs leave out the games that would decide a claim, or know nothing to compare them with."""
+    """The runs lack the games that would decide a claim, or those to compare them with."""
 
 
 class Undecided(Exception):
-    """The runs have the games, but those cannot decide the claim; the text says why."""
+    """The runs have the games, but these cannot decide the claim, for the reason given."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a run says of a claim: its number with its interval in words, and whether the claim holds in it.
+    """What a run tells of a claim: the deciding number in words, and whether the claim holds.
 
-    None: its interval leaves that open.
+    `holds` is None where the interval leaves that open.
     """
 
     value: str
@@ -45,9 +45,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """A run of DP1: its cells, and the STLC of each of their games.
+    """Evidence from a run of DP1: its cells, and the STLC of each of their games.
 
-    What it lacks raises NoEvidence; a cell of fewer than LEAST_FLIGHTS games raises Undecided.
+    Methods raise NoEvidence for what the run lacks, and Undecided for a cell of fewer than LEAST_FLIGHTS games.
     """
 
     cells: Sequence[SummaryCell]
@@ -69,14 +69,14 @@ class Trajectories:
 
     @property
     def rounds(self) -> list[int]:
-        """The paths' rounds, the shortest first."""
+        """The paths' numbers of rounds, the smallest first."""
         rounds = sorted({int(cell["rounds"]) for cell in self.cells})
         if not rounds:
             raise NoEvidence("nothing was flown")
         return rounds
 
     def stlc_by_cell(self, command: str, clock_speed: float, rounds: int | None = None) -> list[FloatArray]:
-        """STLC of each cell's games (games,), of all rounds unless some are asked for."""
+        """Return the STLC (games,) of each cell, of all numbers of rounds unless one is given."""
         cells = [np.asarray(cell["stlc"], float) for cell in _flown(self.games, command, clock_speed, rounds)]
         for stlc in cells:
             _enough(len(stlc), LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
@@ -84,22 +84,23 @@ class Trajectories:
         return cells
 
     def stlc(self, command: str, clock_speed: float, rounds: int | None = None) -> FloatArray:
-        """STLC of the games, T_moves pooled, and rounds too unless one is asked for."""
+        """Return the STLC of all games, T_moves pooled, and rounds too unless one number of them is given."""
         return np.concatenate(self.stlc_by_cell(command, clock_speed, rounds))
 
     def bootstrap(self, cells: Sequence[FloatArray], statistic: Callable[..., FloatArray]) -> Interval:
-        """95 % interval of `statistic(*cells)`, each cell's games resampled among themselves: a resample keeps the
-        T_moves and rounds in their shares.
+        """Return the 95 % bootstrap interval of `statistic(*cells)`.
+
+        Games are resampled within their cell, so that each resample has the same share of T_moves and rounds.
         """
         return bootstrap_interval(cells, statistic, self.seed)
 
     def median(self, command: str, clock_speed: float) -> Estimate:
-        """Pooled median STLC, as in the paper's Figure 5."""
+        """Return the pooled median of the STLC, as in the paper's Figure 5."""
         cells = self.stlc_by_cell(command, clock_speed)
         return Estimate(float(pooled_median(*cells)), *self.bootstrap(cells, pooled_median))
 
     def longest(self, command: str, clock_speed: float, t_move_s: float) -> Estimate:
-        """Effective speed-up on the longest path."""
+        """Return the effective speed-up on the longest path with a T_move."""
         for cell in _flown(self.cells, command, clock_speed, self.rounds[-1]):
             if cell["t_move_s"] == t_move_s and cell["effective_speedup_interval"] is not None:
                 _enough(cell["games"], LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
@@ -107,12 +108,12 @@ class Trajectories:
         raise NoEvidence(f"no {command} at {clock_speed:g}x, T_move {t_move_s:g} s, with a speed-up")
 
     def speedups(self, command: str, clock_speed: float) -> list[Estimate]:
-        """Effective speed-ups on the longest path, by T_move."""
+        """Return the effective speed-ups on the longest path, by T_move."""
         flown = _flown(self.cells, command, clock_speed, self.rounds[-1])
         return [self.longest(command, clock_speed, t) for t in sorted(cell["t_move_s"] for cell in flown)]
 
     def gap_s(self, command: str, clock_speed: float) -> float:
-        """Median over cells of the median simulated time from a command's end to the next one's start."""
+        """Return the median over cells of the median simulated time between two commands."""
         flown = _flown(self.cells, command, clock_speed, None)
         for cell in flown:
             _enough(cell["games"], LEAST_FLIGHTS, f"games of {command} at {clock_speed:g}x in a cell")
@@ -121,7 +122,7 @@ class Trajectories:
 
 
 def pooled_median(*cells: FloatArray) -> FloatArray:
-    """Median over the last axes of all cells together."""
+    """Return the median over the last axis of all cells together."""
     return np.asarray(np.median(np.concatenate(cells, axis=-1), axis=-1))
 
 
@@ -149,7 +150,7 @@ def _enough(count: int, least: int, what: str) -> None:
 
 @dataclass(frozen=True)
 class Cloud:
-    """TCSC's images at a ClockSpeed against those at 1x, a value an image (n,): the points of Figure 7."""
+    """Errors (n,) of TCSC's images at a ClockSpeed, compared with those at 1x: the points of Figure 7."""
 
     position_error_m: FloatArray
     dvs_ed_percent: FloatArray
@@ -157,7 +158,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Images:
-    """A run of DP2: TCSC's images by ClockSpeed, and its study of the guard, None where it has none."""
+    """Evidence from a run of DP2: TCSC's images by ClockSpeed, and the study of the guard, if it has one."""
 
     clouds: Mapping[float, Cloud]
     guard: SummaryCell | None = None
@@ -174,7 +175,10 @@ class Images:
         return cls(clouds, run.read_json("summary.json")["guard_study"])
 
     def cloud(self, clock_speed: float) -> Cloud:
-        """Raises NoEvidence where it was not flown or not at 1x, Undecided below LEAST_IMAGES images."""
+        """Return the images at a ClockSpeed.
+
+        Raises NoEvidence without games there or at 1x, Undecided for fewer than LEAST_IMAGES images.
+        """
         cloud = self.clouds.get(clock_speed)
         if cloud is None or not cloud.dvs_ed_percent.size:
             raise NoEvidence(f"no images at {clock_speed:g}x, compared with 1x")
@@ -182,7 +186,7 @@ class Images:
         return cloud
 
     def handed_on_perturbed(self) -> tuple[Proportion, Proportion]:
-        """Perturbed ones of the images handed on, without the guard and with it."""
+        """Return the perturbed share of the accepted images, without the guard and with it."""
         if self.guard is None:
             raise NoEvidence("the guard was not studied: no game without latency was flown")
         images = self.guard["images"] * self.guard["streams"]
@@ -194,20 +198,21 @@ class Images:
 
 @dataclass(frozen=True)
 class Policies:
-    """A run of the suite `rl`: a cell for each training of a profile.
+    """Evidence from a run of the suite `rl`: a cell for each training of a profile.
 
-    What it lacks raises NoEvidence; trainings and evaluations of fewer than LEAST_GAMES games raise Undecided.
+    Methods raise NoEvidence for what the run lacks, and Undecided for fewer than LEAST_GAMES games of a training or of
+    its evaluation.
     """
 
     cells: Sequence[SummaryCell]
     interchange: Sequence[SummaryCell] = ()
-    """Those that TCSC trained at 1x, flown with both commands, seeds pooled."""
+    """Policies trained with TCSC at 1x and flown with both commands, seeds pooled."""
     ended_m: Mapping[Trained, FloatArray] = field(default_factory=dict)
-    """Metres north at which evaluation games ended before the goal, seeds pooled."""
+    """Distances north at which evaluation games ended before the goal, seeds pooled."""
 
     @classmethod
     def of(cls, run: RunDirectory, profile: str) -> Policies:
-        """Of the profile's trainings on the virtual clock, those without a variant."""
+        """Read the evidence of a profile's trainings on the virtual clock that have no variant."""
         summary = run.read_json("summary.json")
         wanted = (profile, "virtual", "")
         cells, interchange = (
@@ -217,18 +222,18 @@ class Policies:
         return cls(cells, by_tcsc, _ended(run, wanted))
 
     def trainings(self, command: str, clock_speed: float) -> list[Proportion]:
-        """Evaluation games won, a proportion a training."""
+        """Return the evaluation games won by each training."""
         trained = [Proportion.of(cell) for cell in _flown(self.cells, command, clock_speed)]
         games = sum(each.games for each in trained)
         _enough(games, LEAST_GAMES, f"games of {command.upper()} at {clock_speed:g}x")
         return trained
 
     def success(self, command: str, clock_speed: float) -> Estimate:
-        """Success of the policies trained so, over trainings where there are several."""
+        """Return the success of the policies of these trainings."""
         return success_estimate(self.trainings(command, clock_speed))
 
     def command_s(self, command: str, clock_speed: float, phases: Sequence[str]) -> Estimate:
-        """Modelled wall seconds of a command's share of some phases, over trainings."""
+        """Return the modelled wall seconds that some phases take per command, over trainings."""
         cells = _flown(self.cells, command, clock_speed)
         trained = sum(cell["trained_games"] for cell in cells)
         _enough(trained, LEAST_GAMES, f"training games of {command.upper()} at {clock_speed:g}x")
@@ -237,16 +242,16 @@ class Policies:
         )
 
     def speedup(self, clock_speed: float, phases: Sequence[str] = SIMULATION) -> Estimate:
-        """TCSC's over ADSC in real time, the paper's baseline (section III-C3), of a command's mean."""
+        """Return the speed-up of TCSC over ADSC in real time, the paper's baseline (section III-C3), per command."""
         accelerated = self.command_s("tcsc", clock_speed, phases)
         return ratio_estimate(self.command_s("adsc", 1.0, phases), accelerated)
 
     def clocks(self, command: str) -> list[float]:
-        """ClockSpeeds at which the command was trained; none where it was not."""
+        """Return the ClockSpeeds at which a command was trained."""
         return sorted({cell["clock_speed"] for cell in self.cells if cell["command"] == command})
 
     def interchanged(self) -> tuple[Proportion, Proportion]:
-        """Games won by the policies that TCSC trained at 1x, flown with TCSC and with ADSC."""
+        """Return the games won with TCSC and with ADSC by the policies trained with TCSC at 1x."""
         if not self.interchange:
             raise NoEvidence("no policy was flown with both commands")
         with_tcsc, with_adsc = (Proportion.of(flown) for flown in self.interchange[0]["flown_with"])

@@ -1,7 +1,7 @@
-"""The claims on flights and images, one function each: what the runs say of it. Its name is the claim's id.
+"""The claims on flights and images, decided by a function each, which has the claim's id as its name.
 
-A claim holds where the 95 % interval of what it is about lies within the stated margins, fails where the interval lies
-outside them, and is undecided where it straddles an end, or where too little was flown to tell.
+A claim holds where the 95 % interval of its number lies within the stated margins, fails where it lies outside them,
+and is undecided where it straddles an end of the margins, or where too few games were flown.
 """
 
 from __future__ import annotations
@@ -31,39 +31,36 @@ from uavaccel.suites.paper.evidence import (
 
 SIMILAR = 1.8  # STLC above which trajectories look alike (section III-C2a)
 MAXIMUM = 2.0  # STLC of identical trajectories
-NEAR = 0.05  # below it
+NEAR = 0.05  # below the maximum
 FASTEST, LONGEST_S = 100.0, 1.0
-MITIGATED: Interval = (
-    0.0,
-    0.8,
-)  # share of perturbed images with the guard over that without: not alike (ALIKE)
+MITIGATED: Interval = (0.0, 0.8)  # share of perturbed images with the guard over that without
 SAME_PLACE_M = 0.05  # within which the paper's images at 5x and 10x are (section IV-C)
 
 # --- DP1 ----------------------------------------------------------------------------------------------------------
 
 
 def command_delay_grows(dp1: Trajectories) -> Finding:
-    """The median gap before the next command, in simulated time, rises from ClockSpeed to ClockSpeed."""
+    """The median gap before the next command, in simulated time, grows with each ClockSpeed."""
     gaps_ms = [1e3 * dp1.gap_s("adsc", k) for k in [1.0, *dp1.clocks]]
     rises = all(later > earlier for earlier, later in pairwise(gaps_ms))
     return Finding(" < ".join(f"{gap:.3g}" for gap in gaps_ms) + " ms", rises)
 
 
 def replicas_differ(dp1: Trajectories) -> Finding:
-    """ADSC's games at 100x spread below and above 1.8, as two replicas of Figure 3 do."""
+    """The STLC of ADSC's games at 100x lies on both sides of 1.8, as that of two replicas in Figure 3."""
     stlc = dp1.stlc("adsc", FASTEST)
     return Finding(f"{stlc.min():.2f} to {stlc.max():.2f}", bool(stlc.min() < SIMILAR < stlc.max()))
 
 
 def reference_near_2(dp1: Trajectories) -> Finding:
-    """The real-time games against each other: their pooled median is less than .05 below the maximum."""
+    """The pooled median of the real-time games, compared with each other, is less than .05 below the maximum."""
     median = dp1.median("adsc", 1.0)
     return Finding(median.text(), exceeds(median.interval, MAXIMUM - NEAR))
 
 
 def variance_grows(dp1: Trajectories) -> Finding:
-    """The variance of ADSC's STLC grows from each ClockSpeed to the next: that of the games of each number of rounds,
-    T_moves pooled, as Figure 5 has its boxes, averaged over the numbers of rounds.
+    """The variance of ADSC's STLC grows with each ClockSpeed: that of the games of each number of rounds, T_moves
+    pooled as in the boxes of Figure 5, averaged over the numbers of rounds.
     """
     boxes = [[dp1.stlc_by_cell("adsc", k, rounds) for rounds in dp1.rounds] for k in [1.0, *dp1.clocks]]
     sizes = [len(box) for box in boxes[0]]
@@ -83,7 +80,7 @@ def variance_grows(dp1: Trajectories) -> Finding:
 
 
 def accuracy_falls_with_length(dp1: Trajectories) -> Finding:
-    """At each ClockSpeed above 1 ADSC's median STLC of the longest path is below that of the shortest."""
+    """At each ClockSpeed above 1 ADSC's median STLC on the longest path is below that on the shortest."""
     texts, falls = [], []
     for k in dp1.clocks:
         first, last = (dp1.stlc_by_cell("adsc", k, rounds) for rounds in (dp1.rounds[0], dp1.rounds[-1]))
@@ -105,7 +102,7 @@ def tcsc_beats_adsc(dp1: Trajectories) -> Finding:
 
 
 def tcsc_above_1_8(dp1: Trajectories) -> Finding:
-    """TCSC's pooled median at every ClockSpeed."""
+    """TCSC's pooled median is above 1.8 at every ClockSpeed."""
     medians = {k: dp1.median("tcsc", k) for k in [1.0, *dp1.clocks]}
     lowest = min(medians, key=lambda k: medians[k].value)
     above = all_of(exceeds(median.interval, SIMILAR) for median in medians.values())
@@ -121,7 +118,7 @@ def adsc_only_below_5x(dp1: Trajectories) -> Finding:
 
 
 def tcsc_closer_to_ideal(dp1: Trajectories) -> Finding:
-    """TCSC's effective speed-up over ADSC's, longest path, at each ClockSpeed above 1 and T_move."""
+    """TCSC's effective speed-up exceeds ADSC's at each ClockSpeed above 1 and T_move, on the longest path."""
     ratios = [
         ratio_estimate(tcsc, adsc)
         for k in dp1.clocks
@@ -133,14 +130,14 @@ def tcsc_closer_to_ideal(dp1: Trajectories) -> Finding:
 
 
 def adsc_speedup_grows_with_duration(dp1: Trajectories) -> Finding:
-    """ADSC's effective speed-up at 100x over T_move, longest path."""
+    """ADSC's effective speed-up at 100x grows with T_move, on the longest path."""
     speedups = dp1.speedups("adsc", FASTEST)
     grows = [exceeds(ratio_estimate(longer, shorter).interval, 1.0) for shorter, longer in pairwise(speedups)]
     return Finding(" < ".join(f"{each.value:.3g}" for each in speedups) + "x", all_of(grows))
 
 
 def callback_costs_most(dp1: Trajectories) -> Finding:
-    """Wall time of a command beyond its flight at 100x: ADSC's v TCSC's, longest path; at 1x a command takes T_move."""
+    """ADSC's commands take more wall time beyond their flight at 100x than TCSC's, on the longest path."""
     adsc, tcsc = (
         Estimate(
             *(
@@ -155,21 +152,21 @@ def callback_costs_most(dp1: Trajectories) -> Finding:
 
 
 def _accelerated(margins: Interval, error: float, dp1: Trajectories) -> Finding:
-    """TCSC at 100x, T_move 1 s, longest path: its speed-up, and how far its pooled STLC is below the maximum."""
+    """TCSC at 100x, T_move 1 s, longest path: speed-up within `margins`, pooled STLC within `error` of the maximum."""
     speedup, median = dp1.longest("tcsc", FASTEST, LONGEST_S), dp1.median("tcsc", FASTEST)
     near = exceeds(median.interval, MAXIMUM * (1 - error))
     text = f"{speedup.text('x', 1)}, error {1 - median.value / MAXIMUM:.1%}"
     return Finding(text, all_of([within(speedup.interval, margins), near]))
 
 
-# The paper gives 50x, 62x and 65x for one thing in three places: each is taken as "50x to 65x" within its error.
+# The paper gives 50x, 62x and 65x for one number in three places: each is read as "50x to 65x" within its own error.
 speedup_62x = partial(_accelerated, (50.0, 65.0), 0.09)
 speedup_65x = partial(_accelerated, (50.0, 65.0), 0.10)
 speedup_50x = partial(_accelerated, (50.0, 65.0), 1.0)
 
 
 def _difference(dp1: Trajectories, first: list[FloatArray], second: list[FloatArray]) -> Interval:
-    """Interval of the difference of two pooled medians."""
+    """Return the interval of the difference of two pooled medians."""
 
     def difference(*cells: FloatArray) -> FloatArray:
         return pooled_median(*cells[: len(first)]) - pooled_median(*cells[len(first) :])
@@ -181,7 +178,7 @@ def _difference(dp1: Trajectories, first: list[FloatArray], second: list[FloatAr
 
 
 def _images_within(clock_speed: float, percent: float, dp2: Images) -> Finding:
-    """Every image's distance and DVS-ED: the paper's points are all within."""
+    """The distance and the DVS-ED of every image are within the limits, as all of the paper's points are."""
     cloud = dp2.cloud(clock_speed)
     distance_m, dvs_ed = cloud.position_error_m.max(), cloud.dvs_ed_percent
     text = (
@@ -196,7 +193,7 @@ images_at_10x = partial(_images_within, 10.0, 5.0)
 
 
 def images_beyond_10x(dp2: Images) -> Finding:
-    """From 10x to 50x and 100x both medians grow, the DVS-ED by more percent of its scale than the distance in cm."""
+    """From 10x to 50x and 100x both medians grow, the DVS-ED by more per cent than the distance by centimetres."""
     slow, *fast = (
         (np.median(cloud.dvs_ed_percent), 100 * np.median(cloud.position_error_m))
         for cloud in map(dp2.cloud, (10.0, 50.0, 100.0))
@@ -207,8 +204,8 @@ def images_beyond_10x(dp2: Images) -> Finding:
 
 
 def same_place_other_images(dp2: Images) -> Finding:
-    """At 50x and 100x, of images within the same 5 cm of distance: their DVS-ED about the median there spans, from its
-    5 to its 95 % quantile, more than the 5 % that all of it has at 10x.
+    """At 50x and 100x the DVS-ED of images within the same 5 cm of distance, less its median there, spans more from its
+    5 to its 95 % quantile than the 5 % of all images at 10x.
     """
     texts, wide = [], []
     for k in (50.0, 100.0):
@@ -223,7 +220,7 @@ def same_place_other_images(dp2: Images) -> Finding:
 
 
 def guard_keeps_out(dp2: Images) -> Finding:
-    """Of the images handed on, the share of perturbed ones with the guard is at most .8 of that without."""
+    """The perturbed share of the accepted images with the guard is at most .8 of that without."""
     without, guarded = dp2.handed_on_perturbed()
     kept = ratio_estimate(*(success_estimate([each]) for each in (guarded, without)))
     text = f"{without.ratio:.1%} to {guarded.ratio:.1%}: {kept.text(' of them', 2)}"

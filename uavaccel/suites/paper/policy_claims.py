@@ -1,6 +1,6 @@
-"""The claims on training (section IV-D), one function each: what the runs say of it. Its name is the claim's id.
+"""The claims on training (section IV-D), decided by a function each, which has the claim's id as its name.
 
-They are decided as those of flight_claims.py are: by whether an interval lies within stated margins.
+As in flight_claims.py, a claim is decided by whether an interval lies within stated margins.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, draw_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.paper.evidence import (
+    BESIDE_SIMULATION,
     SIMULATION,
-    THINKING,
     Finding,
     NoEvidence,
     Policies,
@@ -24,21 +24,21 @@ from uavaccel.suites.paper.evidence import (
 )
 from uavaccel.suites.paper.flight_claims import FASTEST, LONGEST_S
 
-# Success over that at 1x. Alike: the margins of bioequivalence, 80 to 125 %, on a ratio's own scale; the paper's 21 to
-# 23 lies within, its 21 to 13 and 21 to 30 outside. A collapse keeps at most a third: of 23 to 1 of 100 games the
-# interval reaches to a quarter. In between lie losses such as 38 %.
+# Margins of success over that at 1x. ALIKE are the margins of bioequivalence, 80 to 125 %: the paper's 21 to 23 lies
+# within, its 21 to 13 and 21 to 30 outside. A COLLAPSE keeps at most a third: the interval of 23 to 1 of 100 games
+# reaches to a quarter. In between lies a LOSS, such as 38 %.
 COLLAPSE: Interval = (0.0, 1 / 3)
 LOSS: Interval = (1 / 3, 0.8)
 ALIKE: Interval = (0.8, 1.25)
 GAIN: Interval = (1.25, np.inf)
-FLIES = 0.1  # success that a policy trained at 1x must have, or there is nothing to lose
-SPEEDUP: Interval = (0.85, 1.15)  # times the paper's
+FLIES = 0.1  # success that a policy trained at 1x needs for a comparison
+SPEEDUP: Interval = (0.85, 1.15)  # relative to the paper's
 
 
 def _compared(
     first: tuple[str, float], second: tuple[str, float], margins: Interval, rl: Policies
 ) -> Finding:
-    """Success of the second training over that of the first, which must fly."""
+    """The success of the second training over that of the first, which must be able to fly, lies within `margins`."""
     after, before = rl.success(*second), rl.success(*first)
     _check_flies(rl.trainings(*first), f"{first[0].upper()} at {first[1]:g}x")
     if before.high * margins[0] > 1:
@@ -67,8 +67,9 @@ def adsc_fails_accelerated(rl: Policies) -> Finding:
 
 
 def policy_flies_with_both(rl: Policies) -> Finding:
-    """Policies that TCSC trained in real time, flown with both commands; that the lanes are the same makes the interval
-    of the ratio wider than it need be.
+    """Policies trained with TCSC in real time have equal success with both commands.
+
+    As the lanes are the same, the interval of the ratio is wider than necessary.
     """
     with_tcsc, with_adsc = rl.interchanged()
     _check_flies([with_tcsc], "TCSC at 1x")
@@ -78,7 +79,7 @@ def policy_flies_with_both(rl: Policies) -> Finding:
 
 
 def lines_peak_at_obstacles(rl: Policies) -> Finding:
-    """Of TCSC's games that end before the goal, at each ClockSpeed, more end within 1 m of a row of obstacles than the
+    """At each ClockSpeed, of TCSC's games that end before the goal more end within 1 m of a row of obstacles than the
     rows' share of the lane.
     """
     rows_m = np.unique(draw_layout(0, Difficulty()).x_m)
@@ -107,22 +108,22 @@ def _won(rl: Policies, command: str, clock_speed: float) -> str:
 
 
 def _share(trainings: list[Proportion]) -> str:
-    """290 of 300 (97%), or of several trainings 2900 of 3000 (97%, 10 trainings)."""
-    won, games = (sum(getattr(each, name) for each in trainings) for name in ("successes", "games"))
+    """Return the games won, as in "290 of 300 (97%)" or, of several trainings, "2900 of 3000 (97%, 10 trainings)"."""
+    pooled = Proportion.pooled(trainings)
     several = f", {len(trainings)} trainings" if len(trainings) > 1 else ""
-    return f"{won} of {games} ({won / games:.0%}{several})"
+    return f"{pooled.successes} of {pooled.games} ({pooled.ratio:.0%}{several})"
 
 
 def _training_speedup(
     phases: tuple[str, ...], paper: dict[float, float], clock_speed: float, rl: Policies
 ) -> Finding:
-    """Within 15 % of the paper's, in either direction."""
+    """The speed-up of a training is within 15 % of the paper's, in either direction."""
     speedup, aim = rl.speedup(clock_speed, phases), paper[clock_speed]
     return Finding(f"{speedup.value:.3g}x", within(speedup.interval, (SPEEDUP[0] * aim, SPEEDUP[1] * aim)))
 
 
 _simulation = partial(_training_speedup, SIMULATION, paper_results.SIMULATION_SPEEDUP)
-_whole = partial(_training_speedup, (*SIMULATION, *THINKING), paper_results.TRAINING_SPEEDUP)
+_whole = partial(_training_speedup, (*SIMULATION, *BESIDE_SIMULATION), paper_results.TRAINING_SPEEDUP)
 training_speedup_5x = partial(_simulation, 5.0)
 training_speedup_10x = partial(_simulation, 10.0)
 training_speedup_50x = partial(_simulation, 50.0)
@@ -132,15 +133,17 @@ week_to_day_and_a_half = partial(_whole, 10.0)
 
 
 def simulation_dominates_at_1x(rl: Policies) -> Finding:
-    """Simulation with rendering takes more than half of a command's time in real time."""
-    simulation, whole = (rl.command_s("adsc", 1.0, each) for each in (SIMULATION, (*SIMULATION, *THINKING)))
+    """Simulation with rendering takes more than half of the time of a command in real time."""
+    simulation, whole = (
+        rl.command_s("adsc", 1.0, each) for each in (SIMULATION, (*SIMULATION, *BESIDE_SIMULATION))
+    )
     return Finding(
         f"{simulation.value / whole.value:.1%}", exceeds(ratio_estimate(simulation, whole).interval, 0.5)
     )
 
 
 def rendering_costs_scalability(dp1: Trajectories, rl: Policies) -> Finding:
-    """At 100x TCSC's speed-up without rendering, T_move 1 s, longest path, is more than twice that with rendering."""
+    """TCSC's speed-up at 100x, T_move 1 s, longest path, is more than twice as high without rendering as with it."""
     without, rendered = dp1.longest("tcsc", FASTEST, LONGEST_S), rl.speedup(FASTEST)
     text = f"{without.value:.3g}x v {rendered.value:.3g}x"
     return Finding(text, exceeds(ratio_estimate(without, rendered).interval, 2.0))

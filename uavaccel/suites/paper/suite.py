@@ -1,36 +1,26 @@
-"""The paper as a suite: its games are whole runs of other suites, its report is the verdict on each claim."""
+"""The suite `paper`: its cases are whole runs of other suites, its report has the verdict on each claim."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.paper.config import PaperConfig, read_claims
-from uavaccel.suites.paper.report import PaperReport
-from uavaccel.suites.paper.verdicts import training_run
+from uavaccel.suites.paper.report import PaperReport, training_run
 from uavaccel.suites.parts import fly_part, part_cost, part_suite
-from uavaccel.suites.suite import Cost, GameResult, Suite
+from uavaccel.suites.rows import GameRow
+from uavaccel.suites.suite import Cost, GameResult, SimpleCase, Suite
 
 
-@dataclass(frozen=True)
-class Case:
-    """A part: one run of another suite."""
+class PaperRow(GameRow):
+    """The row of a part: a run of another suite."""
 
-    name: str
-    part_s: float
-    timing: str = "virtual"
-
-    @property
-    def id(self) -> str:
-        return self.name
-
-    def simulated_s(self) -> float:
-        return self.part_s
+    cells: int
+    """Number of entries in its summary."""
 
 
-class Paper(Suite[PaperConfig, Case]):
+class Paper(Suite[PaperConfig, SimpleCase]):
     """`uavaccel run paper`."""
 
     name = "paper"
@@ -43,12 +33,12 @@ class Paper(Suite[PaperConfig, Case]):
         if config.with_run is not None:
             training_run(config.with_run)
 
-    def cases(self, config: PaperConfig) -> Iterator[Case]:
+    def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name, part in config.parts.items():
-            yield Case(name, part_cost(part, config.seed)[0])
+            yield SimpleCase(name, "virtual", part_cost(part, config.seed)[0])
 
-    def cost(self, config: PaperConfig, case: Case) -> Cost:
-        return part_cost(config.parts[case.name], config.seed)[1]
+    def cost(self, config: PaperConfig, case: SimpleCase) -> Cost:
+        return part_cost(config.parts[case.id], config.seed)[1]
 
     def renders(self, config: PaperConfig) -> bool:
         suites = [part_suite(part, config.seed) for part in config.parts.values()]
@@ -59,6 +49,7 @@ class Paper(Suite[PaperConfig, Case]):
     ) -> AbstractContextManager[RunDirectory]:
         return nullcontext(run)
 
-    def fly(self, config: PaperConfig, case: Case, opened: RunDirectory) -> GameResult:
-        summary = fly_part(opened, case.name, config.parts[case.name], config.seed)
-        return GameResult({"suite": self.name, "case": case.id, "cells": len(summary["cells"])})
+    def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
+        summary = fly_part(opened, case.id, config.parts[case.id], config.seed)
+        row: PaperRow = {"suite": self.name, "case": case.id, "cells": len(summary["cells"])}
+        return GameResult(row)

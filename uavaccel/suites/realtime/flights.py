@@ -13,7 +13,7 @@ from uavaccel.suites.realtime.agents import LookAhead, Policy, Weights, train
 from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase
 from uavaccel.suites.realtime.config import RealtimeConfig
 from uavaccel.suites.realtime.environments import Env, measured, timed
-from uavaccel.suites.report import GameRow
+from uavaccel.suites.rows import GameRow
 from uavaccel.units import seconds_to_ns
 
 EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than those of trainings

@@ -1,24 +1,64 @@
-"""A cell of the experiment: a training, and the evaluations of its policy, each a run directory of its own."""
+"""Cases of the RL experiment, each a training and the evaluations of its policy, and estimates of their cost."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
-from uavaccel.rl.agents import FLIGHT, SENSES
+import numpy as np
+
+from uavaccel.envs.simulators import EXACT as EXACT_SIMULATOR
+from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
+from uavaccel.rl.config import OWN, DqnOptions
 from uavaccel.suites.experiment import CommandName, ProfileName
-from uavaccel.suites.parts import Part
+from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
+from uavaccel.suites.rows import GameRow
 
-OF_DECISIONS = ("inference_s",)  # keys of a training that its evaluations have too
+OF_DECISIONS = ("inference_s",)  # keys of a training that also apply to its evaluations
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
-EXACT = "exact"  # what an evaluation in the exact simulator is called
+EXACT = "exact"  # name of an evaluation in the exact simulator
+
+
+class TrainingResult(TypedDict):
+    """What a row keeps of the summary of its training."""
+
+    games: int
+    successes: int
+    commands: int
+    sim_time_s: float
+    phase_s: dict[str, float]
+    weights_sha256: str
+
+
+class EvaluationResult(TypedDict):
+    """What a row keeps of the summary of one evaluation."""
+
+    command: CommandName
+    clock_speed: float
+    timing: str
+    simulator: str
+    games: int
+    successes: int
+
+
+class RlRow(GameRow):
+    """The row of a training with the evaluations of its policy, or of its evaluation in the exact simulator alone."""
+
+    variant: str
+    profile: ProfileName
+    timing: SimulatedTiming
+    command: CommandName
+    clock_speed: float
+    seed: int
+    training: NotRequired[TrainingResult]
+    evaluations: list[EvaluationResult]
 
 
 class Size(NamedTuple):
-    """About how much a cell is."""
+    """An estimate of what a cell takes."""
 
     games: int = 0
     simulated_s: float = 0.0
@@ -28,7 +68,7 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainingCase:
-    """One training of a command at a ClockSpeed, by its seed, and what is flown with it."""
+    """One training of a command at a ClockSpeed with a seed, and the evaluations of its policy."""
 
     variant: str
     profile: ProfileName
@@ -40,12 +80,12 @@ class TrainingCase:
     task: dict[str, Any] = field(default_factory=dict, compare=False)
     learner: dict[str, Any] = field(default_factory=dict, compare=False)
     exact: bool = False
-    """Whether this is no training, but the exact simulator's evaluation of what it gave."""
+    """Whether this is no training, but the evaluation of its policy in the exact simulator."""
     size: Size = field(default=Size(), compare=False)
 
     @property
     def trained(self) -> str:
-        """Name of the training."""
+        """The training's name."""
         names = [self.variant, self.profile, self.clock, self.command, f"{self.clock_speed:g}x"]
         return "-".join([name for name in names if name] + [f"seed{self.seed}"])
 
@@ -58,9 +98,10 @@ class TrainingCase:
 
 
 def cases(config: RlConfig) -> Iterator[TrainingCase]:
-    """Seed by seed, so that a run that is stopped has whole tables; in each the blocks in order, slow clocks first.
+    """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
 
-    The exact simulator's evaluations follow, in the same order.
+    Those of a seed are in the order of the blocks, slow clocks first. The evaluations in the exact simulator follow, in
+    the same order.
     """
     for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
         for seed in range(config.seed, config.seed + seeds):
@@ -81,7 +122,7 @@ def cases(config: RlConfig) -> Iterator[TrainingCase]:
 
 
 def training_part(config: RlConfig, cell: TrainingCase) -> Part:
-    """The cell's training."""
+    """Return the training of a cell."""
     keys = {
         **config.training.keys,
         "games": config.games,
@@ -96,16 +137,16 @@ def training_part(config: RlConfig, cell: TrainingCase) -> Part:
 
 
 class Flight(NamedTuple):
-    """How a policy is evaluated."""
+    """The command and ClockSpeed of an evaluation."""
 
     command: CommandName
     clock_speed: float
     name: str
-    """Of its folder, and before the names of its arrays."""
+    """The suffix of its folder, and the prefix of its arrays' names."""
 
 
 def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
-    """In real time first, with the cell's own command and then the other; as it was trained, in that order too."""
+    """Return the evaluations of a cell: in real time with its own command, then the other, then both as trained."""
     real_time = config.evaluation_clock_speed
     if cell.exact:
         return [Flight(cell.command, real_time, EXACT)]
@@ -117,12 +158,12 @@ def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
 
 
 def other_command(command: CommandName) -> CommandName:
-    """Of the two the one that it is not."""
+    """Return the other one of the two commands."""
     return "adsc" if command == "tcsc" else "tcsc"
 
 
 def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent: str | Path) -> Part:
-    """A flight of the cell's policy, on the clock that it was trained by; what it sees is the policy's own affair."""
+    """Return an evaluation of the cell's policy on the clock of its training, with the policy's own observation."""
     part = config.exact if cell.exact else config.evaluation
     own = {key: value for key, value in cell.task.items() if key.split(".")[1] not in SENSES + FLIGHT}
     keys = {
@@ -136,3 +177,45 @@ def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent:
         **{key: cell.learner[key] for key in OF_DECISIONS if key in cell.learner},
     }
     return Part(experiment=part.experiment, keys=keys)
+
+
+GPU_RATE = 1_500.0  # approximate simulated seconds per wall second of many exact lanes rendered by one GPU
+CELL_BYTES = 2e6  # a policy and its learning curves
+
+
+def _seeded_parts(config: RlConfig, cell: TrainingCase) -> list[tuple[Part, int]]:
+    """Return training and evaluations with their seeds; the policy that ships is the placeholder of the cell's own."""
+    flown = [evaluation_part(config, cell, flight, DEFAULT) for flight in flights(config, cell)]
+    trained = [] if cell.exact else [(training_part(config, cell), cell.seed)]
+    return [*trained, *((part, EVALUATION_SEED) for part in flown)]
+
+
+def part_configs(config: RlConfig, cell: TrainingCase) -> list[Any]:
+    """Return the configurations of the cell's training and evaluations. Raises UserError for invalid ones."""
+    return [part_suite(part, seed)[1] for part, seed in _seeded_parts(config, cell)]
+
+
+def size_of(config: RlConfig, cell: TrainingCase) -> Size:
+    """Estimate games, simulated and wall seconds, and bytes on disk of a cell."""
+    configs = part_configs(config, cell)
+    costs = [part_cost(part, seed) for part, seed in _seeded_parts(config, cell)]
+    simulated_s = sum(part_s for part_s, _ in costs)
+    first = configs[0]
+    drawn_by_gpu = first.simulator == EXACT_SIMULATOR and str(first.device).startswith("cuda")
+    return Size(
+        sum(part.games for part in configs),
+        simulated_s,
+        simulated_s / GPU_RATE if drawn_by_gpu else sum(cost.wall_s for _, cost in costs),
+        sum(cost.disk_bytes for _, cost in costs) + (0.0 if cell.exact else CELL_BYTES),
+    )
+
+
+def checkpoint_bytes(config: RlConfig, cell: TrainingCase) -> float:
+    """Return the largest size of a training's checkpoint, that of its replay buffer; 0 where it writes none."""
+    training = part_configs(config, cell)[0]
+    if getattr(training, "algorithm", "") != OWN or training.games <= training.checkpoint_games:
+        return 0.0
+    space = training.task.observation_space()
+    flown = training.games * training.task.typical_s / training.task.t_move_s
+    kept = min(DqnOptions.of(training).buffer_size, flown)
+    return float(2 * kept * np.prod(space.shape) * space.dtype.itemsize)

@@ -1,4 +1,4 @@
-"""Configuration of the RL experiment: which trainings, how they are evaluated, and which of them a run does."""
+"""Configuration of the RL experiment: the trainings, how they are evaluated, and which of them a run selects."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Block(Config):
     command: CommandNames = ("adsc", "tcsc")
     clock_speed: ClockSpeeds
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
-    """What sets these trainings apart from others of the same command and ClockSpeed; claims look at those without."""
+    """Distinguishes these trainings from others of the same command and ClockSpeed; claims use those without one."""
     task: dict[str, Any] = Field(default_factory=dict)
-    """Keys of the task, dotted, in training and evaluation."""
+    """Dotted keys of the task, in training and evaluation."""
     training: dict[str, Any] = Field(default_factory=dict)
-    """Other keys of the training, dotted; what a decision takes, `inference_s`, it takes in evaluations too."""
+    """Other dotted keys of the training; `inference_s`, the time of a decision, also applies to evaluations."""
 
 
 class RlConfig(Experiment):
@@ -34,25 +34,25 @@ class RlConfig(Experiment):
 
     suite: Literal["rl"]
     seeds: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Trainings of each cell, with seeds `seed`, `seed` + 1 and so on; evaluations have seed 0, or their keys'."""
+    """Trainings of each cell, with seeds `seed`, `seed` + 1 and so on; evaluations have seed 0 or their keys'."""
     games: Games = 5000
-    """Of a training."""
+    """Games of each training."""
     cells: Annotated[tuple[Block, ...], Field(min_length=1)]
     training: Part = Part(experiment="train")
     evaluation: Part = Part(experiment="evaluate", keys={"games": 100})
     evaluation_clock_speed: ClockSpeed = 1.0
-    """1: in real time, as the paper's (IV-D), of a simulated wall clock."""
+    """ClockSpeed of the evaluations; 1 is real time, as in the paper (section IV-D), on a simulated wall clock."""
     as_trained: bool = False
-    """Whether policies are flown at the ClockSpeed of their training too."""
+    """Whether policies are also evaluated at the ClockSpeed of their training."""
     interchange: bool = True
-    """Whether policies are flown with the command that they were not trained with too (section III-C3)."""
+    """Whether policies are also evaluated with the command that they were not trained with (section III-C3)."""
     exact_seeds: Annotated[int, Field(ge=0, le=1000)] = 0
-    """Of so many seeds, the first ones, policies are flown in the exact simulator too, once all are trained."""
+    """Number of seeds whose policies are also evaluated in the exact simulator, once all are trained."""
     exact: Part = Part(experiment="evaluate")
-    """How: in real time, with the command of the training, on the lanes of `evaluation`."""
+    """That evaluation: in real time, with the command of the training, on the lanes of `evaluation`."""
 
     command: tuple[CommandName, ...] = ()
-    """Of the cells only those; all where nothing is said, as with the next three."""
+    """Commands to select; this and the next three keys select all cells where they are left out."""
     clock_speed: tuple[float, ...] = ()
     profile: ProfileName | None = None
     timing: SimulatedTiming | None = None
@@ -85,7 +85,7 @@ class RlConfig(Experiment):
         return self
 
     def selects(self, block: Block, pair: tuple[float, CommandName]) -> bool:
-        """Whether a run does this cell of a block."""
+        """Return whether a run selects this cell of a block."""
         clock_speed, command = pair
         return (
             clock_speed in (self.clock_speed or (clock_speed,))
@@ -96,5 +96,5 @@ class RlConfig(Experiment):
 
 
 def pairs(block: Block) -> list[tuple[float, CommandName]]:
-    """ClockSpeed and command of each of its cells."""
+    """Return ClockSpeed and command of each cell of a block."""
     return [(clock_speed, command) for clock_speed in block.clock_speed for command in block.command]

@@ -1,4 +1,4 @@
-"""The figures of the RL experiment, out of its summary and the lanes' outcomes."""
+"""The figures of the RL experiment's report, from its summary and the outcomes of its lanes."""
 
 from __future__ import annotations
 
@@ -16,86 +16,84 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Row, Summary, SummaryCell, listed
-from uavaccel.suites.rl.distances import plot_distances
+from uavaccel.suites.report import Summary, SummaryCell, listed
+from uavaccel.suites.rl.cases import RlRow
 from uavaccel.suites.rl.gaps import over_gaps
-from uavaccel.suites.rl.success import SuccessLine, plot_success, plot_success_over_gap
-from uavaccel.suites.rl.training_time import TrainingTime, plot_training_time
-
-TABLE_I, FIGURE_8, FIGURE_9, GAPS = (
-    "figures/table1_success.png",
-    "figures/figure8_distances.png",
-    "figures/figure9_training_time.png",
-    "figures/success_over_gap.png",
+from uavaccel.suites.rl.plots import (
+    SuccessLine,
+    plot_distances,
+    plot_success,
+    plot_success_over_gap,
+    plot_training_time,
 )
+from uavaccel.suites.rl.summary import key_of
 
 
 def panel_name(cell: SummaryCell) -> str:
-    """TCSC, airsim; where it says more, its clock and variant."""
+    """Return command and profile, as in "TCSC, airsim", with timing and variant where they are not the usual ones."""
     clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
     variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
 
 
-def is_papers(cell: SummaryCell) -> bool:
-    """Whether the paper has trained so: under AirSim, and nothing else changed."""
-    return cell["profile"] == "airsim" and cell["timing"] == "virtual" and not cell["variant"]
-
-
-def draw_figures(run: RunDirectory, summary: Summary, rows: Sequence[Row]) -> list[Picture]:
-    """Table I, Figure 8 and Figure 9 as pictures with their captions."""
+def plot_figures(run: RunDirectory, summary: Summary, rows: Sequence[RlRow]) -> list[Picture]:
+    """Plot Table I, Figure 8 and, where a clock was simulated, Figure 9."""
     pooled = summary["pooled"]
     seeds = listed(sorted({seed for cell in pooled for seed in cell["seeds"]}))
     source = f"modelled · {summary['training_games']} training games each · seed {seeds}"
-    table = style.save(plot_success(success_lines(pooled), "Success by training", source), run.file(TABLE_I))
     distances = _by_panel(pooled, lambda cell: distances_m(run, rows, cell))
     rows_m = np.unique(draw_layout(0, Difficulty()).x_m).tolist()
-    figure8 = style.save(plot_distances(distances, rows_m, source), run.file(FIGURE_8))
     pictures = [
-        Picture(
-            table,
+        style.picture(
+            plot_success(success_lines(pooled), "Success by training", source),
+            run.file("figures/table1_success.png"),
             "Table I as a picture: bars are 95 % intervals over seeds and games, of the paper's Wilson's; dots are "
-            f"seeds. Source: {source}.",
+            "seeds.",
+            source,
         ),
-        Picture(figure8, f"Figure 8. How far the evaluated policies got, seeds pooled. Source: {source}."),
+        style.picture(
+            plot_distances(distances, rows_m, source),
+            run.file("figures/figure8_distances.png"),
+            "Figure 8. How far the evaluated policies got, seeds pooled.",
+            source,
+        ),
     ]
-    timed = [cell for cell in pooled if cell["timing"] == "virtual"]
-    if timed:
-        times = {name: list(panel.values()) for name, panel in _by_panel(timed, training_time).items()}
-        figure9 = style.save(plot_training_time(times, source), run.file(FIGURE_9))
-        pictures.append(
-            Picture(
-                figure9,
-                f"Figure 9. Modelled time of a training by phase, mean of its seeds. Source: {source}.",
-            )
-        )
+    if timed := [cell for cell in pooled if cell["timing"] == "virtual"]:
+        figure = plot_training_time(_by_panel(timed, lambda cell: cell), source)
+        path = run.file("figures/figure9_training_time.png")
+        caption = "Figure 9. Modelled time of a training by phase, mean of its seeds."
+        pictures.append(style.picture(figure, path, caption, source))
     return pictures
 
 
-def draw_gaps(run: RunDirectory, summary: Summary) -> list[Picture]:
-    """Success in real time over the gap of the training; nothing where too few gaps were trained with."""
+def plot_gaps(run: RunDirectory, summary: Summary) -> list[Picture]:
+    """Plot success in real time over the gap of the training; nothing where there are too few gaps."""
     mapped = over_gaps(summary["pooled"])
     if not mapped:
         return []
     source = f"modelled · {summary['training_games']} training games each"
-    colours = cycle(style.CYCLE)
     lines = [
-        success_line(each.label, each.cells, [cell["gap_s"] for cell in each.cells], next(colours))
-        for each in mapped
+        success_line(each.label, each.cells, [cell["gap_s"] for cell in each.cells], style.colour(number))
+        for number, each in enumerate(mapped)
     ]
     title = "Success in real time over the gap of the training"
-    path = style.save(plot_success_over_gap(lines, title, source), run.file(GAPS))
-    said = "A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
-    return [Picture(path, f"{title}. {said} Source: {source}.")]
+    caption = f"{title}. A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
+    path = run.file("figures/success_over_gap.png")
+    return [style.picture(plot_success_over_gap(lines, title, source), path, caption, source)]
 
 
 def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
-    """A line for each command, profile and variant; beside the paper's profile the paper's own numbers."""
+    """Return a line for each command, profile and variant, and the paper's own numbers for its profile."""
     lines: list[SuccessLine] = []
     others = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY))
     for name, panel in _by_panel(pooled, lambda cell: cell).items():
         members = list(panel.values())
-        colour = None if is_papers(members[0]) else next(others)
+        usual = (members[0]["profile"], members[0]["timing"], members[0]["variant"]) == (
+            "airsim",
+            "virtual",
+            "",
+        )
+        colour = None if usual else next(others)  # the paper's trainings have their command's own colour
         lines.append(success_line(name, members, list(panel), colour))
         known = [cell for cell in members if cell["paper_successes"] is not None]
         if known:
@@ -106,7 +104,7 @@ def success_lines(pooled: Sequence[SummaryCell]) -> list[SuccessLine]:
 def success_line(
     label: str, cells: Sequence[SummaryCell], at: Sequence[float], colour: str | None = None
 ) -> SuccessLine:
-    """Cells with the intervals over seeds and games, each at its ClockSpeed or gap."""
+    """Return a line through cells, each at its ClockSpeed or gap, with the intervals over seeds and games."""
     return SuccessLine(
         label,
         cells[0]["command"],
@@ -129,34 +127,14 @@ def _papers(cells: Sequence[SummaryCell]) -> SuccessLine:
     )
 
 
-def distances_m(run: RunDirectory, rows: Sequence[Row], cell: SummaryCell) -> NDArray[np.float64]:
-    """Metres north in all evaluation games of a cell, its seeds together."""
-    keys = ("variant", "profile", "timing", "command", "clock_speed")
+def distances_m(run: RunDirectory, rows: Sequence[RlRow], cell: SummaryCell) -> NDArray[np.float64]:
+    """Return the distances north of all evaluation games of a cell, its seeds pooled."""
     arrays = [
         run.load_arrays(row)[f"{row['command']}_distance_m"]
         for row in rows
-        if "training" in row and all(row[key] == cell[key] for key in keys)
+        if "training" in row and key_of(row) == key_of(cell)
     ]
     return np.concatenate(arrays)
-
-
-def training_time(cell: SummaryCell) -> TrainingTime:
-    """Of one training: the mean of the seeds; rendering is part of the paper's simulation."""
-    mean_s = {phase: spent / len(cell["seeds"]) for phase, spent in cell["phase_s"].items()}
-    phases = {
-        "simulation (with rendering)": mean_s["simulation"] + mean_s["rendering"],
-        "image processing": mean_s["image_processing"],
-        "inference": mean_s["inference"],
-        "learning": mean_s["learning"],
-    }
-    return TrainingTime(
-        cell["clock_speed"],
-        phases,
-        cell["training_speedup"],
-        cell["whole_training_speedup"],
-        cell["paper_training_speedup"],
-        cell["paper_whole_training_speedup"],
-    )
 
 
 def _by_panel(

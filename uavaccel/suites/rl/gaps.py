@@ -1,4 +1,4 @@
-"""Where acceleration breaks a policy: success in real time over the gap between two commands of its training."""
+"""Where acceleration breaks a policy: success in real time over the gap between two commands of the training."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import NamedTuple
 from uavaccel.draw.style import command_name
 from uavaccel.suites.report import SummaryCell
 
-THINKING = re.compile(r"_?think_\d+ms$")  # ends the variants that differ in what a decision takes alone
-LEAST_GAPS = 3  # of a run that says anything of gaps
-LEAST_CELLS = 3  # of a line
-COLLAPSED = 0.5  # of the best success on the lane
+THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
+LEAST_GAPS = 3  # that a run needs for a figure
+LEAST_CELLS = 3  # that a line needs
+COLLAPSED = 0.5  # share of the best success on the lane
 
 
 class GapLine(NamedTuple):
-    """Cells of one command on one lane, whatever their ClockSpeed and their thinking, by rising gap."""
+    """The cells of one command on one lane, of all ClockSpeeds and durations of a decision, by rising gap."""
 
     command: str
     lane: str
-    """Profile, and the variant without its thinking."""
+    """Profile, and variant without the duration of a decision."""
     cells: list[SummaryCell]
 
     @property
@@ -29,7 +29,7 @@ class GapLine(NamedTuple):
 
 
 def over_gaps(pooled: Sequence[SummaryCell]) -> list[GapLine]:
-    """A line per command and lane with three cells or more; none where a run has fewer than three different gaps."""
+    """Return a line per command and lane with three cells or more; none where a run has fewer than three gaps."""
     virtual = [cell for cell in pooled if cell["timing"] == "virtual"]
     if len({cell["gap_s"] for cell in virtual}) < LEAST_GAPS:
         return []
@@ -44,25 +44,25 @@ def over_gaps(pooled: Sequence[SummaryCell]) -> list[GapLine]:
 
 
 def lane_of(cell: SummaryCell) -> str:
-    """airsim; airsim, hard of the variant hard_think_100ms."""
+    """Return profile and lane of a cell: "airsim, hard" of the variant hard_think_100ms."""
     variant = THINKING.sub("", cell["variant"]).replace("_", " ")
     return f"{cell['profile']}, {variant}" if variant else str(cell["profile"])
 
 
 def collapse(lines: Sequence[GapLine]) -> str:
-    """From which gap on success stays below half of the lane's best, for each line with three gaps or more."""
-    said = []
+    """Return in words from which gap on success stays below half of the lane's best."""
+    sentences = []
     for line in lines:
         if len({cell["gap_s"] for cell in line.cells}) >= LEAST_GAPS:
             best = max(
                 cell["success_ratio"] for each in lines if each.lane == line.lane for cell in each.cells
             )
-            said.append(f"{line.label}: {_from(line.cells, best)}.")
-    return " ".join(said)
+            sentences.append(f"{line.label}: {_from(line.cells, best)}.")
+    return " ".join(sentences)
 
 
 def collapse_gap_s(cells: Sequence[SummaryCell], best: float) -> float | None:
-    """Of cells by rising gap the smallest gap from which success stays below half of `best`; None: there is none."""
+    """Return the smallest gap from which success stays below half of `best`, of cells by rising gap, if any."""
     above = [cell["gap_s"] for cell in cells if cell["success_ratio"] >= COLLAPSED * best]
     below = [cell["gap_s"] for cell in cells if not above or cell["gap_s"] > above[-1]]
     return min(below, default=None)

@@ -1,9 +1,9 @@
-"""The RL experiment's report: Table I, Figures 8 and 9, the interchange test, and what a training took."""
+"""The RL experiment's report: Table I, Figures 8 and 9, the interchange test, and the time of the trainings."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
@@ -11,16 +11,16 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
 from uavaccel.suites.report import Column, Report, Summary, SummaryCell, listed, number
-from uavaccel.suites.rl.figures import draw_figures, draw_gaps, panel_name
+from uavaccel.suites.rl.figures import panel_name, plot_figures, plot_gaps
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
-from uavaccel.suites.rl.summary import KEY, summarise
+from uavaccel.suites.rl.summary import CellKey, key_of, summarise
 
-Minutes = Mapping[tuple[Any, ...], float]
-"""Of this machine, by `KEY`."""
+Minutes = Mapping[CellKey, float]
+"""Minutes of training on this machine, by the conditions of the training."""
 
 
 class RlReport(Report):
-    """Of `uavaccel run rl`."""
+    """The report of `uavaccel run rl`."""
 
     def summarise(self) -> Summary:
         return summarise(self.config, self.rows, self.run.load_arrays)
@@ -29,7 +29,7 @@ class RlReport(Report):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self) -> str:
-        """How many trainings, of what size, evaluated on what."""
+        """Return the number and size of the trainings, and the lanes of their evaluations."""
         cells, trained = self.summary["cells"], self.summary["training_games"]
         lanes = listed(sorted({cell["games"] for cell in cells}))
         clock = clock_label(self.summary["evaluation_clock_speed"])
@@ -48,7 +48,7 @@ class RlReport(Report):
         )
 
     def figures(self) -> list[Picture]:
-        return draw_figures(self.run, self.summary, self.rows)
+        return plot_figures(self.run, self.summary, self.rows)
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         summary, pooled = self.summary, self.summary["pooled"]
@@ -63,7 +63,7 @@ class RlReport(Report):
             blocks += [
                 Heading("Success in real time over the gap of the training"),
                 Paragraph(collapse(lines)),
-                *draw_gaps(self.run, summary),
+                *plot_gaps(self.run, summary),
                 _gap_table(lines),
                 Paragraph(_WHAT_A_GAP_IS),
             ]
@@ -92,12 +92,12 @@ class RlReport(Report):
 
 
 def success(cell: SummaryCell) -> str:
-    """23 of 100: 23.0 % [15.8, 32.2]."""
+    """Return success with Wilson's interval, as in "23 of 100: 23.0% [15.8, 32.2]"."""
     return f"{cell['successes']} of {cell['games']}: {Proportion.of(cell).text(interval_digits=1)}"
 
 
 def over_seeds(cell: SummaryCell) -> str:
-    """23.0 % [12.1, 35.4], the interval over seeds and games."""
+    """Return success with its interval over seeds and games, as in "23.0% [12.1, 35.4]"."""
     low, high = (f"{100 * cell[end]:.1f}" for end in ("seeds_low", "seeds_high"))
     return f"{cell['success_ratio']:.1%} [{low}, {high}]"
 
@@ -168,7 +168,9 @@ def _interchange_table(tests: Sequence[SummaryCell]) -> Table:
 
 def _in_both_simulators(compared: Sequence[SummaryCell]) -> list[Block]:
     lanes, same = (sum(each[name] for each in compared) for name in ("lanes", "same_end"))
-    said = f"Of {lanes} flights of a policy over a lane in real time {same} end alike in both, won or lost."
+    sentence = (
+        f"Of {lanes} flights of a policy over a lane in real time {same} end alike in both, won or lost."
+    )
     table = Table.of(
         compared,
         *_TRAINED,
@@ -177,11 +179,11 @@ def _in_both_simulators(compared: Sequence[SummaryCell]) -> list[Block]:
         ("end alike", lambda each: f"{each['same_end']} of {each['lanes']}"),
         number("McNemar p", "mcnemar_p", "{:.2g}"),
     )
-    return [Paragraph(said), table]
+    return [Paragraph(sentence), table]
 
 
 def _weights(trained: SummaryCell) -> str:
-    """Whether trainings at several ClockSpeeds are one."""
+    """Return in words whether trainings at several ClockSpeeds learned the same weights."""
     clocks = listed([clock_label(clock) for clock in trained["clock_speed"]])
     seeds, equal = len(trained["seeds"]), len(trained["equal"])
     same = "one training each" if equal == seeds else f"{seeds - equal} learned others"
@@ -199,7 +201,7 @@ def _time_table(pooled: Sequence[SummaryCell], minutes: Minutes) -> Table:
         number("the paper's", "paper_training_speedup", "{:g}x"),
         number("of the whole training", "whole_training_speedup", "{:.3g}x"),
         number("the paper's", "paper_whole_training_speedup", "{:g}x"),
-        ("this machine, minutes", lambda cell: or_dash(minutes.get(_key(cell)), "{:.3g}".format)),
+        ("this machine, minutes", lambda cell: or_dash(minutes.get(key_of(cell)), "{:.3g}".format)),
     )
 
 
@@ -215,23 +217,23 @@ def _trainings_table(cells: Sequence[SummaryCell]) -> Table:
     )
 
 
-def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> dict[tuple[Any, ...], float]:
-    """Minutes that the trainings of a cell took here, one after another, by `KEY`."""
+def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> Minutes:
+    """Return how long the trainings of each cell took on this machine, one after another."""
     took_s = {entry["case"]: entry["training_s"] for entry in run.timings() if "training_s" in entry}
-    minutes: dict[tuple[Any, ...], float] = {}
+    minutes: dict[CellKey, float] = defaultdict(float)
     for row in rows:
         if row["case"] in took_s:
-            minutes[_key(row)] = minutes.get(_key(row), 0.0) + took_s[row["case"]] / 60
+            minutes[key_of(row)] += took_s[row["case"]] / 60
     return minutes
 
 
 def _saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
-    """Modelled real time against this machine's, of all trainings that have both."""
-    both = [cell for cell in pooled if cell["real_time_s"] is not None and _key(cell) in minutes]
+    """Compare the modelled real time of the trainings with the time that they took on this machine."""
+    both = [cell for cell in pooled if cell["real_time_s"] is not None and key_of(cell) in minutes]
     if not both:
         return "No training of ADSC at 1x to say what the others would have taken in real time."
     hours = sum(cell["real_time_s"] for cell in both) / 3600
-    took_h = sum(minutes[_key(cell)] for cell in both) / 60
+    took_h = sum(minutes[key_of(cell)] for cell in both) / 60
     games = sum(cell["trained_games"] for cell in both)
     return (
         f"These trainings' {games} games would have taken {hours:.3g} hours in real time (modelled, "
@@ -240,22 +242,18 @@ def _saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
     )
 
 
-def _key(cell: SummaryCell) -> tuple[Any, ...]:
-    return tuple(cell[name] for name in KEY)
-
-
 _WHAT_N_TELLS = (
     f"The paper evaluated one training of each kind in {paper_results.GAMES} games. Of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = "
-    "0.19. Here a training is one sample, not its games: intervals are percentiles of a bootstrap that draws seeds and "
-    "then games of each, and differences are tested by sharing out the trainings in all ways. Of one seed the interval "
-    "is of its games alone; of two or three it is too narrow. McNemar's test is of these very policies on the same "
-    "lanes, and knows nothing of other seeds."
+    "0.19. Here a training, not a game, is one sample: an interval covers both Wilson's interval over all games and "
+    "Student's over the trainings, so that it has a width at 0 and 100 % too, and differences are tested by permuting "
+    "the trainings. The interval of a single seed is Wilson's, of its games alone. McNemar's test compares these very "
+    "policies on the same lanes and says nothing about other seeds."
 )
 _WHAT_A_GAP_IS = (
     "The gap is the mean simulated time between the end of a command and the next one in the training, worked out from "
-    "the modelled wall time of its commands without that of pictures, which ADSC takes in a pause. With TCSC the clock "
-    "stands while an agent thinks: its gap is 0 at every ClockSpeed."
+    "the modelled wall time of its commands without that of images, which ADSC takes in a pause. With TCSC the clock "
+    "stands still while an agent decides: its gap is 0 at every ClockSpeed."
 )
 _HOW_TIME_IS_MODELLED = (
     "Hours are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "

@@ -1,27 +1,87 @@
-"""The RL experiment as a suite: each case trains a policy and evaluates it, in folders of its own below the run's."""
+"""The suite `rl`: each case trains a policy and evaluates it; runs of several machines can be merged."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from uavaccel.config import validate
 from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import part_suite
-from uavaccel.suites.report import Row
-from uavaccel.suites.rl.cases import Size, TrainingCase, cases, evaluation_part, flights, training_part
+from uavaccel.suites.rl.cases import (
+    Size,
+    TrainingCase,
+    cases,
+    checkpoint_bytes,
+    evaluation_part,
+    flights,
+    part_configs,
+    size_of,
+    training_part,
+)
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.flights import fly_cell
-from uavaccel.suites.rl.merged import merge_runs
 from uavaccel.suites.rl.report import RlReport
-from uavaccel.suites.rl.size import checkpoint_bytes, part_configs, size_of
+from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import Cost, GameResult, Suite
+
+FOLDER = "merged"
+MAY_DIFFER = ("cells", "command", "clock_speed", "profile", "timing", "seed", "seeds")
+
+
+def merge_runs(runs: Sequence[RunDirectory]) -> RunDirectory:
+    """Merge the finished cells of several runs into a new run directory, `merged`, in the first run's folder.
+
+    Raises UserError where two runs hold the same cell, or were not trained and evaluated alike.
+    """
+    first = runs[0]
+    _check_mergeable(runs)
+    place = first.path / FOLDER
+    shutil.rmtree(place, ignore_errors=True)
+    config = validate(RlConfig, _merged_config(runs), str(first.path / "config.yaml"))
+    made_of = {str(run.path): run.manifest() for run in runs}
+    merged = RunDirectory.create(place, config, {**first.manifest(), "merged_from": made_of})
+    for run in runs:
+        host = {entry["case"]: entry for entry in run.timings()}
+        for row in run.rows():
+            merged.append_row(row | merged.save_arrays(row["case"], run.load_arrays(row)))
+            if row["case"] in host:
+                merged.append_timing(host[row["case"]])
+    return merged
+
+
+def _merged_config(runs: Sequence[RunDirectory]) -> dict[str, Any]:
+    """Return the first run's configuration with the cells and seeds of all runs."""
+    blocks: list[Mapping[str, Any]] = []
+    for run in runs:
+        blocks += [block for block in run.config()["cells"] if block not in blocks]
+    whole = {key: value for key, value in runs[0].config().items() if key not in MAY_DIFFER}
+    first = min(run.config()["seed"] for run in runs)
+    last = max(run.config()["seed"] + run.config()["seeds"] for run in runs)
+    return {**whole, "cells": blocks, "seed": first, "seeds": last - first}
+
+
+def _check_mergeable(runs: Sequence[RunDirectory]) -> None:
+    alike = {key: value for key, value in runs[0].config().items() if key not in MAY_DIFFER}
+    owner: dict[str, RunDirectory] = {}
+    for run in runs:
+        for key, value in alike.items():
+            if run.config().get(key) != value:
+                raise UserError(
+                    f"{run.path}: {key} differs from that of {runs[0].path}: they make no one table"
+                )
+        for row in run.rows():
+            if row["case"] in owner:
+                raise UserError(f"{run.path}: has {row['case']}, which {owner[row['case']].path} has too")
+            owner[row["case"]] = run
 
 
 class Rl(Suite[RlConfig, TrainingCase]):
@@ -33,7 +93,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
     batch = 1
 
     def check(self, config: RlConfig) -> None:
-        """Training and evaluations of each cell can be configured; its policy need not exist yet."""
+        """Check that training and evaluations of each cell can be configured. Raises UserError."""
         evaluations = {}
         for cell in cases(config.model_copy(update={"seeds": 1})):
             evaluations[cell.exact] = part_configs(config, cell)[-1]
@@ -41,7 +101,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
             _refuse_other_lanes(evaluations[False], evaluations[True])
 
     def provenance(self, config: RlConfig) -> Mapping[str, Any]:
-        """Raises UserError where this machine lacks what flies the parts."""
+        """Check that this machine has the devices of training and evaluation. Raises UserError."""
         cell = next(cases(config))
         parts = training_part(config, cell), evaluation_part(config, cell, flights(config, cell)[0], DEFAULT)
         try:
@@ -55,7 +115,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return ("seeds", "exact_seeds")
 
     def stage(self, case: TrainingCase) -> int:
-        """A policy is flown in the exact simulator once it is trained, by whichever process."""
+        """Policies are evaluated in the exact simulator once all of them are trained."""
         return int(case.exact)
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
@@ -90,14 +150,14 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        """One report of several runs' cells, in the first one's folder `merged`."""
+        """Write one report of the cells of several runs, in the folder `merged` of the first."""
         merged = merge_runs(runs)
         self.report(merged).write()
         return [merged.path / "report.html"]
 
 
 def _refuse_other_lanes(evaluation: Any, exact: Any) -> None:
-    """Both simulators fly the same lanes, side by side."""
+    """Raise UserError unless both simulators evaluate on the same lanes."""
     if exact.simulator != EXACT or evaluation.simulator == EXACT:
         raise UserError(
             f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by the "

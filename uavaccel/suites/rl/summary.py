@@ -1,10 +1,11 @@
-"""The RL experiment in numbers: success by training, and what its training took on the modelled clock."""
+"""The summary of the RL experiment: success by training, and what its training took on the modelled clock."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,23 +13,32 @@ from numpy.typing import NDArray
 from uavaccel.envs.flyable import speed_of
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.metrics.equivalence import success_estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
-from uavaccel.metrics.seeds import hierarchical_interval, permutation_p, sign_flip_p
+from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Arrays, LoadArrays, Row
-from uavaccel.suites.rl.cases import EXACT, other_command
+from uavaccel.suites.report import Arrays, LoadArrays, Values
+from uavaccel.suites.rl.cases import EXACT, RlRow, other_command
+from uavaccel.suites.rows import Row
 
-KEY = ("variant", "profile", "timing", "command", "clock_speed")
-Groups = Mapping[tuple[Any, ...], list[Row]]
+KEY: tuple[Literal["variant", "profile", "timing", "command", "clock_speed"], ...] = (
+    "variant",
+    "profile",
+    "timing",
+    "command",
+    "clock_speed",
+)
+"""The conditions of a training; trainings that have them in common differ in their seed alone."""
+CellKey = tuple[object, ...]
+Groups = Mapping[CellKey, list[RlRow]]
 """Trainings by `KEY`, a row for each seed."""
-BOOTSTRAP_SEED = 0
-RUNNING = tuple(phase for phase in PHASES if phase != "rendering")  # ADSC's pictures are taken in a pause
-SIMULATION = ("simulation", "rendering")  # the paper's "simulation": its images come out of it
+WITHOUT_IMAGES = tuple(phase for phase in PHASES if phase != "rendering")  # ADSC takes its images in a pause
+SIMULATION = ("simulation", "rendering")  # the paper's "simulation" renders the images
 
 
-def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: LoadArrays) -> dict[str, Any]:
-    """A cell for each training, the same with seeds pooled, what flew how; nothing of this machine."""
-    load = _once(load)
+def summarise(config: Row, rows: Sequence[RlRow], load: LoadArrays) -> Values:
+    """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
+    load = _cached(load)
     groups, exact = (_by_training(rows, trained) for trained in (True, False))
     pooled = list(groups.values())
     return {
@@ -36,7 +46,7 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: LoadArrays) 
         "seed": config["seed"],
         "training_games": config["games"],
         "evaluation_clock_speed": config["evaluation_clock_speed"],
-        "cells": [_cell(row, load(row), _baseline(row, groups)) for row in rows if "training" in row],
+        "cells": [_cell(row, load(row), _at_1x(row, groups, "adsc")) for row in rows if "training" in row],
         "pooled": [_pooled(members, groups, load) for members in pooled],
         "interchange": [each for members in pooled if (each := _interchange(members, load))],
         "interchange_as_trained": [
@@ -44,155 +54,160 @@ def summarise(config: Mapping[str, Any], rows: Sequence[Row], load: LoadArrays) 
         ],
         "as_trained": [each for members in pooled if (each := _as_trained(members, groups, load))],
         "exact": [side_by_side(groups[key], members, load) for key, members in exact.items()],
-        "same_weights": [_same_weights(each) for each in _over_clocks(groups)],
+        "same_weights": _same_weights(groups),
     }
 
 
-def _once(load: LoadArrays) -> LoadArrays:
-    """Each row's arrays are read and checked once."""
+def _cached(load: LoadArrays) -> LoadArrays:
+    """Return a loader that reads and checks the arrays of each row once."""
     loaded: dict[str, Arrays] = {}
 
-    def kept(row: Row) -> Arrays:
+    def cached(row: Row) -> Arrays:
         if row["case"] not in loaded:
             loaded[row["case"]] = load(row)
         return loaded[row["case"]]
 
-    return kept
+    return cached
 
 
-def _by_training(rows: Sequence[Row], trained: bool) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows of trainings, or of their policies in the exact simulator, by `KEY`: a group holds the seeds of one cell."""
-    groups: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+def key_of(cell: Row | RlRow) -> CellKey:
+    """Return the values of `KEY` of a row or of an entry of the summary."""
+    return tuple(cell[name] for name in KEY)
+
+
+def _by_training(rows: Sequence[RlRow], trained: bool) -> dict[CellKey, list[RlRow]]:
+    """Group the rows of trainings, or of their policies in the exact simulator, by `KEY`."""
+    groups: dict[CellKey, list[RlRow]] = defaultdict(list)
     for row in rows:
         if ("training" in row) == trained:
-            groups[tuple(row[name] for name in KEY)].append(row)
+            groups[key_of(row)].append(row)
     return groups
 
 
-def _at_1x(row: Row, groups: Groups, command: str) -> list[Row]:
-    """Trainings at 1x with that command; none where they were not run, or on a clock without latency."""
-    if row["timing"] != "virtual":
-        return []
-    return groups.get((*(row[name] for name in KEY[:-2]), command, 1.0), [])
+def _at_1x(row: RlRow, groups: Groups, command: str) -> list[RlRow]:
+    """Return the trainings with that command at 1x; none in lockstep, or where they were not run.
+
+    With ADSC they are the baseline of speed-ups, as in the paper.
+    """
+    return groups.get((*key_of(row)[:-2], command, 1.0), []) if row["timing"] == "virtual" else []
 
 
-def _baseline(row: Row, groups: Groups) -> list[Row]:
-    """What speed-ups are over, as the paper's: ADSC at 1x."""
-    return _at_1x(row, groups, "adsc")
-
-
-def _cell(row: Row, arrays: Arrays, baseline: Sequence[Row]) -> dict[str, Any]:
-    flown = row["evaluations"][0]
+def _cell(row: RlRow, arrays: Arrays, baseline: Sequence[RlRow]) -> Values:
+    trained = row["training"]
     return {
-        **{name: row[name] for name in (*KEY, "seed")},
-        **Proportion.of(flown).as_summary(),
+        **dict(zip(KEY, key_of(row), strict=True)),
+        "seed": row["seed"],
+        **Proportion.of(row["evaluations"][0]).as_summary(),
         "distance_m_median": float(np.median(arrays[f"{row['command']}_distance_m"])),
-        "trained_games": row["training"]["games"],
-        "trained_successes": row["training"]["successes"],
-        "weights_sha256": row["training"]["weights_sha256"],
+        "trained_games": trained["games"],
+        "trained_successes": trained["successes"],
+        "weights_sha256": trained["weights_sha256"],
         **_times([row], baseline),
     }
 
 
-def _pooled(members: Sequence[Row], groups: Groups, load: LoadArrays) -> dict[str, Any]:
-    """All seeds of one training together, against the same command at 1x and against the paper."""
+def _pooled(members: Sequence[RlRow], groups: Groups, load: LoadArrays) -> Values:
+    """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
     first = members[0]
-    key = [first[each] for each in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = paper_results.speedups(*key)
+    conditions = first["profile"], first["variant"], first["command"], first["clock_speed"]
+    simulation, whole = paper_results.speedups(*conditions)
     other = [] if first["clock_speed"] == 1.0 else _at_1x(first, groups, first["command"])
     return {
-        **{each: first[each] for each in KEY},
-        "seeds": [row["seed"] for row in members],
+        **_identity(members),
         "successes_by_seed": [row["evaluations"][0]["successes"] for row in members],
-        **pooled_success(members, 0, load),
+        **pooled_success(members, 0),
         "trained_games": sum(row["training"]["games"] for row in members),
-        "paper_successes": paper_results.successes(*key),
-        **against(members, other, 0, load),
-        **_times(members, _baseline(first, groups)),
+        "paper_successes": paper_results.successes(*conditions),
+        **compare(members, other, 0, load),
+        **_times(members, _at_1x(first, groups, "adsc")),
         "gap_s": gap_s(members),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
     }
 
 
-def pooled_success(members: Sequence[Row], flight: int, load: LoadArrays) -> dict[str, Any]:
-    """Success of all seeds together in one of their flights; its 95 % interval over seeds and games beside Wilson's.
+def _identity(members: Sequence[RlRow]) -> Values:
+    """Return the conditions of a group of trainings, and its seeds."""
+    return {**dict(zip(KEY, key_of(members[0]), strict=True)), "seeds": [row["seed"] for row in members]}
 
-    Wilson's is of the games of these very policies; the other is of what trainings with other seeds would have given.
+
+def pooled_success(members: Sequence[RlRow], flight: int) -> Values:
+    """Return the success of all seeds together in one of their flights, with two 95 % intervals.
+
+    `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
+    trainings with other seeds would have given (`success_estimate`).
     """
-    flown = [row["evaluations"][flight] for row in members]
-    won, games = (sum(each[key] for each in flown) for key in ("successes", "games"))
-    samples = [list(_won(row, flight, load).values()) for row in members]
-    low, high = hierarchical_interval(samples, BOOTSTRAP_SEED)
-    return {**Proportion(won, games).as_summary(), "seeds_low": low, "seeds_high": high}
+    evaluated = [Proportion.of(row["evaluations"][flight]) for row in members]
+    over_seeds = success_estimate(evaluated)
+    pooled = Proportion.pooled(evaluated).as_summary()
+    return {**pooled, "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
 
 
-def ratios(members: Sequence[Row], flight: int) -> NDArray[np.float64]:
-    """Success of each seed in one of their flights."""
-    flown = [row["evaluations"][flight] for row in members]
-    return np.array([Proportion.of(each).ratio for each in flown])
+def ratios(members: Sequence[RlRow], flight: int) -> NDArray[np.float64]:
+    """Return the success of each seed in one of their flights, (seeds,)."""
+    return np.array([Proportion.of(row["evaluations"][flight]).ratio for row in members])
 
 
-def against(members: Sequence[Row], others: Sequence[Row], flight: int, load: LoadArrays) -> dict[str, Any]:
-    """p-values of two groups in a flight: over seeds, of pooled games, of the same seeds and lanes.
+def compare(members: Sequence[RlRow], others: Sequence[RlRow], flight: int, load: LoadArrays) -> Values:
+    """Return p-values of the difference between two groups of trainings in a flight; None without a second group.
 
-    Only the first is of trainings; Fisher's and McNemar's are of these very policies.
+    `permutation_p` takes trainings as its samples; Fisher's test of the pooled games and McNemar's of equal seeds and
+    lanes compare these very policies alone.
     """
     if not others:
         return {"permutation_p": None, "fisher_p": None, "mcnemar_p": None}
-    mine, theirs = ([row["evaluations"][flight] for row in group] for group in (members, others))
     first, second = paired(members, others, (flight, flight), load)
+    won, games = zip(*(_sums(group, flight) for group in (members, others)), strict=True)
     return {
         "permutation_p": permutation_p(ratios(members, flight), ratios(others, flight)),
-        "fisher_p": fisher_exact_p(_sums(mine), _sums(theirs)),
+        "fisher_p": fisher_exact_p((won[0], games[0]), (won[1], games[1])),
         "mcnemar_p": mcnemar_exact(first, second).p_value if len(first) else None,
     }
 
 
-def _sums(flown: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
-    return sum(each["successes"] for each in flown), sum(each["games"] for each in flown)
+def _sums(members: Sequence[RlRow], flight: int) -> tuple[int, int]:
+    pooled = Proportion.pooled([Proportion.of(row["evaluations"][flight]) for row in members])
+    return pooled.successes, pooled.games
 
 
 def paired(
-    some: Sequence[Row], others: Sequence[Row], flight: tuple[int, int], load: LoadArrays
+    some: Sequence[RlRow], others: Sequence[RlRow], flight: tuple[int, int], load: LoadArrays
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Outcomes (n,) of two groups of trainings, each in one of its flights, on the same lanes with the same seeds."""
+    """Return the outcomes (n,) of two groups, each in one of its flights, paired by seed and lane."""
     of_seed = {row["seed"]: row for row in others}
     pairs: list[tuple[bool, bool]] = []
     for row in some:
         if row["seed"] in of_seed:
-            mine, theirs = _won(row, flight[0], load), _won(of_seed[row["seed"]], flight[1], load)
+            mine, theirs = _outcomes(row, flight[0], load), _outcomes(of_seed[row["seed"]], flight[1], load)
             pairs += [(won, theirs[lane]) for lane, won in mine.items() if lane in theirs]
     first, second = np.array(pairs, bool).reshape(-1, 2).T
     return first, second
 
 
-def _won(row: Row, flight: int, load: LoadArrays) -> dict[int, bool]:
-    """Whether each lane was won."""
-    name = _array_name(row, flight)
-    arrays = load(row)
+def _outcomes(row: RlRow, flight: int, load: LoadArrays) -> dict[int, bool]:
+    """Return whether each lane was won."""
+    flown, real_time = row["evaluations"][flight], row["evaluations"][0]["clock_speed"]
+    name = (
+        flown["command"]
+        if flown["clock_speed"] == real_time
+        else f"{flown['command']}-{flown['clock_speed']:g}x"
+    )
+    name, arrays = name if "training" in row else EXACT, load(row)
     return dict(zip(arrays[f"{name}_lane"].tolist(), arrays[f"{name}_is_success"].tolist(), strict=True))
 
 
-def _array_name(row: Row, flight: int) -> str:
-    if "training" not in row:
-        return EXACT
-    flown = row["evaluations"][flight]
-    in_real_time = flown["clock_speed"] == row["evaluations"][0]["clock_speed"]
-    return str(flown["command"] if in_real_time else f"{flown['command']}-{flown['clock_speed']:g}x")
+def _times(members: Sequence[RlRow], baseline: Sequence[RlRow]) -> Values:
+    """Return the modelled seconds of the trainings, those of as many commands of the baseline, and the speed-ups.
 
-
-def _times(members: Sequence[Row], baseline: Sequence[Row]) -> dict[str, Any]:
-    """Modelled seconds of the training, of as many commands of the baseline, and the speed-ups between the two.
-
-    Speed-ups are of a command's mean: trainings that learn differently fly games of different length.
+    Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length.
     """
-    phase_s = {phase: sum(row["training"]["phase_s"][phase] for row in members) for phase in PHASES}
-    commands = sum(row["training"]["commands"] for row in members)
+    trained = [row["training"] for row in members]
+    phase_s = {phase: sum(each["phase_s"][phase] for each in trained) for phase in PHASES}
+    commands = sum(each["commands"] for each in trained)
     known = bool(baseline)
     return {
         "commands": commands,
-        "sim_time_s": sum(row["training"]["sim_time_s"] for row in members),
+        "sim_time_s": sum(each["sim_time_s"] for each in trained),
         "training_wall_s": sum(phase_s.values()),
         "real_time_s": per_command(baseline, PHASES) * commands if known else None,
         "training_speedup": _ratio(baseline, members, SIMULATION) if known else None,
@@ -201,22 +216,23 @@ def _times(members: Sequence[Row], baseline: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _ratio(baseline: Sequence[Row], members: Sequence[Row], phases: Sequence[str]) -> float:
+def _ratio(baseline: Sequence[RlRow], members: Sequence[RlRow], phases: Sequence[str]) -> float:
     return per_command(baseline, phases) / per_command(members, phases)
 
 
-def per_command(members: Sequence[Row], phases: Sequence[str]) -> float:
-    """Modelled wall seconds of a command's share of some phases."""
+def per_command(members: Sequence[RlRow], phases: Sequence[str]) -> float:
+    """Return the modelled wall seconds that some phases take per command."""
     spent_s = sum(row["training"]["phase_s"][phase] for row in members for phase in phases)
     return float(spent_s / sum(row["training"]["commands"] for row in members))
 
 
-def gap_s(members: Sequence[Row]) -> float:
-    """Mean simulated seconds between a command's end and the next one in the trainings of one cell.
+def gap_s(members: Sequence[RlRow]) -> float:
+    """Return the mean simulated time between the end of a command and the next one in the trainings of one cell.
 
-    Under TCSC the clock stands meanwhile: 0. Under ADSC it is what passes from command to command less T_move, all of
-    the wall time but that of pictures, at the speed that the profile's platform reaches. A few calls of a millisecond
-    that ADSC makes in its pauses are counted too, and a command that a collision ends early counts as a whole one.
+    With TCSC the clock stands still meanwhile: 0. With ADSC it is the simulated time from command to command less
+    T_move: all of the wall time but that of images, at the speed that the profile's platform reaches. A few calls of a
+    millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends early counts as a
+    whole one.
     """
     first = members[0]
     if first["command"] == "tcsc":
@@ -224,35 +240,34 @@ def gap_s(members: Sequence[Row]) -> float:
     task = LaneTask(timing=first["timing"], profile=first["profile"], clock_speed=first["clock_speed"])
     trained = [row["training"] for row in members]
     t_move_s: float = sum(each["sim_time_s"] for each in trained) / sum(each["commands"] for each in trained)
-    return max(per_command(members, RUNNING) * float(speed_of(task)) - t_move_s, 0.0)
+    return max(per_command(members, WITHOUT_IMAGES) * float(speed_of(task)) - t_move_s, 0.0)
 
 
-def _flight(row: Row, command: str, clock_speed: float) -> int | None:
-    """Which of a row's flights is that; None where it was not flown."""
-    flown = [(each["command"], each["clock_speed"]) for each in row["evaluations"]]
+def _flight(row: RlRow, command: str, clock_speed: float) -> int | None:
+    """Return the index of a flight among those of a row; None where it was not flown."""
+    flown: list[tuple[str, float]] = [(each["command"], each["clock_speed"]) for each in row["evaluations"]]
     return flown.index((command, clock_speed)) if (command, clock_speed) in flown else None
 
 
 def _interchange(
-    members: Sequence[Row], load: LoadArrays, clock_speed: float | None = None
-) -> dict[str, Any] | None:
-    """Policies flown with both commands in real time, or at another ClockSpeed; None where they were not."""
+    members: Sequence[RlRow], load: LoadArrays, clock_speed: float | None = None
+) -> Values | None:
+    """Compare the flights with either command in real time, or at another ClockSpeed; None where there are none."""
     first = members[0]
-    in_real_time = first["evaluations"][0]["clock_speed"]
-    if clock_speed == in_real_time:
+    real_time = first["evaluations"][0]["clock_speed"]
+    if clock_speed == real_time:
         return None
-    at = in_real_time if clock_speed is None else clock_speed
+    at = real_time if clock_speed is None else clock_speed
     commands = first["command"], other_command(first["command"])
     own, other = (_flight(first, command, at) for command in commands)
     if own is None or other is None:
         return None
     test = mcnemar_exact(*paired(members, members, (own, other), load))
     return {
-        **{name: first[name] for name in KEY},
-        "seeds": [row["seed"] for row in members],
+        **_identity(members),
         "flown_at": at,
         "flown_with": [
-            {"command": command, **pooled_success(members, flight, load)}
+            {"command": command, **pooled_success(members, flight)}
             for command, flight in zip(commands, (own, other), strict=True)
         ],
         "only_first": test.only_first,
@@ -262,58 +277,53 @@ def _interchange(
     }
 
 
-def _as_trained(members: Sequence[Row], groups: Groups, load: LoadArrays) -> dict[str, Any] | None:
-    """Policies flown at the ClockSpeed of their training, against those without the variant; None where none was."""
+def _as_trained(members: Sequence[RlRow], groups: Groups, load: LoadArrays) -> Values | None:
+    """Compare the flights at the ClockSpeed of the training with those of trainings without the variant.
+
+    None where policies were flown in real time alone.
+    """
     first = members[0]
     flight = _flight(first, first["command"], first["clock_speed"])
-    if not flight:  # in real time it is the first
+    if not flight:  # 0 is the flight in real time
         return None
-    plain = groups.get(("", *(first[name] for name in KEY[1:])), []) if first["variant"] else []
+    plain = groups.get(("", *key_of(first)[1:]), []) if first["variant"] else []
     plain = [row for row in plain if len(row["evaluations"]) == len(first["evaluations"])]
     return {
-        **{name: first[name] for name in KEY},
-        "seeds": [row["seed"] for row in members],
-        "real_time": pooled_success(members, 0, load) | against(members, plain, 0, load),
-        "as_trained": pooled_success(members, flight, load) | against(members, plain, flight, load),
+        **_identity(members),
+        "real_time": pooled_success(members, 0) | compare(members, plain, 0, load),
+        "as_trained": pooled_success(members, flight) | compare(members, plain, flight, load),
         "sign_flip_p": sign_flip_p(ratios(members, 0) - ratios(members, flight)),
     }
 
 
-def side_by_side(members: Sequence[Row], exact: Sequence[Row], load: LoadArrays) -> dict[str, Any]:
-    """The same policies on the same lanes by the kernels and by the exact simulator, in real time."""
+def side_by_side(members: Sequence[RlRow], exact: Sequence[RlRow], load: LoadArrays) -> Values:
+    """Compare the same policies on the same lanes in real time in the kernels and in the exact simulator."""
     seeds = [row["seed"] for row in exact]
-    ours = [row for row in members if row["seed"] in seeds]
-    first, second = paired(ours, exact, (0, 0), load)
-    test = mcnemar_exact(first, second)
+    kernels = [row for row in members if row["seed"] in seeds]
+    first, second = paired(kernels, exact, (0, 0), load)
     return {
-        **{name: exact[0][name] for name in KEY},
-        "seeds": seeds,
-        "kernels": pooled_success(ours, 0, load),
-        "exact": pooled_success(exact, 0, load),
+        **_identity(exact),
+        "kernels": pooled_success(kernels, 0),
+        "exact": pooled_success(exact, 0),
         "lanes": len(first),
         "same_end": int((first == second).sum()),
-        "mcnemar_p": test.p_value,
+        "mcnemar_p": mcnemar_exact(first, second).p_value,
     }
 
 
-def _over_clocks(groups: Groups) -> list[list[Row]]:
-    """The trainings of one command, all ClockSpeeds together, where there are several."""
-    families: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+def _same_weights(groups: Groups) -> list[Values]:
+    """Return how many seeds learned the same weights at all ClockSpeeds that a command was trained at, if several."""
+    families: dict[CellKey, dict[Any, list[RlRow]]] = defaultdict(partial(defaultdict, list))
     for key, members in groups.items():
-        families[key[:-1]] += members
-    return [rows for rows in families.values() if len({row["clock_speed"] for row in rows}) > 1]
-
-
-def _same_weights(trainings: Sequence[Row]) -> dict[str, Any]:
-    """How many seeds learned the same weights, by their hashes, at all ClockSpeeds that were trained."""
-    clocks = sorted({row["clock_speed"] for row in trainings})
-    by_seed: dict[int, list[str]] = defaultdict(list)
-    for row in trainings:
-        by_seed[row["seed"]].append(row["training"]["weights_sha256"])
-    whole = {seed: hashes for seed, hashes in by_seed.items() if len(hashes) == len(clocks)}
-    return {
-        **{name: trainings[0][name] for name in KEY[:-1]},
-        "clock_speed": clocks,
-        "seeds": sorted(whole),
-        "equal": [seed for seed in sorted(whole) if len(set(whole[seed])) == 1],
-    }
+        families[key[:-1]][key[-1]] += members
+    found = []
+    for key, by_clock in families.items():
+        if len(by_clock) > 1:
+            hashes: dict[int, list[str]] = defaultdict(list)
+            for row in (row for members in by_clock.values() for row in members):
+                hashes[row["seed"]].append(row["training"]["weights_sha256"])
+            whole = sorted(seed for seed, each in hashes.items() if len(each) == len(by_clock))
+            equal = [seed for seed in whole if len(set(hashes[seed])) == 1]
+            conditions: Values = dict(zip(KEY[:-1], key, strict=True))
+            found.append(conditions | {"clock_speed": sorted(by_clock), "seeds": whole, "equal": equal})
+    return found

@@ -1,30 +1,86 @@
-"""The map's report: summary.json, figures/map.png, report.md and report.html, and where success collapses."""
+"""The report of a robustness map: success over latency and ClockSpeed, and where it collapses."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.suites.evaluation.parts import agent_name
-from uavaccel.suites.report import Report, Row, Summary, SummaryCell, Values
-from uavaccel.suites.robustness.success_map import SuccessMap, plot_success_maps
+from uavaccel.suites.evaluation.parts import PolicyRow, agent_name
+from uavaccel.suites.experiment import CommandName
+from uavaccel.suites.report import Report, Summary, SummaryCell, Values
+from uavaccel.suites.rows import Row
 
-FIGURE = "figures/robustness_map.png"
+COLOURS = "cividis"  # which the common colour-vision deficiencies keep apart
+
+
+SuccessMap = Mapping[tuple[float, float], Proportion]  # by latency scale and ClockSpeed
+
+
+def plot_success_maps(maps: Mapping[str, SuccessMap], fitted: float, title: str, source: str) -> Figure:
+    """Plot a map per command: success as colour and text above its interval, with a frame around the row `fitted`."""
+    scales = sorted({scale for panel in maps.values() for scale, _ in panel})
+    clocks = sorted({clock for panel in maps.values() for _, clock in panel})
+    with style.project_style():
+        figure = style.new_figure(
+            1.6 + 0.95 * len(clocks) * len(maps), 1.8 + 0.62 * len(scales), title, source
+        )
+        row = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+        for axes, (name, panel) in zip(row, maps.items(), strict=True):
+            ratios = np.array(
+                [[panel[s, k].ratio if (s, k) in panel else np.nan for k in clocks] for s in scales]
+            )
+            image = axes.imshow(ratios, COLOURS, aspect="auto", origin="lower", vmin=0.0, vmax=1.0)
+            _write_success(axes, panel, scales, clocks)
+            axes.set_title(name, loc="center")
+            axes.set_xticks(range(len(clocks)), [style.clock_label(clock) for clock in clocks])
+            axes.set_yticks(range(len(scales)), [f"×{scale:g}" for scale in scales])
+            axes.set_xlabel("ClockSpeed")
+            axes.grid(visible=False)
+            if fitted in scales:
+                axes.add_patch(_frame(scales.index(fitted), len(clocks)))
+        row[0].set_ylabel("latency, times the fitted one")
+        figure.colorbar(image, ax=list(row), label="success", fraction=0.04)
+        return figure
+
+
+def _write_success(axes: Axes, panel: SuccessMap, scales: Sequence[float], clocks: Sequence[float]) -> None:
+    for (scale, clock), success in panel.items():
+        place = clocks.index(clock), scales.index(scale)
+        colour = "white" if success.ratio < 0.5 else "black"
+        axes.annotate(
+            f"{success.ratio:.0%}", place, ha="center", va="bottom", color=colour, fontweight="bold"
+        )
+        interval = "–".join(f"{100 * end:.0f}" for end in success.interval)
+        axes.annotate(
+            interval,
+            place,
+            (0, -2),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            color=colour,
+            fontsize=7,
+        )
+
+
+def _frame(row: int, columns: int) -> Rectangle:
+    return Rectangle((-0.5, row - 0.5), columns, 1.0, fill=False, edgecolor=style.VERMILION, linewidth=2.0)
+
+
 FITTED = 1.0
-COLLAPSED = 0.5  # of the success in real time with the latency as it was fitted
-COLLAPSE_HEADER = (
-    "command",
-    "ClockSpeed",
-    "success at the fitted latency",
-    "falls below half of that in real time",
-)
+COLLAPSED = 0.5  # share of the success in real time with the fitted latency
 
 
 class RobustnessReport(Report):
-    """Of `uavaccel run robustness`."""
+    """The report of `uavaccel run robustness`."""
 
     def summarise(self) -> Summary:
         return summarise(self.config, self.rows)
@@ -33,7 +89,7 @@ class RobustnessReport(Report):
         return f"Success of {agent_name(self.config['agent'])} over latency and ClockSpeed"
 
     def headline(self) -> str:
-        """How much was flown, by whom."""
+        """Return the agent, and the number of games and conditions."""
         cells, who = self.summary["cells"], agent_name(self.summary["agent"])
         return (
             f"{who} in {sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and "
@@ -41,7 +97,7 @@ class RobustnessReport(Report):
         )
 
     def overview(self) -> Table:
-        return Table(header(self.summary), table(self.summary))
+        return table(self.summary)
 
     def figures(self) -> list[Picture]:
         lanes = max(row["games"] for row in self.rows)
@@ -49,9 +105,8 @@ class RobustnessReport(Report):
             f"modelled, profile {self.config['profile']} · {lanes} lanes each · seed {self.config['seed']}"
         )
         figure = plot_success_maps(maps(self.summary["cells"]), FITTED, self.title(), source)
-        path = style.save(figure, self.run.file(FIGURE))
-        said = "with 95 % Wilson intervals; the frame is the latency as fitted"
-        return [Picture(path, f"{self.title()}, {said}. Source: {source}.")]
+        caption = f"{self.title()}, with 95 % Wilson intervals; the frame is the latency as fitted."
+        return [style.picture(figure, self.run.file("figures/robustness_map.png"), caption, source)]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [
@@ -59,15 +114,31 @@ class RobustnessReport(Report):
             *figures,
             self.overview(),
             Heading("Where success collapses"),
-            Table(COLLAPSE_HEADER, [_collapse_line(each) for each in self.summary["collapses"]]),
+            _collapse_table(self.summary["collapses"]),
             Paragraph(_READING),
         ]
 
 
-def summarise(config: Row, rows: Sequence[Row]) -> Summary:
-    """Every cell with its interval, and for each command and ClockSpeed between which latencies it collapses."""
-    kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
-    cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
+class RobustnessRow(PolicyRow):
+    """The row of an evaluation with one command at one latency and ClockSpeed."""
+
+    command: CommandName
+    clock_speed: float
+    latency_scale: float
+
+
+def summarise(config: Row, rows: Sequence[RobustnessRow]) -> Summary:
+    """Summarise each cell with its interval, and the latencies between which each command and ClockSpeed collapses."""
+    cells: list[Values] = [
+        {
+            "command": row["command"],
+            "clock_speed": row["clock_speed"],
+            "latency_scale": row["latency_scale"],
+            "distance_m_median": row["distance_m_median"],
+            **Proportion.of(row).as_summary(),
+        }
+        for row in rows
+    ]
     pairs = sorted({(cell["command"], cell["clock_speed"]) for cell in cells})
     return {
         "suite": "robustness",
@@ -80,10 +151,10 @@ def summarise(config: Row, rows: Sequence[Row]) -> Summary:
 
 
 def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> Summary:
-    """Between which latencies success falls below half of the command's own in real time at the fitted latency.
+    """Return the latencies between which success falls below half of that in real time at the fitted latency.
 
-    `above` is the largest latency below which it never does, `below` the next that was flown; None where there is
-    none. Without the cell in real time both are None.
+    `above` is the largest latency up to which it does not, `below` the next that was flown; None where there is none.
+    Without the cell in real time both are None.
     """
     success = {
         (cell["clock_speed"], cell["latency_scale"]): cell["success_ratio"]
@@ -104,7 +175,7 @@ def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> 
 
 
 def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
-    """The cells as the figure takes them, ADSC first."""
+    """Return the cells as the figure takes them, ADSC first."""
     found: dict[str, dict[tuple[float, float], Proportion]] = {}
     for cell in sorted(cells, key=lambda cell: str(cell["command"])):
         panel = found.setdefault(command_name(cell["command"]), {})
@@ -112,46 +183,46 @@ def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
     return dict(found)
 
 
-def header(summary: Summary) -> tuple[str, ...]:
-    """A column for each ClockSpeed."""
-    return ("command", "latency", *(clock_label(clock) for clock in _clocks(summary)))
-
-
-def table(summary: Summary) -> list[tuple[str, ...]]:
-    """A line for each command and latency, below `header`."""
+def table(summary: Summary) -> Table:
+    """Return a table of success with a row for each command and latency, and a column for each ClockSpeed."""
     success = {
         (cell["command"], cell["latency_scale"], cell["clock_speed"]): Proportion.of(cell).text(0)
         for cell in summary["cells"]
     }
-    return [
+    clocks = sorted({clock for _, _, clock in success})
+    rows = [
         (
             command_name(command),
             f"×{scale:g}",
-            *(success.get((command, scale, clock), "-") for clock in _clocks(summary)),
+            *(success.get((command, scale, clock), "-") for clock in clocks),
         )
         for command, scale in sorted({key[:2] for key in success})
     ]
+    return Table(("command", "latency", *map(clock_label, clocks)), rows)
 
 
-def _clocks(summary: Summary) -> list[float]:
-    return sorted({cell["clock_speed"] for cell in summary["cells"]})
+def _collapse_table(collapses: Sequence[Summary]) -> Table:
+    return Table.of(
+        collapses,
+        ("command", lambda found: command_name(found["command"])),
+        ("ClockSpeed", lambda found: clock_label(found["clock_speed"])),
+        ("success at the fitted latency", lambda found: or_dash(found["fitted"], "{:.1%}".format)),
+        ("falls below half of that in real time", _collapse_words),
+    )
 
 
-def _collapse_line(found: Summary) -> tuple[str, ...]:
+def _collapse_words(found: Summary) -> str:
     above, below = found["above"], found["below"]
     if found["real_time"] is None:
-        where = "- (1x at the fitted latency was not flown)"
-    elif below is None:
-        where = f"nowhere up to ×{above:g}"
-    else:
-        where = f"at ×{below:g} or less" if above is None else f"between ×{above:g} and ×{below:g}"
-    fitted = or_dash(found["fitted"], "{:.1%}".format)
-    return command_name(found["command"]), clock_label(found["clock_speed"]), fitted, where
+        return "- (1x at the fitted latency was not flown)"
+    if below is None:
+        return f"nowhere up to ×{above:g}"
+    return f"at ×{below:g} or less" if above is None else f"between ×{above:g} and ×{below:g}"
 
 
 _READING = (
-    "Latency is that of all messages of the profile's frozen model, requests, replies and callbacks, times the factor; "
-    "what frames, ticks and timers cost stays as it is. At ×0 these alone are left. The policy is one and the same in "
-    "all cells, and so are the lanes: the map says what a policy that was trained without latency stands, and a "
-    "training under latency may do better or worse."
+    "Latencies are those of all messages of the profile's frozen model, requests, replies and callbacks, times the "
+    "factor; the costs of frames, ticks and timers stay as they are, and are all that is left at ×0. Policy and lanes "
+    "are the same in all cells: the map shows what a policy that was trained without latency tolerates; training with "
+    "latency may do better or worse."
 )

@@ -1,10 +1,13 @@
-"""A sweep's report: summary.json, figures/sweep.png, report.md and report.html."""
+"""The report of a sweep: success under each condition, compared with the success as trained."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
@@ -13,19 +16,52 @@ from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.files import Plain
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.suites.evaluation.parts import agent_name
-from uavaccel.suites.report import Report, Row, Summary
-from uavaccel.suites.sweep.conditions import value_text
-from uavaccel.suites.sweep.figure import plot_sweeps
+from uavaccel.suites.evaluation.parts import PolicyRow, agent_name
+from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.rows import Row
+from uavaccel.suites.sweep.config import value_text
 
-FIGURE = "figures/sweep.png"
+COLUMNS = 3
+
+
+def plot_sweeps(
+    sweeps: Mapping[str, Mapping[str, Proportion]], as_trained: float | None, title: str, source: str
+) -> Figure:
+    """Plot success at each value of a condition, a panel per condition; the dashed line is success as trained."""
+    columns = max(min(len(sweeps), COLUMNS), 1)
+    rows = max(math.ceil(len(sweeps) / columns), 1)
+    with style.project_style():
+        figure = style.new_figure(max(2.9 * columns, 5.0), 0.9 + 2.2 * rows, title, source)
+        panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+        for axes, (name, success) in zip(panels, sweeps.items(), strict=False):
+            _plot_condition(axes, success, as_trained)
+            axes.set_xlabel(name)
+        for axes in panels[len(sweeps) :]:
+            axes.set_visible(False)
+        for axes in panels[::columns]:
+            axes.set_ylabel("success")
+        return figure
+
+
+def _plot_condition(axes: Axes, success: Mapping[str, Proportion], as_trained: float | None) -> None:
+    places, won = range(len(success)), list(success.values())
+    ratios = [each.ratio for each in won]
+    reach = style.error_bars(ratios, [each.interval for each in won])
+    axes.errorbar(places, ratios, reach, color=style.BLUE, marker="o", markersize=4, capsize=3)
+    if as_trained is not None:
+        axes.axhline(as_trained, color=style.GREY, linestyle="--", linewidth=1.0)
+    axes.set_xticks(list(places), list(success))
+    axes.set(ylim=(-0.03, 1.03), xlim=(-0.5, len(success) - 0.5))
+    axes.yaxis.set_major_formatter("{x:.0%}")
+
+
 AS_TRAINED = "as-trained"
 
 Won = Mapping[str, NDArray[np.bool_]]
 
 
 class SweepReport(Report):
-    """Of `uavaccel evaluate --sweep` and `uavaccel run sweep`."""
+    """The report of `uavaccel evaluate --sweep` and `uavaccel run sweep`."""
 
     def summarise(self) -> Summary:
         won = {row["case"]: self.run.load_arrays(row)["is_success"] for row in self.rows}
@@ -35,7 +71,7 @@ class SweepReport(Report):
         return f"Success of {agent_name(self.summary['agent'])}, one condition changed at a time"
 
     def headline(self) -> str:
-        """The success as trained, and where it is least."""
+        """Return the success as trained, and the condition with the lowest."""
         departed = [cell for cell in self.summary["cells"] if cell["condition"]]
         usual = as_trained(self.summary)
         parts = [] if usual is None else [f"{usual:.1%} as trained"]
@@ -55,24 +91,35 @@ class SweepReport(Report):
         provenance = " and ".join(summary["provenance"])
         source = f"{provenance} · {summary['lanes']} lanes each · seed {summary['seed']}"
         figure = plot_sweeps(swept(summary), as_trained(summary), title, source)
-        path = style.save(figure, self.run.file(FIGURE))
-        said = "with 95 % Wilson intervals; the dashed line is the success as trained"
-        return [Picture(path, f"{title}, {said}. Source: {source}.")]
+        caption = f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained."
+        return [style.picture(figure, self.run.file("figures/sweep.png"), caption, source)]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
 
 
-def summarise(config: Row, rows: Sequence[Row], won: Won) -> Summary:
-    """Every condition with its interval, and McNemar's exact test against the flights as trained.
+class SweepRow(PolicyRow):
+    """The row of an evaluation under one condition."""
 
-    `won` has the successes lane by lane, by case.
+    condition: str
+    """Short name or dotted key; empty as trained."""
+    value: Plain
+    same: list[str]
+    """In the row as trained, the cases that change nothing and are not flown again."""
+    timing: str
+
+
+def summarise(config: Row, rows: Sequence[SweepRow], won: Won) -> Summary:
+    """Summarise each condition: success with its interval, and McNemar's exact test against the flights as trained.
+
+    `won` has the successes of the lanes by case.
     """
     by_case = {row["case"]: row for row in rows}
     usual = by_case.get(AS_TRAINED)
     same = set() if usual is None else set(usual["same"])
+    conditions = [(name, value) for name, values in config["sweep"].items() for value in values]
     cells = []
-    for name, value in _conditions(config):
+    for name, value in [("", None), *conditions]:
         case = case_id(name, value)
         row = usual if case in same else by_case.get(case)
         if row is not None:
@@ -87,16 +134,12 @@ def summarise(config: Row, rows: Sequence[Row], won: Won) -> Summary:
     }
 
 
-def _conditions(config: Row) -> list[tuple[str, Plain]]:
-    return [("", None), *((name, value) for name, values in config["sweep"].items() for value in values)]
-
-
 def case_id(condition: str, value: object) -> str:
-    """Name of a condition's row."""
+    """Return the name of a condition's case."""
     return f"{condition}-{value_text(value)}".replace("/", "_") if condition else AS_TRAINED
 
 
-def _cell(name: str, value: object, row: Row, won: Won) -> Summary:
+def _cell(name: str, value: object, row: SweepRow, won: Won) -> Summary:
     test = None
     if AS_TRAINED in won and row["case"] != AS_TRAINED:
         test = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value
@@ -110,12 +153,12 @@ def _cell(name: str, value: object, row: Row, won: Won) -> Summary:
 
 
 def as_trained(summary: Summary) -> float | None:
-    """The success under the conditions of the training, if that is flown."""
+    """Return the success under the conditions of the training, if that was flown."""
     return next((cell["success_ratio"] for cell in summary["cells"] if not cell["condition"]), None)
 
 
 def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
-    """Success by condition and value, as the figure takes it."""
+    """Return the success by condition and value, as the figure takes it."""
     sweeps: dict[str, dict[str, Proportion]] = {}
     for cell in summary["cells"]:
         if cell["condition"]:
@@ -125,7 +168,7 @@ def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
 
 
 def table(summary: Summary) -> Table:
-    """A row for each condition."""
+    """Return the table of all conditions."""
     return Table.of(
         summary["cells"],
         ("condition", lambda cell: _name(cell["condition"]) if cell["condition"] else "as trained"),
@@ -144,7 +187,7 @@ def _name(condition: str) -> str:
 
 
 _READING = (
-    "One thing is changed at a time, the lanes are the same ones throughout. p is that of McNemar's exact test against "
+    "One condition is changed at a time; the lanes are the same throughout. p is that of McNemar's exact test against "
     "the flights as trained, lane by lane. Where spacing or gap change, the obstacles stand elsewhere, and a lane may "
     "be harder or easier for any policy."
 )

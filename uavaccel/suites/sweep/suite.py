@@ -1,4 +1,4 @@
-"""A sweep as a suite: a case is an evaluation in which one condition departs from the training's."""
+"""The suite `sweep`: each case is an evaluation in which one condition departs from those of the training."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import replace
 from uavaccel.suites.evaluation.parts import EvaluationCase, PolicySuite
 from uavaccel.suites.experiment import timing_of
 from uavaccel.suites.parts import part_cost, part_suite
-from uavaccel.suites.sweep.conditions import keys_of
-from uavaccel.suites.sweep.config import SweepConfig
+from uavaccel.suites.sweep.config import SweepConfig, keys_of
 from uavaccel.suites.sweep.report import AS_TRAINED, SweepReport, case_id
 
 
@@ -22,15 +21,15 @@ class Sweep(PolicySuite[SweepConfig]):
     kept = (*PolicySuite.kept, "timing")
 
     def evaluations(self, config: SweepConfig) -> Iterator[EvaluationCase]:
-        """As trained, then one condition at a time."""
-        yield EvaluationCase(AS_TRAINED, {}, {"condition": "", "value": None})
+        """Yield the evaluation as trained, then those with one condition changed."""
+        yield EvaluationCase(AS_TRAINED, "virtual", 0.0, {}, {"condition": "", "value": None})
         for name, values in config.sweep.items():
             for value in values:
                 labels = {"condition": name, "value": value}
-                yield EvaluationCase(case_id(name, value), keys_of(name, value), labels)
+                yield EvaluationCase(case_id(name, value), "virtual", 0.0, keys_of(name, value), labels)
 
     def cases(self, config: SweepConfig) -> Iterator[EvaluationCase]:
-        """What is flown: conditions that change nothing are flown once, as trained."""
+        """Yield the evaluations to fly; conditions that change nothing are flown once, as trained."""
         evaluations = [
             (case, part, part_suite(part, config.seed)[1])
             for case in self.evaluations(config)
@@ -42,10 +41,10 @@ class Sweep(PolicySuite[SweepConfig]):
             if case.id not in same:
                 labels = {**case.labels, "same": same if case.id == AS_TRAINED else []}
                 simulated_s, _ = part_cost(part, config.seed)
-                yield replace(case, labels=labels, timing=timing_of(evaluation), simulated=simulated_s)
+                yield replace(case, labels=labels, timing=timing_of(evaluation), typical_s=simulated_s)
 
     def why_serial(self, config: SweepConfig) -> str:
-        """As its evaluations."""
+        """Return why its evaluations are serial, if they are."""
         suite, evaluation = self.first(config)
         if timing_of(evaluation) == "wall":
             return "neighbours would spoil the measurement on the wall clock"

@@ -12,13 +12,13 @@ from uavaccel.suites.experiment import Experiment
 
 
 class TrainConfig(LearnerConfig, Experiment):
-    """Keys of experiments/train.yaml."""
+    """`suite: train`."""
 
     suite: Literal["train"] = "train"
     evaluate_every_games: Annotated[int, Field(ge=0, le=MOST_GAMES)] = 0
-    """Games after which the present greedy policy is flown on evaluation lanes, and again after the last; 0: never."""
+    """Interval in games at which the greedy policy is evaluated, as it is after the last game; 0: never."""
     evaluation_games: Games = 100
-    """Lanes of each of these evaluations, from number 500 000 on: those that `uavaccel evaluate` flies stay unseen."""
+    """Lanes of each of these evaluations, from number 500 000 on, so that those of `uavaccel evaluate` stay unseen."""
 
     @model_validator(mode="after")
     def _evaluations_fit(self) -> TrainConfig:

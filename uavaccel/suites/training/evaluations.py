@@ -1,7 +1,7 @@
-"""Evaluations during a training: its policy of the moment on lanes of their own, which the training never notices.
+"""Evaluations of the current policy during a training, on lanes of their own.
 
-They are flown between two steps of the training, in processes and with generators of their own, by a copy of the policy
-that is kept below policies/: the weights are those of a training without them.
+They are flown between two steps of the training, in processes and with random generators of their own, by a copy of the
+policy that is stored below policies/, so that the weights are those of a training without them.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from uavaccel.rl.learner import Learner
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.evaluation.batch import GamesInBatch
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.report import Row
+from uavaccel.suites.rows import Row
 from uavaccel.suites.training.config import TrainConfig
 
 FILE, POLICIES = "evaluations.jsonl", "policies"
-FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, for which the best policy may be chosen by these
+FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, so that policies may be selected on these
 
 
 class EvaluationLine(TypedDict):
-    """An evaluation of the policy of the moment, as a line of evaluations.jsonl."""
+    """A line of evaluations.jsonl: an evaluation of the current policy."""
 
     games: int
-    """Learned from so far."""
+    """Games learned from so far."""
     weights_sha256: str
     successes: int
     lanes: list[int]
     is_success: list[bool]
-    """By lane, as `distance_m`, metres north."""
+    """By lane, as is `distance_m`, in metres north."""
     distance_m: list[float]
 
 
 class Evaluations:
-    """Flies them when they are due, and writes a line each to evaluations.jsonl."""
+    """Flies evaluations when they are due, and writes a line of evaluations.jsonl for each."""
 
     def __init__(self, config: TrainConfig, run: RunDirectory) -> None:
         self._config, self._run = config, run
@@ -47,14 +47,14 @@ class Evaluations:
         self._batch: GamesInBatch | None = None
 
     def due(self, games: int) -> bool:
-        """Whether a multiple of `evaluate_every_games`, or the last game, has been passed since the last one."""
+        """Return whether a multiple of `evaluate_every_games` or the last game has passed since the last evaluation."""
         every = self._config.evaluate_every_games
         if not every or games <= self._done:
             return False
         return games // every > self._done // every or games == self._config.games
 
     def fly(self, learner: Learner) -> EvaluationLine:
-        """The greedy policy on every lane; the line that was written."""
+        """Evaluate the greedy policy on every lane, and return the line written."""
         folder = self._run.file(f"{POLICIES}/{learner.games:07d}/policy.pt").parent
         sha256 = weights_sha256(learner.policy)
         export_policy(
@@ -87,7 +87,7 @@ class Evaluations:
 
 
 def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
-    """The evaluation, as `uavaccel evaluate` would fly it, of a policy of that training."""
+    """Return the configuration with which `uavaccel evaluate` flies the same evaluation of a training's policy."""
     keys = {
         "agent": str(folder),
         "seed": config.seed,
@@ -101,13 +101,13 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
 
 
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
-    """What evaluations.jsonl holds."""
+    """Return the lines of evaluations.jsonl."""
     lines: list[EvaluationLine] = read_lines(run.path / FILE)
     return lines
 
 
 def drop_evaluations_after(run: RunDirectory, games: int) -> None:
-    """Forget those that a checkpoint of so many games does not know: they are flown again."""
+    """Drop the evaluations after a checkpoint of so many games, since they will be flown again."""
     if (run.path / FILE).is_file():
         kept = [line for line in evaluations(run) if line["games"] <= games]
         run.write_text(FILE, "".join(to_json(line) + "\n" for line in kept))

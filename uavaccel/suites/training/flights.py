@@ -1,4 +1,4 @@
-"""Games of a training: a learner flies its lanes and learns, and hands out one finished game after another."""
+"""The trainer: a learner flies its lanes, learns, saves checkpoints, and returns one finished game after another."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CHECKPOINTS = "checkpoints"
 
 
 class Trainer:
-    """A learner and its lanes, which goes on from its last checkpoint to the weights that it would have had."""
+    """A learner and its lanes; resumed from a checkpoint, it reaches the weights that it would have had."""
 
     def __init__(self, config: TrainConfig, run: RunDirectory) -> None:
         th.set_num_threads(config.torch_threads)
@@ -49,13 +49,16 @@ class Trainer:
         self._saved = self._learner.games
 
     def next_game(self) -> GameResult:
-        """Fly and learn until another game is over. Raises KeyboardInterrupt, after a checkpoint, on Ctrl-C."""
+        """Fly and learn until another game is over, and return it.
+
+        Raises KeyboardInterrupt on Ctrl-C, after saving a checkpoint.
+        """
         learner = self._learner
         while not self._finished:
             learner.holding = self._due()
             if learner.at_rest:
-                self._save_if_due()  # every game handed out has its row by now
-            self._finished.extend(self._rows.flown(game, learner.stopwatch) for game in learner.advance())
+                self._save_if_due()  # every returned game has its row by now
+            self._finished.extend(self._rows.finished(game, learner.stopwatch) for game in learner.advance())
             if self._evaluations.due(learner.games):
                 with self._rows.clock_stopped():
                     self._evaluations.fly(learner)
@@ -87,7 +90,7 @@ class Trainer:
         self._lanes.close()
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """A first Ctrl-C is heeded between rollouts, once there is a checkpoint; a second one at once."""
+        """Stop between rollouts, after a checkpoint; on a second Ctrl-C at once."""
         if self._interrupted:
             raise KeyboardInterrupt
         self._interrupted = True
@@ -95,7 +98,7 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
-    """A trainer that Ctrl-C asks for a checkpoint, or SIGTERM, unless this process leaves them to another."""
+    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals."""
     trainer = Trainer(config, run)
     heeded = {
         kind: before for kind in (signal.SIGINT, signal.SIGTERM) if callable(before := signal.getsignal(kind))
@@ -113,7 +116,10 @@ def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
 
 
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
-    """Forget the rows and evaluations that the last checkpoint does not know: they are flown again from there."""
+    """Drop the rows and evaluations after the last checkpoint, since they will be flown again.
+
+    Raises UserError where rows from before the checkpoint are missing.
+    """
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:

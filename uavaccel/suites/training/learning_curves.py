@@ -1,4 +1,4 @@
-"""The learning curves of trainings: games won over the games, or over the wall clock, and evaluations on the way."""
+"""Learning curves of trainings: success over games, or over the wall clock, and evaluations during the training."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
-from uavaccel.suites.host_time import running_s
+from uavaccel.suites.host_time import cumulative_wall_s
 from uavaccel.suites.report import listed
 from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.rows import RECENT
 
 PAPER_S = {
     "paper: 5 000 games in real time, 182 h": paper_results.REAL_TIME_S
-}  # section IV-D: one week and 14 hours
+}  # section IV-D: a week, 14 hours
 TICKS_S = {
     "1 s": 1.0,
     "10 s": 10.0,
@@ -42,22 +42,22 @@ TICKS_S = {
 
 @dataclass(frozen=True)
 class Evaluated:
-    """Evaluations during one training: when each was, in games or seconds (n,), and what it won (n,)."""
+    """Evaluations during a training: when each took place, in games or seconds (n,), and its success (n,)."""
 
     at: Sequence[float]
     success: Sequence[Proportion]
 
     @property
     def ratio(self) -> NDArray[np.float64]:
-        """Success (n,), 0 to 1."""
+        """Success ratios (n,), from 0 to 1."""
         return np.array([each.ratio for each in self.success])
 
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """Of one training the success lately, 0 to 1, after so many games or seconds of wall clock (n,) each.
+    """The moving average of a training's success (n,), from 0 to 1, over games or seconds of wall clock (n,).
 
-    Those of one label are its seeds.
+    Curves with one label are trainings with different seeds.
     """
 
     label: str
@@ -67,21 +67,21 @@ class LearningCurve:
 
 
 def learning_curve(run: RunDirectory, label: str) -> LearningCurve:
-    """From the 100th game on: the wall clock so far, of all starts, and the share won of the last 100 games.
+    """Return the share won of the last 100 games over the wall clock of all starts, from the 100th game on.
 
-    A shorter training has the share of all its games so far. Raises UserError where the run has no game of a training,
-    or no wall times.
+    In a shorter training it is the share of all games so far. Raises UserError where the run has no games of a
+    training, or no wall times.
     """
     rows, timings = run.rows(), run.timings()
     if not rows or len(timings) < len(rows) or any("wall_s" not in entry for entry in timings):
         raise UserError(f"{run.path}: is no training with a wall time in timing.jsonl for each game")
     games, success = _recent_success([row["is_success"] for row in rows])
-    wall_s = np.array(running_s(run))
+    wall_s = np.array(cumulative_wall_s(run))
     return LearningCurve(label, wall_s[games - 1].tolist(), success.tolist(), evaluated(run, wall_s))
 
 
 def games_curve(run: RunDirectory, label: str) -> LearningCurve:
-    """The share won of the last 100 games, or of all so far, after each game from the 100th, or the first, on."""
+    """Return the share won of the last 100 games over the games, as `learning_curve` does over the wall clock."""
     rows = run.rows()
     games, success = _recent_success([row["is_success"] for row in rows])
     return LearningCurve(
@@ -90,7 +90,7 @@ def games_curve(run: RunDirectory, label: str) -> LearningCurve:
 
 
 def evaluated(run: RunDirectory, after_game: NDArray[np.float64]) -> Evaluated | None:
-    """Its evaluations, where an axis has the end of each game at `after_game` (n,); None where there were none."""
+    """Return a run's evaluations on an axis that has the end of each game at `after_game` (n,); None without any."""
     lines = [line for line in evaluations(run) if line["games"] <= len(after_game)]
     if not lines:
         return None
@@ -105,8 +105,8 @@ def _recent_success(won: Sequence[bool]) -> tuple[NDArray[np.int64], NDArray[np.
     return games, (so_far[games] - so_far[before]) / (games - before)
 
 
-def draw_over_games(runs: Sequence[RunDirectory], path: Path) -> Path:
-    """A curve for each training over its games; those that differ in their seed alone are one band. Returns `path`."""
+def plot_over_games(runs: Sequence[RunDirectory], path: Path) -> Path:
+    """Plot a curve for each training over its games; trainings that differ in their seed alone form a band."""
     alike: dict[str, list[RunDirectory]] = {}
     for run in runs:
         alike.setdefault(json.dumps({**run.config(), "seed": None}, sort_keys=True), []).append(run)
@@ -122,8 +122,8 @@ def _label(group: Sequence[RunDirectory]) -> str:
     return flown_by if len(group) == 1 else f"{flown_by} and {len(group) - 1} more seeds"
 
 
-def draw_runs(runs: Sequence[RunDirectory], labels: Sequence[str], path: Path) -> Path:
-    """A curve for each training, and the paper's real time beside them; returns `path`."""
+def plot_over_time(runs: Sequence[RunDirectory], labels: Sequence[str], path: Path) -> Path:
+    """Plot a curve for each training over the wall clock, with the paper's real time beside them."""
     curves = [learning_curve(run, label) for run, label in zip(runs, labels, strict=True)]
     source = f"measured, start-up not counted · seed {_seeds(runs)}"
     return style.save(plot_learning_curves(curves, source, PAPER_S), path)
@@ -134,7 +134,7 @@ def _seeds(runs: Sequence[RunDirectory]) -> str:
 
 
 def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
-    """A line per label, the mean of its seeds over the games that all of them flew, in the band from least to most."""
+    """Plot a line per label, the mean of its seeds over the games that all have, in the band of their range."""
     with style.project_style():
         figure = style.new_figure(8.0, 3.8, "Success over the games", source)
         axes = figure.subplots()
@@ -143,7 +143,7 @@ def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
             first, last = max(seed.at[0] for seed in seeds), min(seed.at[-1] for seed in seeds)
             games = np.arange(first, max(last, first) + 1)
             success = np.array([np.interp(games, seed.at, seed.success) for seed in seeds])
-            colour = style.CYCLE[number % len(style.CYCLE)]
+            colour = style.colour(number)
             axes.plot(games, success.mean(axis=0), color=colour, label=label)
             if len(seeds) > 1:
                 ends = success.min(axis=0), success.max(axis=0)
@@ -157,14 +157,14 @@ def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
 
 
 def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Mapping[str, float]) -> Figure:
-    """A line per training, those of one label in one colour, and a vertical one at each of `marks`, seconds by name."""
+    """Plot a line per training, coloured by label, and a vertical line at each of `marks`, seconds by name."""
     with style.project_style():
         figure = style.new_figure(8.0, 4.2, "Success over the wall clock", source)
         axes = figure.subplots()
         labels = list(dict.fromkeys(curve.label for curve in curves))
         for number, curve in enumerate(curves):
             first = curve.label not in [other.label for other in curves[:number]]
-            colour = style.CYCLE[labels.index(curve.label) % len(style.CYCLE)]
+            colour = style.colour(labels.index(curve.label))
             axes.plot(curve.at, curve.success, color=colour, label=curve.label if first else None)
             if curve.evaluated is not None:
                 plot_evaluated(axes, [curve.evaluated], colour)
@@ -185,7 +185,7 @@ def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Ma
 
 
 def plot_evaluated(axes: Axes, seeds: Sequence[Evaluated], colour: str) -> None:
-    """One seed: points with 95 % Wilson intervals. Several: their mean where all were evaluated, from least to most."""
+    """Plot evaluations: of one seed points with Wilson's intervals, of several the mean in the band of the range."""
     if len(seeds) < 2:
         for seed in seeds:
             _plot_points(axes, seed, colour)
@@ -205,7 +205,7 @@ def _plot_points(axes: Axes, seed: Evaluated, colour: str) -> None:
     axes.errorbar(
         seed.at,
         seed.ratio,
-        style.error_bars(seed.success),
+        style.error_bars([each.ratio for each in seed.success], [each.interval for each in seed.success]),
         fmt="o--",
         color=colour,
         markersize=4,

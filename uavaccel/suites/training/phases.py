@@ -1,4 +1,4 @@
-"""Where the time of a training goes, and how fast it was (the paper's Figure 9, section IV-D)."""
+"""The time of a training by phase, and its speed (the paper's Figure 9, section IV-D)."""
 
 from __future__ import annotations
 
@@ -13,42 +13,46 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
+from uavaccel.draw.document import Picture
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.records import RunDirectory
-from uavaccel.suites.disturbed import disturbed_words
 from uavaccel.suites.host_time import over_all_starts, wall_s
+from uavaccel.suites.provenance import disturbed_words
 from uavaccel.suites.report import listed
 
+CLOCKS = {True: "modelled", False: "measured, learning beside the flight"}  # by whether they are simulated
 UNITS_S = {"hours": 3600.0, "minutes": 60.0, "seconds": 1.0}
-LETTER_IN = 0.085  # width of a label's letter
+LETTER_IN = 0.085  # width of a letter of a label
 
 
 @dataclass(frozen=True)
 class PhaseTimes:
-    """Seconds of a training by phase, those of the lanes summed over all, and how fast it was all in all."""
+    """The seconds of a training by phase, summed over its lanes, and its overall speed."""
 
     label: str
     phase_s: Mapping[str, float]
     simulated_s_per_wall_s: float
 
 
-def draw_trainings(runs: Sequence[RunDirectory], path: Path) -> Path:
-    """Figure 9 with a bar for each training; returns `path`."""
-    return style.save(plot_phases(told_apart(runs), trainings_source(runs)), path)
+def plot_trainings(runs: Sequence[RunDirectory], path: Path) -> Picture:
+    """Plot Figure 9 with a bar for each training."""
+    source = _source(runs)
+    figure = plot_phases(uniquely_labelled(runs), source)
+    return style.picture(figure, path, "Figure 9. Time of the training by phase.", source)
 
 
-def trainings_source(runs: Sequence[RunDirectory]) -> str:
-    """The line below it."""
+def _source(runs: Sequence[RunDirectory]) -> str:
     games = listed(sorted({len(run.rows()) for run in runs}))
     seeds = listed(sorted({run.config()["seed"] for run in runs}))
-    clocks = " and ".join(sorted({_clock(run) for run in runs}))
+    modelled = {run.config()["task"]["timing"] == "virtual" for run in runs}
+    clocks = " and ".join(sorted(CLOCKS[each] for each in modelled))
     disturbed = disturbed_words([row for run in runs for row in run.rows()])
     return " · ".join([clocks, f"{games} games", f"seed {seeds}", *disturbed])
 
 
-def told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
-    """Times of the trainings; where labels are alike, each has its folder below."""
+def uniquely_labelled(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
+    """Return the times of the trainings; equal labels are followed by the run's folder."""
     trainings = [phase_times(run) for run in runs]
     named = Counter(training.label for training in trainings)
     return [
@@ -58,7 +62,7 @@ def told_apart(runs: Sequence[RunDirectory]) -> list[PhaseTimes]:
 
 
 def phase_times(run: RunDirectory) -> PhaseTimes:
-    """Of a training: by its own clock where that is simulated, else by the machine's."""
+    """Return the times of a training, on its simulated clock if it has one, else on the machine's."""
     config, rows = run.config(), run.rows()
     task = config["task"]
     flown_by = f"{command_name(task['command'])} {clock_label(task['clock_speed'])}"
@@ -76,14 +80,8 @@ def phase_times(run: RunDirectory) -> PhaseTimes:
     )
 
 
-def _clock(run: RunDirectory) -> str:
-    if run.config()["task"]["timing"] == "virtual":
-        return "modelled"
-    return "measured, learning beside the flight"
-
-
 def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
-    """A bar per training, its phases on top of each other, and the speeds as points on an axis of their own."""
+    """Plot a bar of stacked phases per training, and the speeds as points on an axis of their own."""
     with style.project_style():
         longest = max(len(line) for training in trainings for line in training.label.splitlines())
         bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
@@ -104,13 +102,13 @@ def plot_phases(trainings: Sequence[PhaseTimes], source: str) -> Figure:
 
 
 def unit_of(phase_s: Sequence[Mapping[str, float]]) -> str:
-    """The largest unit in which the longest of several trainings is 1 or more."""
+    """Return the largest unit in which the longest of several trainings is 1 or more."""
     longest_s = max(sum(spent.values()) for spent in phase_s)
     return next((unit for unit, unit_s in UNITS_S.items() if longest_s >= unit_s), "seconds")
 
 
 def plot_stacked(axes: Axes, phase_s: Sequence[Mapping[str, float]], unit: str) -> NDArray[np.int64]:
-    """A bar for each training, its phases on top of each other; the bars' places (n,)."""
+    """Plot a bar of stacked phases for each training, and return the bars' places (n,)."""
     places, below = np.arange(len(phase_s)), np.zeros(len(phase_s))
     for phase, colour in zip(phase_s[0], style.CYCLE, strict=False):
         spent = np.array([each[phase] for each in phase_s]) / UNITS_S[unit]

@@ -1,4 +1,4 @@
-"""How long a training would have taken in real time, modelled: its commands under an AirSim at ClockSpeed 1."""
+"""The time that a training would have taken in real time, modelled as its commands in AirSim at ClockSpeed 1."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from uavaccel.files import to_json
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import baseline_class
 from uavaccel.rl.config import OWN
-from uavaccel.suites.report import Row, Values
+from uavaccel.suites.report import Values
+from uavaccel.suites.rows import Row
 from uavaccel.suites.training.config import TrainConfig
 
-COMMANDS = 20  # of the modelled game: by then their mean moves by less than 1 %
+COMMANDS = 20  # in the modelled game, after which their mean changes by less than 1 %
 REAL_TIME = "real_time.json"  # in the run's folder
 KEYS = ("command", "observation", "history", "image_processing_s", *FLIGHT)
 
 
 def model_real_time(config: TrainConfig) -> Values:
-    """Wall seconds of a command: a short game straight ahead in an empty lane, under the modelled AirSim that ships.
+    """Return the wall seconds of a command, from a short game straight ahead in an empty lane in the modelled AirSim.
 
-    Pictures, DVS, decisions and learning are charged to its wall clock: the phases of the paper's Figure 9.
+    Images, DVS, decisions and learning are charged to its wall clock, as the phases of the paper's Figure 9.
     """
     from uavaccel.draw.style import command_name
 
@@ -41,7 +42,7 @@ def model_real_time(config: TrainConfig) -> Values:
 
 @lru_cache
 def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
-    """Wall seconds of a command; once for the trainings of one process that differ in nothing that is charged."""
+    """Return the wall seconds of a command, computed once for trainings with equal costs."""
     environment = ObstacleLane(
         **json.loads(keys),
         timing="virtual",
@@ -63,7 +64,7 @@ def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
 
 
 def in_real_time(commands: int, modelled: Row) -> Values:
-    """What the summary says about it."""
+    """Return the keys of a summary for the real time of so many commands."""
     return {
         "modelled_real_time_s": commands * modelled["command_s"],
         "modelled_real_time_how": modelled["how"],
@@ -71,7 +72,7 @@ def in_real_time(commands: int, modelled: Row) -> Values:
 
 
 def _gradient_steps(config: TrainConfig) -> float:
-    """Per command; algorithms without a replay buffer are charged none, as while they train."""
+    """Return the gradient steps per command; algorithms without a replay buffer are charged none, as in training."""
     own = config.algorithm == OWN
     buffered = own or issubclass(baseline_class(config.algorithm), OffPolicyAlgorithm)
     return 1 / config.commands_per_gradient_step if buffered else 0.0

@@ -1,34 +1,71 @@
-"""A training's report: summary.json, Figure 9, report.md and report.html; several trainings in one Figure 9."""
+"""The report of a training: its summary, learning curves and Figure 9, and the comparison of several trainings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from uavaccel.config import validate
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
+from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import in_words, pace, wall_s
-from uavaccel.suites.report import Report, Row, Summary, summary_table
+from uavaccel.suites.report import Report, Summary, Values, summary_table
+from uavaccel.suites.rows import Row, disturbed_games
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.evaluations import evaluations
-from uavaccel.suites.training.learning_curves import draw_over_games, draw_runs
-from uavaccel.suites.training.phases import draw_trainings, told_apart, trainings_source
+from uavaccel.suites.training.evaluations import EvaluationLine, evaluations
+from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
+from uavaccel.suites.training.phases import plot_trainings, uniquely_labelled
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
-from uavaccel.suites.training.summary import summarise, summarise_evaluations
+from uavaccel.suites.training.rows import TrainRow
 
-FIGURE = "figures/figure9_phases.png"
+
+def summarise(config: TrainConfig, rows: Sequence[TrainRow], weights_sha256: str | None) -> Values:
+    """Summarise a training: sums over all games, and the hash of the resulting weights."""
+    task = config.task
+    disturbed = disturbed_games(rows)
+    return {
+        **({"disturbed_games": disturbed} if disturbed else {}),
+        "suite": "train",
+        "profile": task.profile,
+        "command": task.command,
+        "clock_speed": task.clock_speed,
+        "timing": task.timing,
+        "seed": config.seed,
+        "games": len(rows),
+        "successes": sum(row["is_success"] for row in rows),
+        "commands": sum(row["commands"] for row in rows),
+        "sim_time_s": sum(row["sim_time_s"] for row in rows),
+        "phase_s": {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES},
+        "weights_sha256": weights_sha256,
+    }
+
+
+def summarise_evaluations(lines: Sequence[EvaluationLine]) -> list[Values]:
+    """Summarise each line of evaluations.jsonl: success with its 95 % Wilson interval, and the distances flown."""
+    return [
+        {
+            **Proportion(line["successes"], len(line["lanes"])).as_summary(),
+            "games": line["games"],
+            "lanes": len(line["lanes"]),
+            "distance_m_median": float(np.median(line["distance_m"])),
+        }
+        for line in lines
+    ]
+
+
 COMPARISON = "figures/figure9_phases_compared.png"
 CURVES = "figures/learning_curves_compared.png"
 GAMES_COMPARED = "figures/learning_games_compared.png"
-OVER_GAMES, OVER_TIME = "figures/learning_games.png", "figures/learning_curve.png"
 
 
 class TrainingReport(Report):
-    """Of `uavaccel train`."""
+    """The report of `uavaccel train`."""
 
     def summarise(self) -> Summary:
         config = validate(TrainConfig, self.config, str(self.run.path / "config.yaml"))
@@ -45,7 +82,7 @@ class TrainingReport(Report):
         return f"Training, {self.config['algorithm']}, seed {self.config['seed']}"
 
     def headline(self) -> str:
-        """The result in a sentence."""
+        """Return the result in a sentence."""
         summary = self.summary
         weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
         return (
@@ -58,11 +95,7 @@ class TrainingReport(Report):
         return pace(self.run)
 
     def figures(self) -> list[Picture]:
-        path = draw_trainings([self.run], self.run.file(FIGURE))
-        phases = Picture(
-            path, f"Figure 9. Time of the training by phase. Source: {trainings_source([self.run])}."
-        )
-        return [*_curves(self.run), phases]
+        return [*_curves(self.run), plot_trainings([self.run], self.run.file("figures/figure9_phases.png"))]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         *curves, phases = figures
@@ -77,13 +110,13 @@ class TrainingReport(Report):
 
 
 def _curves(run: RunDirectory) -> list[Picture]:
-    """Success over the games and, where wall times were kept, over the wall clock."""
-    over_games = draw_over_games([run], run.file(OVER_GAMES))
+    """Plot success over the games and, where wall times were recorded, over the wall clock."""
+    over_games = plot_over_games([run], run.file("figures/learning_games.png"))
     pictures = [
         Picture(over_games, "Success over the games: the share won of the last 100, or of all so far.")
     ]
     if wall_s(run):
-        over_time = draw_runs([run], [run.path.name], run.file(OVER_TIME))
+        over_time = plot_over_time([run], [run.path.name], run.file("figures/learning_curve.png"))
         caption = (
             "The same over the wall clock, measured; the dashed line is the paper's training in real time."
         )
@@ -92,27 +125,25 @@ def _curves(run: RunDirectory) -> list[Picture]:
 
 
 def _evaluated(lines: Sequence[Row]) -> list[Table]:
-    """Success of the policy of the moment, where it was evaluated."""
+    """Return a table of the evaluations during the training, if there were any."""
     if not lines:
         return []
-    rows = [
-        (
-            str(line["games"]),
-            Proportion(line["successes"], line["lanes"]).text(),
-            str(line["lanes"]),
-            f"{line['distance_m_median']:.1f}",
-        )
-        for line in lines
-    ]
     return [
-        Table(
-            ("games learned from", "success on evaluation lanes [95 %]", "lanes", "median distance, m"), rows
+        Table.of(
+            lines,
+            ("games learned from", lambda line: str(line["games"])),
+            (
+                "success on evaluation lanes [95 %]",
+                lambda line: Proportion(line["successes"], line["lanes"]).text(),
+            ),
+            ("lanes", lambda line: str(line["lanes"])),
+            ("median distance, m", lambda line: f"{line['distance_m_median']:.1f}"),
         )
     ]
 
 
 def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
-    """Games and time of the training, and of the paper's (III-C3, IV-D)."""
+    """Return a table of games and time of this training and of the paper's (sections III-C3, IV-D)."""
     real_time_s = summary.get("modelled_real_time_s")
     rows = [
         ("games", str(summary["games"]), str(paper_results.TRAINING_GAMES), "counted"),
@@ -128,10 +159,10 @@ def _beside_the_papers(run: RunDirectory, summary: Summary) -> Table:
 
 
 def compare_trainings(runs: Sequence[RunDirectory]) -> list[Path]:
-    """Figure 9 and the learning curves of several trainings, in the first one's folder."""
-    labels = [training.label.replace("\n", ", ") for training in told_apart(runs)]
+    """Plot Figure 9 and the learning curves of several trainings into the first one's folder."""
+    labels = [training.label.replace("\n", ", ") for training in uniquely_labelled(runs)]
     return [
-        draw_trainings(runs, runs[0].file(COMPARISON)),
-        draw_runs(runs, labels, runs[0].file(CURVES)),
-        draw_over_games(runs, runs[0].file(GAMES_COMPARED)),
+        plot_trainings(runs, runs[0].file(COMPARISON)).path,
+        plot_over_time(runs, labels, runs[0].file(CURVES)),
+        plot_over_games(runs, runs[0].file(GAMES_COMPARED)),
     ]

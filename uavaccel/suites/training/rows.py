@@ -1,31 +1,59 @@
-"""What a training keeps of a game: its row, what it took on this machine, and its place on the learning curves."""
+"""What a training records of each game: its row, the host's times, and points of TensorBoard's learning curves."""
 
 from __future__ import annotations
 
+import os
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypedDict
 
-from uavaccel.clock import MonotonicClock
-from uavaccel.envs.flight_env import CONDITIONS
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
+
+from uavaccel.clock import MonotonicClock, epoch_s
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.rl.learner import Game
-from uavaccel.suites.disturbed import note_disturbances
-from uavaccel.suites.report import LaneRow
+from uavaccel.suites.rows import LaneRow, lane_row
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.curves_file import CurvesFile
 from uavaccel.units import NS_PER_S
 
-RECENT = 100  # games whose success is shown
+VERSION = "brain.Event:2"  # the first record of each such file
+
+
+class CurvesFile:
+    """TensorBoard events of this process in `folder`, which is made if necessary, written without a thread."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}"
+        self._file = RecordWriter(path.open("ab"))
+        self._write(Event(wall_time=epoch_s(), file_version=VERSION))
+
+    def add(self, step: int, values: Mapping[str, float]) -> None:
+        """Add a point to each of several curves, by their names, at one `step`."""
+        points = [Summary.Value(tag=name, simple_value=value) for name, value in values.items()]
+        self._write(Event(wall_time=epoch_s(), step=step, summary=Summary(value=points)))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _write(self, event: Event) -> None:
+        self._file.write(event.SerializeToString())
+        self._file.flush()
+
+
+RECENT = 100  # games of the moving average of success
 
 _Return = TypedDict("_Return", {"return": float})  # a keyword of Python's
 
 
 class TrainRow(LaneRow, _Return):
-    """A game of a training."""
+    """The row of a game of a training."""
 
     game: int
     environment: int
@@ -33,7 +61,7 @@ class TrainRow(LaneRow, _Return):
 
 
 class GameRows:
-    """Makes rows of games and draws TensorBoard's curves; `rows` are those of earlier starts."""
+    """Makes the rows of games and writes TensorBoard's curves; `rows` are those of earlier starts."""
 
     def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[TrainRow]) -> None:
         self._t_move_s = config.task.t_move_s
@@ -44,41 +72,29 @@ class GameRows:
         self._start_ns = self._clock.now_ns()
 
     def close(self) -> None:
-        """End the curves' file."""
+        """Close the curves' file."""
         self._curves.close()
 
     @contextmanager
     def clock_stopped(self) -> Iterator[None]:
-        """What is done meanwhile is no part of the training's wall time."""
+        """Exclude what is done meanwhile from the training's wall time."""
         begun_ns = self._clock.now_ns()
         try:
             yield
         finally:
             self._start_ns += self._clock.now_ns() - begun_ns
 
-    def flown(self, game: Game, learning: Stopwatch) -> GameResult:
-        """A game's row, and host times since this start of the training: wall, the lane's own, the learner's."""
+    def finished(self, game: Game, learning: Stopwatch) -> GameResult:
+        """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-        info = game.info
         row: TrainRow = {
-            "case": f"game-{game.number:07d}",
-            "suite": "train",
+            **lane_row("train", f"game-{game.number:07d}", game.info, self._t_move_s),
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
             "exploration": game.exploration_rate,
-            "sim_time_s": info["commands"] * self._t_move_s,
-            "is_success": info["is_success"],
-            "distance_m": info["distance_m"],
-            "collision": info["collision"],
-            "lane": info["lane"],
-            "commands": info["commands"],
-            "phase_s": info["phase_s"],
         }
-        note_disturbances(row, info)
-        if CONDITIONS in info:
-            row[CONDITIONS] = info[CONDITIONS]
-        self._draw(row, wall_s)
+        self._add_to_curves(row, wall_s)
         host = {
             "wall_s": wall_s,
             "host_phase_s": game.info["host_phase_s"],
@@ -86,7 +102,7 @@ class GameRows:
         }
         return GameResult(row, host=host)
 
-    def _draw(self, row: TrainRow, wall_s: float) -> None:
+    def _add_to_curves(self, row: TrainRow, wall_s: float) -> None:
         self._simulated_s += row["sim_time_s"]
         self._recent.append(row["is_success"])
         values = {

@@ -1,4 +1,4 @@
-"""Training as a suite: its games are flown, one after another, by a learner."""
+"""The suite `train`: games flown one after another by a learner."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.report import Report, Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, flying_s, kernels_s
-from uavaccel.suites.training.cases import Case, cases
+from uavaccel.suites.report import Report
+from uavaccel.suites.rows import Row
+from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, SimpleCase, Suite, flying_s, kernels_s
 from uavaccel.suites.training.config import TrainConfig
 
-if TYPE_CHECKING:  # what learns loads PyTorch, and is imported where it does
+if TYPE_CHECKING:
     from uavaccel.suites.training.flights import Trainer
 
-LEARNING_S = 3e-3  # wall time of a command's share of the learning, about
+
+LEARNING_S = 3e-3  # approximate wall time of learning per command
 
 
-class Training(Suite[TrainConfig, Case]):
+class Training(Suite[TrainConfig, SimpleCase]):
     """`uavaccel train`."""
 
     name = "train"
@@ -42,18 +43,19 @@ class Training(Suite[TrainConfig, Case]):
         if config.start_from is not None:
             first_policy(config, lambda _: 0.0)
 
-    def cases(self, config: TrainConfig) -> Iterator[Case]:
-        return cases(config)
+    def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
+        for game in range(config.games):  # lane and environment of each come out of the training
+            yield SimpleCase(f"game-{game:07d}", config.task.timing, config.task.typical_s)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
-        """More games are learned from where there is a checkpoint to go on from."""
+        """More games can be flown where there is a checkpoint to resume from."""
         from uavaccel.rl.checkpoint import find_checkpoint
         from uavaccel.suites.training.flights import CHECKPOINTS
 
         return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
-        """A finished training stays as it is; another one goes on from its last checkpoint."""
+        """Bring an unfinished training back to its last checkpoint."""
         from uavaccel.suites.training.flights import drop_games_after_checkpoint
 
         if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
@@ -64,7 +66,7 @@ class Training(Suite[TrainConfig, Case]):
 
         return open_trainer(config, run)
 
-    def fly(self, config: TrainConfig, case: Case, opened: Trainer) -> GameResult:
+    def fly(self, config: TrainConfig, case: SimpleCase, opened: Trainer) -> GameResult:
         return opened.next_game()
 
     def finish(self, config: TrainConfig, run: RunDirectory) -> None:
@@ -76,7 +78,7 @@ class Training(Suite[TrainConfig, Case]):
         return config.task.observation != "state"
 
     def provenance(self, config: TrainConfig) -> Mapping[str, object]:
-        """Raises UserError for a device that this machine does not have."""
+        """Return threads and initial weights. Raises UserError for a device that this machine does not have."""
         import torch as th
 
         try:
@@ -86,7 +88,7 @@ class Training(Suite[TrainConfig, Case]):
         started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
         return {"torch_threads": config.torch_threads, **started}
 
-    def cost(self, config: TrainConfig, case: Case) -> Cost:
+    def cost(self, config: TrainConfig, case: SimpleCase) -> Cost:
         if config.simulator == KERNELS:
             return Cost(kernels_s(case, config.device, config.environments), ROW_BYTES)
         commands, game_s = case.simulated_s() / config.task.t_move_s, flying_s(case, config.task.clock_speed)

@@ -1,0 +1,163 @@
+"""Rows of rows.jsonl: the keys that games of several suites share, and how they are filled in."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict
+
+import numpy as np
+
+from uavaccel.files import Plain
+from uavaccel.suites.experiment import CommandName, FlightExperiment, Timing
+from uavaccel.units import NS_PER_S
+
+if TYPE_CHECKING:  # environments load Gymnasium, a client the simulation
+    from uavaccel.envs.values import Info
+    from uavaccel.sim.recording import Recording
+    from uavaccel.wire.client import Client
+
+Row = Mapping[str, Plain]
+"""A row as it is read back; suites declare the keys of their own rows as a `GameRow`."""
+
+DISTURBANCES: tuple[Literal["lost_wall_s", "stalled_wall_s", "restarts"], ...] = (
+    "lost_wall_s",
+    "stalled_wall_s",
+    "restarts",
+)
+
+
+class Disturbances(TypedDict, total=False):
+    """What disturbed a game on the machine's own clock; the keys are absent from the rows of undisturbed games."""
+
+    lost_wall_s: float
+    """Wall time that the simulation could not make good."""
+    stalled_wall_s: float
+    """Wall time during which the server did not answer."""
+    restarts: int
+    """How often the server was started again."""
+    disturbed: bool
+
+
+class GameRow(Disturbances):
+    """The keys that the row of a game has in every suite."""
+
+    suite: str
+    case: str
+    arrays: NotRequired[str]
+    arrays_sha256: NotRequired[str]
+
+
+class LaneRow(GameRow):
+    """The row of a game in the obstacle lane, in a training as in an evaluation."""
+
+    is_success: bool
+    distance_m: float
+    collision: str | None
+    lane: int
+    commands: int
+    phase_s: dict[str, float]
+    sim_time_s: float
+    conditions: NotRequired[Mapping[str, float]]
+    simulator: NotRequired[str]
+    """The simulator of an evaluation, unless that is the exact one."""
+
+
+class FlightRow(GameRow):
+    """The row of a path that is flown with commands over the wire (DP1, DP2)."""
+
+    role: str
+    command: CommandName
+    clock_speed: float
+    timing: Timing
+    profile: str
+    seed: int
+    wall_s: float
+    sim_time_s: float
+    duration_s: float
+    """Simulated seconds from the start of the first command to the end of the last one."""
+    real_time_factor: float
+    error: str | None
+    """What ended the flight early, if anything did."""
+
+
+@dataclass(frozen=True)
+class FlightCase:
+    """The conditions of a flight. `role` is "reference", "lockstep" or "game", or what a suite has beside these."""
+
+    role: str
+    command: CommandName
+    clock_speed: float
+    timing: Timing
+
+    @property
+    def id(self) -> str:
+        """The case's name: role, unless that is "game", command and ClockSpeed."""
+        prefix = "" if self.role == "game" else f"{self.role}-"
+        return f"{prefix}{self.command}-k{self.clock_speed:g}"
+
+
+def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
+    """Return the seed of a game by its name: the same in any subset of a run, and in any order."""
+    return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
+
+
+def flight_row(
+    suite: str, case: FlightCase, config: FlightExperiment, client: Client, wall_s: float
+) -> tuple[FlightRow, Recording]:
+    """Return the row of a flight that took `wall_s` from its first command on, and the server's recording of it."""
+    speed, recording = client.speed(), client.recording()
+    row: FlightRow = {
+        "suite": suite,
+        "case": case.id,
+        "role": case.role,
+        "command": case.command,
+        "clock_speed": case.clock_speed,
+        "timing": case.timing,
+        "profile": config.profile,
+        "seed": config.seed,
+        "wall_s": wall_s,
+        "sim_time_s": speed["simulated_ns"] / NS_PER_S,
+        "duration_s": round(int(recording.commands[-1, 1]) * recording.tick_ns / NS_PER_S, 9),
+        "real_time_factor": speed["real_time_factor"],
+        "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
+        "error": speed["failure"],
+    }
+    if client.transport.stalled_ns:
+        row["stalled_wall_s"] = client.transport.stalled_ns / NS_PER_S
+    return row, recording
+
+
+def lane_row(suite: str, case: str, ended: Info, t_move_s: float) -> LaneRow:
+    """Return the row of a game in the lane from the info of its last step."""
+    row: LaneRow = {
+        "suite": suite,
+        "case": case,
+        "is_success": ended["is_success"],
+        "distance_m": ended["distance_m"],
+        "collision": ended["collision"],
+        "lane": ended["lane"],
+        "commands": ended["commands"],
+        "phase_s": ended["phase_s"],
+        "sim_time_s": ended["commands"] * t_move_s,
+    }
+    for key in DISTURBANCES:
+        if found := ended.get(key):
+            row[key] = found
+    if "conditions" in ended:
+        row["conditions"] = ended["conditions"]
+    return row
+
+
+def disturbances(row: Row, restarts: int = 0) -> Disturbances:
+    """Return the keys that mark a `wall` game as disturbed; none where it was not."""
+    found: Disturbances = {"restarts": restarts} if restarts else {}
+    if found or any(row.get(key) for key in DISTURBANCES):
+        found["disturbed"] = True
+    return found
+
+
+def disturbed_games(rows: Sequence[Row]) -> int:
+    """Return how many of the rows are marked as disturbed."""
+    return sum(bool(row.get("disturbed")) for row in rows)
