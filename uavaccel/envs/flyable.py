@@ -50,6 +50,8 @@ def _why_not(task: Task) -> str:
         return "timing wall needs a server of its own"
     if task.list_events:
         return "list_events keeps no events one by one there"
+    if task.action != "velocity":
+        return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != "plain":
         return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
     if task.scene != "lane" and task.observation != "state":
