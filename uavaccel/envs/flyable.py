@@ -56,7 +56,7 @@ def _why_not(task: Task) -> str:
         return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
     if task.scene != "lane" and task.observation != "state":
         return f"observation {task.observation} is drawn in the lane alone"
-    for name in ("goal", "features"):
+    for name in ("goal", "velocity_goal", "features"):
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
             return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
     return ""

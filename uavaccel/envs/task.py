@@ -278,8 +278,12 @@ class Task(Config):
 
     def goal(self, action: Action) -> FlightGoal:
         """Return what an action of the space asks for."""
-        if self.action != "velocity":
-            return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
+        if self.action == "velocity":
+            return self.velocity_goal(action)
+        return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
+
+    def velocity_goal(self, action: Action) -> VelocityGoal:
+        """Return the velocity that an action of the space asks for."""
         direction = action if self.directions is None else self.directions[int(action)]
         north, east, down = (float(share) * self.speed_m_s for share in direction)
         return VelocityGoal((north, east, down), self.held_z_m)
