@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from uavaccel.commands import COMMANDS, VelocityGoal, adsc, tcsc
 from uavaccel.commands.paths import PATHS, velocities
 from uavaccel.commands.slices import samples_due, slice_of
-from uavaccel.kinematics import Kinematics
+from uavaccel.kinematics import FlightGoal, Kinematics
 
 MS = 1_000_000
 NORTH = VelocityGoal((1.0, 0.0, 0.0))
@@ -44,7 +44,7 @@ class ScriptedClient:
     def now_ns(self) -> int:
         return self.wall_ns
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> str:
+    def move_async(self, goal: FlightGoal, t_move_s: float) -> str:
         self._take(self.latency_ns, "move", goal, t_move_s)
         self.left_ns = round(t_move_s * 1e9 / self.clock_speed)
         return "future"

@@ -79,7 +79,7 @@ def test_the_lane_ends_at_150_m_or_at_a_collision(
 
 def test_headings_are_from_north_to_the_east() -> None:
     task = LaneTask(headings_deg=(-90.0, 30.0), speed_m_s=2.0, altitude_m=3.0)
-    west, north_east = (task.goal(np.int64(action)) for action in (0, 1))
+    west, north_east = (task.velocity_goal(np.int64(action)) for action in (0, 1))
     assert west.velocity_m_s == pytest.approx((0.0, -2.0, 0.0))
     assert north_east.velocity_m_s == pytest.approx((math.sqrt(3), 1.0, 0.0))
     assert west.height_m == north_east.height_m == -3.0
@@ -274,7 +274,7 @@ def test_every_task_flies_in_every_timing_and_the_same_twice(
 
 
 def test_an_action_is_a_share_of_the_speed() -> None:
-    goal = HoverTask(speed_m_s=4.0).goal(np.array([1.0, -0.5, 0.25], np.float32))
+    goal = HoverTask(speed_m_s=4.0).velocity_goal(np.array([1.0, -0.5, 0.25], np.float32))
     assert goal.velocity_m_s == (4.0, -2.0, 1.0)
     assert goal.height_m is None
 

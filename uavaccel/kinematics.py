@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -32,3 +33,40 @@ class VelocityGoal:
     height_m: float | None = None
     yaw: float = 0.0
     yaw_is_rate: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeGoal:
+    """What AirSim's `moveByRollPitchYawrateThrottle` asks for: rad and rad/s in the FRD body frame, throttle 0 to 1."""
+
+    airsim_name: ClassVar[str] = "moveByRollPitchYawrateThrottle"
+    roll_rad: float
+    pitch_rad: float
+    yaw_rate_rad_s: float
+    throttle: float
+
+
+@dataclass(frozen=True, slots=True)
+class BodyRatesGoal:
+    """What AirSim's `moveByAngleRatesThrottle` asks for: rad/s in the FRD body frame, throttle 0 to 1."""
+
+    airsim_name: ClassVar[str] = "moveByAngleRatesThrottle"
+    roll_rad_s: float
+    pitch_rad_s: float
+    yaw_rad_s: float
+    throttle: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotorsGoal:
+    """What AirSim's `moveByMotorPWMs` asks for: each motor's control signal, 0 to 1, past controllers and mixer."""
+
+    airsim_name: ClassVar[str] = "moveByMotorPWMs"
+    front_right: float
+    rear_left: float
+    front_left: float
+    rear_right: float
+
+
+FlightGoal = VelocityGoal | AttitudeGoal | BodyRatesGoal | MotorsGoal
+"""What a synchronous command flies for T_move."""

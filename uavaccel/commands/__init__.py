@@ -10,7 +10,7 @@ from uavaccel.commands import tcsc as _tcsc
 from uavaccel.commands.adsc import adsc
 from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.tcsc import tcsc
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import FlightGoal, VelocityGoal
 
 __all__ = ["COMMANDS", "MissionClient", "SynchronousCommand", "VelocityGoal", "adsc", "tcsc"]
 
@@ -21,7 +21,7 @@ class Fly(Protocol):
     def __call__(
         self,
         client: MissionClient[FutureT, SampleT],
-        velocity: VelocityGoal,
+        goal: FlightGoal,
         t_move_s: float,
         t_sample_s: float,
         t_th_ns: int = 0,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.slices import samples_due
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import FlightGoal
 
 
 def begin(client: Pausable) -> None:
@@ -19,18 +19,18 @@ def begin(client: Pausable) -> None:
 
 def adsc(
     client: MissionClient[FutureT, SampleT],
-    velocity: VelocityGoal,
+    goal: FlightGoal,
     t_move_s: float,
     t_sample_s: float,
     t_th_ns: int = 0,
 ) -> Iterator[SampleT]:
-    """Fly `velocity` for T_move, join, and yield a sample every T_sample; `t_th_ns` is for TCSC, and ignored.
+    """Fly `goal` for T_move, join, and yield a sample every T_sample; `t_th_ns` is for TCSC, and ignored.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
     pause, gather, continue, the last one after the join.
     """
     t_issue = client.now_ns()
-    future = client.move_async(velocity, t_move_s)
+    future = client.move_async(goal, t_move_s)
     paused_ns = 0
     for t_due in samples_due(t_move_s, t_sample_s)[:-1]:
         if client.join(future, t_issue + paused_ns + round(t_due / client.clock_speed)):

@@ -10,10 +10,11 @@ This module does not import airsim: any object with the methods of its Multiroto
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 from typing import Any, TypeAlias
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics, Quaternion, Vector, VelocityGoal
 from uavaccel.units import NS_PER_S
 
 OfAirSim: TypeAlias = Any  # an object of AirSim's client, which has no types
@@ -38,8 +39,11 @@ class AirSimAdapter:
         """See `MissionClient`."""
         return self._clock.now_ns()
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> OfAirSim:
+    def move_async(self, goal: FlightGoal, t_move_s: float) -> OfAirSim:
         """Return the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
+        if not isinstance(goal, VelocityGoal):
+            move = getattr(self.client, f"{goal.airsim_name}Async")
+            return move(*astuple(goal), t_move_s, self.vehicle_name)
         vx, vy, vz = goal.velocity_m_s
         yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
         move, third = self.client.moveByVelocityAsync, vz

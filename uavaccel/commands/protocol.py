@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics
 
 FutureT = TypeVar("FutureT")
 SampleT = TypeVar("SampleT", covariant=True)
@@ -30,7 +30,7 @@ class MissionClient(Pausable, Protocol[FutureT, SampleT]):
         """Return the time on the client's wall clock."""
         ...
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> FutureT:
+    def move_async(self, goal: FlightGoal, t_move_s: float) -> FutureT:
         """Issue a velocity command and return its future without waiting."""
         ...
 

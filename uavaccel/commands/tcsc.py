@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from uavaccel.commands.protocol import FutureT, MissionClient, Pausable, SampleT
 from uavaccel.commands.slices import slice_of
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import FlightGoal
 from uavaccel.units import seconds_to_ns
 
 
@@ -20,12 +20,12 @@ def begin(client: Pausable) -> None:
 
 def tcsc(
     client: MissionClient[FutureT, SampleT],
-    velocity: VelocityGoal,
+    goal: FlightGoal,
     t_move_s: float,
     t_sample_s: float,
     t_th_ns: int = 0,
 ) -> Iterator[SampleT]:
-    """Fly `velocity` for T_move and yield the state every T_sample, the simulation paused before and after.
+    """Fly `goal` for T_move and yield the state every T_sample, the simulation paused before and after.
 
     `t_th_ns`: simulated time below which a slice that ended early counts as complete; the client's latency times
     ClockSpeed where continue-for is a wall timer, 0 where it is exact. The paper never advances T_start; here
@@ -33,7 +33,7 @@ def tcsc(
     """
     state = client.kinematics()  # 1  measure the start, issue the command
     t_start = state.time_ns
-    client.move_async(velocity, t_move_s)
+    client.move_async(goal, t_move_s)
     t_move, t_sample = seconds_to_ns(t_move_s), seconds_to_ns(t_sample_s)
     while t_move > 0:
         t_wakeup = slice_of(t_move, t_sample)

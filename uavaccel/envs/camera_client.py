@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.sensors import from_arrays
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
 from uavaccel.sim.saved import SavedState, State
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
@@ -79,7 +79,7 @@ class GuardedClient:
     def now_ns(self) -> int:
         return self.client.now_ns()
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> PendingCall:
+    def move_async(self, goal: FlightGoal, t_move_s: float) -> PendingCall:
         return self.client.move_async(goal, t_move_s)
 
     def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:

@@ -50,11 +50,13 @@ def _why_not(task: Task) -> str:
         return "timing wall needs a server of its own"
     if task.list_events:
         return "list_events keeps no events one by one there"
+    if task.action != "velocity":
+        return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != "plain":
         return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
     if task.scene != "lane" and task.observation != "state":
         return f"observation {task.observation} is drawn in the lane alone"
-    for name in ("goal", "features"):
+    for name in ("goal", "velocity_goal", "features"):
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
             return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
     return ""

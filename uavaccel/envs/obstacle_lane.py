@@ -108,6 +108,14 @@ class LaneTask(Task):
         return self
 
     @model_validator(mode="after")
+    def _actions_are_headings(self) -> Self:
+        if self.action != "velocity":
+            raise ValueError(
+                f"action = {self.action}: the lane's actions are headings; Hover and Gates take it"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _ends_can_be_flown(self) -> LaneTask:
         if self.randomise is None:
             return self

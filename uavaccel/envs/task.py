@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
+from uavaccel.envs.actions import SIZES, ActionKind, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.sensors import (
     ColourCamera,
@@ -30,7 +31,7 @@ from uavaccel.envs.sensors import (
 )
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
-from uavaccel.kinematics import Kinematics, Vector, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
@@ -138,8 +139,16 @@ class Task(Config):
     """T_move, the simulated seconds of a command."""
     t_sample_s: Seconds = 0.2
     """T_sample, the simulated seconds between two samples of a command."""
+    action: ActionKind = "velocity"
+    """What continuous actions are shares of: velocity north, east, down; attitude (roll, pitch, yaw rate, throttle);
+    body rates (roll, pitch, yaw, throttle); or the four motors. 0 hovers in all of them; below velocities T_move wants
+    to be short, 0.02 s say."""
     speed_m_s: Speed = 1.0
-    """Speed of a command at full deflection, m/s."""
+    """Speed of a velocity at full deflection, m/s."""
+    tilt_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 30.0
+    """Roll and pitch of an attitude at full deflection, degrees."""
+    rate_deg_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 180.0
+    """Turn rate at full deflection, degrees per second: an attitude's yaw, all three of body rates."""
     altitude_m: Height = 10.0
     """Height of the start above the ground, metres."""
     max_commands: Count = 100
@@ -257,8 +266,8 @@ class Task(Config):
     # --- actions: by default a velocity ---------------------------------------------------------------
 
     def action_space(self) -> spaces.Space[Action]:
-        """Return the space of actions: north, east and down as shares of `speed_m_s`, -1 to 1."""
-        return spaces.Box(-1.0, 1.0, (3,), np.float32)
+        """Return the space of actions: shares, -1 to 1, of what `action` says (envs/actions)."""
+        return spaces.Box(-1.0, 1.0, (SIZES[self.action],), np.float32)
 
     @property
     def directions(self) -> Sequence[Vector] | None:
@@ -270,7 +279,13 @@ class Task(Config):
         """NED z that every command holds, metres; None: commands also climb and descend."""
         return None
 
-    def goal(self, action: Action) -> VelocityGoal:
+    def goal(self, action: Action) -> FlightGoal:
+        """Return what an action of the space asks for."""
+        if self.action == "velocity":
+            return self.velocity_goal(action)
+        return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
+
+    def velocity_goal(self, action: Action) -> VelocityGoal:
         """Return the velocity that an action of the space asks for."""
         direction = action if self.directions is None else self.directions[int(action)]
         north, east, down = (float(share) * self.speed_m_s for share in direction)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 
-from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics, VelocityGoal
 from uavaccel.sim.camera.view import AnyImage
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
@@ -41,14 +42,8 @@ class Client:
 
     # --- MissionClient ----------------------------------------------------------------------------
 
-    def move_async(self, goal: VelocityGoal, t_move_s: float) -> PendingCall:
-        vx, vy, vz = goal.velocity_m_s
-        yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
-        yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
-        method, third = (
-            ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
-        )
-        params = (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "", _EXACT)
+    def move_async(self, goal: FlightGoal, t_move_s: float) -> PendingCall:
+        method, params = _command(goal, t_move_s)
         stands = self.transport.known.state is not None  # sending it at once would gain nothing
         call = self.transport.send(method, params, blocking=False, coalesced=stands)
         call.expected_ns = self._wall_after(t_move_s * NS_PER_S)
@@ -124,3 +119,14 @@ class Client:
 
     def close(self) -> None:
         self.transport.close()
+
+
+def _command(goal: FlightGoal, t_move_s: float) -> tuple[str, tuple[object, ...]]:
+    """AirSim's call for a goal, and its arguments."""
+    if not isinstance(goal, VelocityGoal):
+        return goal.airsim_name, (*astuple(goal), t_move_s, "")
+    vx, vy, vz = goal.velocity_m_s
+    yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
+    yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
+    method, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+    return method, (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "", _EXACT)
