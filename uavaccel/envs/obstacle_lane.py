@@ -50,9 +50,11 @@ class LaneTask(Task):
     split: Split = "training"
     """Which lanes are drawn; no lane is both a training and an evaluation lane."""
     difficulty: Difficulty = Difficulty()
+    """How hard the lane is, and what the weather and the vehicle are like."""
     lane: LaneFile | None = None
     """One lane for all games, instead of drawn ones: written out, or the name of its YAML file."""
     observation: Literal["dvs", "state", "colour", "depth"] = "dvs"
+    """What the agent sees: event-camera images, states, colour or depth images."""
 
     knows: tuple[Knowledge, ...] = ()
     """What the agent is told beside its pictures: last_action, frame_age."""
@@ -61,7 +63,9 @@ class LaneTask(Task):
     """What is drawn anew for each game, wherever the task is flown; None: nothing."""
 
     t_move_s: Seconds = 1.0
+    """Simulated seconds of a command."""
     t_sample_s: Seconds = 0.33
+    """Simulated seconds between two samples during a command."""
     headings_deg: Annotated[tuple[Heading, ...], Field(max_length=MOST_HEADINGS)] = (
         -60.0,
         -30.0,
@@ -73,11 +77,14 @@ class LaneTask(Task):
     altitude_m: Height = 2.0
     """Height that every command holds, as AirSim's moveByVelocityZ; SimpleFlight answers slower the higher it is."""
     max_commands: Count = 300
+    """After so many commands the episode is truncated."""
 
     progress_reward: Reward = 0.1
     """A metre northwards."""
     collision_reward: Reward = -1.0
+    """Added when something is touched, which ends the episode."""
     goal_reward: Reward = 0.0
+    """Added when the end is reached without a collision."""
     wall_reward: Reward = 0.0
     """Of a command that ends at one of the walls; elsewhere less, with the square of the distance from the middle. The
     walls are plain, and an event camera hardly sees them."""

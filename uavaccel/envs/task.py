@@ -100,6 +100,7 @@ class Task(Config):
     blank_images: bool = False
     """Frames without content, for the baseline that shows what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
+    """Which of v2e's parameter sets the event camera has."""
     dvs_seed: Seed = 0
     """Draws the thresholds of the sensor's pixels, which stay as they are from game to game."""
     dvs_threshold_ratio: Positive = 1.0
@@ -122,16 +123,21 @@ class Task(Config):
     """Whether the event camera keeps its events one by one, for `take_events`."""
 
     command: Literal["adsc", "tcsc"] = "tcsc"
+    """tcsc pauses the simulation while the agent decides and learns, adsc does not."""
     t_move_s: Seconds = 0.2
     t_sample_s: Seconds = 0.2
     speed_m_s: Speed = 1.0
+    """Metres per second of a command."""
     altitude_m: Height = 10.0
     """Of the start."""
     max_commands: Count = 100
 
     timing: Literal["wall", "virtual", "lockstep"] = "lockstep"
+    """Which wall clock: wall is measured, virtual is simulated with latencies, lockstep has none."""
     clock_speed: ClockSpeed = 1.0
+    """Simulated seconds per wall second that are asked for."""
     profile: Literal["native", "airsim"] = "native"
+    """How the simulator handles time: native is exact to the step, airsim behaves like AirSim."""
     t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used by `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel = Field(default_factory=of_the_profile)

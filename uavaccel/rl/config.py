@@ -21,7 +21,9 @@ class LearnerConfig(Config):
     """What a policy comes from. Network, algorithm and their settings are this project's own choice."""
 
     seed: Seed = 0
+    """Of everything that is drawn at random: the same seed and configuration give the same results."""
     games: Games = 5000
+    """How many games are flown."""
     simulator: Simulator = "mujoco"
     """mujoco, the exact one, or kernels: lanes over arrays, in threads or, with device cuda, on the GPU."""
     environments: Processes = 1
@@ -29,6 +31,7 @@ class LearnerConfig(Config):
     turns: Processes = 1
     """Groups of the lanes that take turns, of double_dqn: while one decides and is learned from, the others fly."""
     task: LaneTask = LaneTask()
+    """What is flown, seen and rewarded."""
 
     algorithm: str = "double_dqn"
     """double_dqn, or the name of a class of stable-baselines3: dqn, ppo, a2c."""
@@ -46,12 +49,16 @@ class LearnerConfig(Config):
     start_from: str | None = None
     """A policy whose weights double_dqn begins with: its folder, or default for the one that ships; None: random."""
     channels: Annotated[tuple[Channels, ...], Field(min_length=1, max_length=4)] = (16, 32)
+    """Filters of the network's convolutions, one number a layer."""
     hidden: Annotated[tuple[Width, ...], Field(max_length=8)] = (256,)
+    """Width of its fully connected layers, one number a layer."""
 
     device: Annotated[str, Field(pattern=r"^(cpu|mps|cuda(:[0-9]+)?)$")] = "cpu"
+    """Where the network computes: cpu, or cuda for an NVIDIA GPU."""
     torch_threads: Processes = 1
     """Threads of torch on the CPU; equal weights need an equal number."""
     checkpoint_games: Count = 250
+    """A checkpoint for --resume is written after so many games."""
     inference_s: Cost = 0.0005
     """What a decision costs the simulated wall clock of `virtual`."""
     learning_s: Cost = 0.01

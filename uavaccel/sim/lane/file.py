@@ -43,8 +43,11 @@ class Obstacle(Config):
     y_m: Annotated[float, Field(ge=-WIDTH_M / 2, le=WIDTH_M / 2)]
     """East of the lane's centre line."""
     radius_m: HalfWidth | None = None
+    """Of a cylinder; in place of half_side_m."""
     half_side_m: HalfWidth | None = None
+    """Half the width of a square post; in place of radius_m."""
     texture: Literal["red", "white", "yellow", "blue"] = "red"
+    """What the obstacle looks like."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
@@ -57,8 +60,11 @@ class LaneFile(Config):
     """A lane as a user writes it, in a file or a mapping."""
 
     obstacles: Annotated[list[Obstacle], Field(max_length=MAX_OBSTACLES)]
+    """Every obstacle of the lane."""
     wall_texture: Literal["concrete", "brick"] = "concrete"
+    """What the walls look like."""
     ground_texture: Literal["asphalt", "grass"] = "asphalt"
+    """What the ground looks like."""
     light: Share = 1.0
     """1 is full daylight."""
     sun_azimuth_rad: float = 0.5

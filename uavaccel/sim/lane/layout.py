@@ -45,6 +45,7 @@ class Difficulty(Config):
     row_spacing_m: Annotated[float, Field(gt=1.0, le=1000.0)] = 10.0
     """Distance between rows."""
     obstacles_per_row: Annotated[int, Field(ge=0, le=4)] = 2
+    """Posts in each row."""
     half_width_m: Annotated[float, Field(gt=0.0, le=2.0)] = 0.4
     """Half the side of an obstacle's square cross-section."""
     min_gap_m: Annotated[float, Field(ge=2.2 * HULL_RADIUS_M, le=WIDTH_M)] = 2.0

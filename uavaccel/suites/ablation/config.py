@@ -26,6 +26,7 @@ class AblationConfig(Experiment):
 
     suite: Literal["ablation"]
     title: str = "Ablation"
+    """What the report is called."""
     axis: str = "variant"
     """What the variants' names are values of; the figure's axis."""
     times_clock_speed: bool = False
@@ -33,6 +34,7 @@ class AblationConfig(Experiment):
     base: dict[str, Plain]
     """A DP1 configuration; `suite` and `seed` may be left out. Its latency is a block or what ships for the profile."""
     variants: Annotated[tuple[Variant, ...], Field(min_length=1)]
+    """What is changed, one variant after the other."""
 
     @field_validator("variants")
     @classmethod

@@ -29,6 +29,7 @@ class PolicyExperiment(Experiment):
     games: Games = 300
     """Evaluation lanes under each condition, the same ones under all."""
     evaluation: Part = Part(experiment="evaluate")
+    """How each policy is evaluated: an experiment, and keys that differ from it."""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,15 @@ class RobustnessConfig(PolicyExperiment):
 
     suite: Literal["robustness"]
     profile: ProfileName = "airsim"
+    """How the simulator handles time: native is exact to the step, airsim behaves like AirSim."""
     command: CommandNames = ("tcsc", "adsc")
+    """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     clock_speed: ClockSpeeds
+    """Simulated seconds per wall second that are asked for; each value is flown."""
     latency_scale: tuple[float, ...]
     """Times the latencies of the profile's model; flown in this order, so begin with what matters most."""
     games: Games = 100
+    """How many lanes are flown in each cell."""
 
     @field_validator("latency_scale")
     @classmethod
