@@ -51,10 +51,10 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         target = normpath(join(dirname(page.file.src_uri), link[1]))
         return f"{link[1]}.md" if files.get_file_from_path(f"{target}.md") else link[1]
 
-    return DIAGRAM.sub(
-        lambda found: sequence.figure(found[1], f"{page.title}: a sequence diagram"),
-        LINK.sub(listed, markdown),
-    )
+    if page.file.src_uri in WIDE:
+        page.meta["hide"] = ["toc"]
+    label = f"{page.title}: a sequence diagram"
+    return DIAGRAM.sub(lambda found: sequence.figure(found[1], label), LINK.sub(listed, markdown))
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
