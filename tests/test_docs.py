@@ -24,10 +24,12 @@ from uavaccel.cli import evaluate, run
 from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, configure
 from uavaccel.cli.starter import init
+from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import asset
 from uavaccel.rl import agents
 from uavaccel.rl.policy import load_policy
+from uavaccel.sim.lane.file import LaneFile
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.yaml_io import load_yaml
@@ -181,7 +183,12 @@ def flown_by(block: Block) -> list[str]:
 @pytest.mark.parametrize("block", in_language("yaml"))
 @pytest.mark.usefixtures("reading")
 def test_yaml_files_fit_their_suites(block: Block) -> None:
-    assert load_yaml(Path(block.title))["suite"]
+    """Or are a lane, whose keys are LaneFile's."""
+    mapping = load_yaml(Path(block.title))
+    if "obstacles" in mapping:
+        validate(LaneFile, mapping, block.title)
+        return
+    assert mapping["suite"]
     configure(RunRequest(block.title))
 
 
@@ -208,7 +215,7 @@ def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyP
 
 def test_other_programs_come_with_the_package() -> None:
     shell = [line for block in BLOCKS if block.language == "sh" for line in lines_of(block)]
-    known = {"uavaccel", "python", "make", "cd", "git", "pip"}
+    known = {"uavaccel", "python", "make", "cd", "git", "pip", "source"}
     others = {line.split()[0] for line in shell} - known
     assert others <= {script.name for script in entry_points(group="console_scripts")}
 
@@ -216,9 +223,9 @@ def test_other_programs_come_with_the_package() -> None:
 policy_once = cache(load_policy)  # a sweep reads it for each of its cells
 
 
-def learning_keys() -> list[str]:
-    """The names in the last cells of the tables of keys."""
-    text = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+def environment_keys() -> list[str]:
+    """The names in the last cells of the environment's tables of keys."""
+    text = (ROOT / "docs" / "environment.md").read_text(encoding="utf-8")
     tables = re.findall(r"^\|.*\| key \|\n((?:\|.*\n)+)", text, re.MULTILINE)
     cells = [row.rsplit("|", 2)[1] for table in tables for row in table.splitlines()]
     return [name.split(".")[-1] for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
@@ -226,5 +233,5 @@ def learning_keys() -> list[str]:
 
 def test_keys_are_those_of_the_configuration() -> None:
     known = {*LaneTask.model_fields, *Difficulty.model_fields, *TrainConfig.model_fields}
-    assert len(learning_keys()) > 20
-    assert set(learning_keys()) <= known
+    assert len(environment_keys()) > 20
+    assert set(environment_keys()) <= known

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,6 +73,14 @@ def test_every_page_is_in_the_sites_navigation() -> None:
     assert len(named) == len(set(named))
     there = {page.relative_to(ROOT).as_posix() for page in PAGES} | {"assets/mjcf/README.md"}
     assert set(named) == there | {"docs/reference/keys.md"}
+
+
+def test_every_key_of_the_yaml_files_has_a_meaning() -> None:
+    """On the page that docs/site makes of the schemas."""
+    path = ROOT / "docs" / "site" / "keys.py"
+    rows = [line for line in runpy.run_path(str(path))["page"]().splitlines() if line.startswith("| `")]
+    assert len(rows) > 200
+    assert [row for row in rows if row.rstrip(" |").count(" | ") != 3] == []
 
 
 def test_every_suite_is_among_the_experiments() -> None:

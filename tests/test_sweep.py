@@ -107,7 +107,7 @@ def test_the_tests_intervals_and_table_are_those_of_the_rows() -> None:
 
 
 def test_the_page_has_the_table_of_conditions() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "learning.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "training.md").read_text(encoding="utf-8")
     lines = [f"| `{each.short}` | `task.{each.key}` | {each.unit} |" for each in CONDITIONS.values()]
     assert "\n".join(lines) in page
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from posixpath import dirname, join, normpath
@@ -16,12 +17,17 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads a hook from its file, outside any package
 
 import keys  # noqa: E402
+import sequence  # noqa: E402
 
 PAGES = ("*.md", "docs/**/*.md", "experiments/*.md", "assets/mjcf/*.md")
-PICTURES = ("docs/figures/*.png",)
+BESIDE_PAGES = ("docs/figures/*.png", "docs/*.ipynb", "docs/site/*.js", "docs/site/*.css")
 KEYS = "docs/reference/keys.md"
+WIDE = (KEYS, "docs/results-paper.md", "cli.md")  # pages whose tables take the place of their contents
 BESIDE = InclusionLevel.NOT_IN_NAV
 LINK = re.compile(r"(?<=\]\()(?!https?:|#)([^)#\s]+)")
+EMPTY_HEAD = re.compile(r"<th[^>]*></th>")
+NAV_LABEL = re.compile(r'(?<=<nav class="md-nav" aria-label=")[^"]+')
+DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
@@ -29,7 +35,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     for file in [file for file in files if file.src_dir == config.docs_dir]:
         files.remove(file)
     pages = list(_found(PAGES))
-    for path in [*pages, *_found(PICTURES)]:
+    for path in [*pages, *_found(BESIDE_PAGES)]:
         files.append(File.generated(config, _uri(path), abs_src_path=str(path)))
     for source in sorted({source for page in pages for source in _sources(page)}):
         listing = _listing(source)
@@ -39,13 +45,35 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links to files of the repository lead to their listings."""
+    """Links to files of the repository lead to their listings; diagrams are drawn; wide tables have room."""
 
     def listed(link: re.Match[str]) -> str:
         target = normpath(join(dirname(page.file.src_uri), link[1]))
         return f"{link[1]}.md" if files.get_file_from_path(f"{target}.md") else link[1]
 
-    return LINK.sub(listed, markdown)
+    if page.file.src_uri in WIDE:
+        page.meta["hide"] = ["toc"]
+    label = f"{page.title}: a sequence diagram"
+    return DIAGRAM.sub(lambda found: sequence.figure(found[1], label), LINK.sub(listed, markdown))
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """No page for what a web server does not find: opened from a folder it would have no style."""
+    config.theme.static_templates.discard("404.html")
+    return config
+
+
+def on_post_page(output: str, *, page: Page, config: MkDocsConfig) -> str:
+    """Names for screen readers that the theme leaves out or gives twice; a table's empty corner heads nothing."""
+    seen: Counter[str] = Counter()
+
+    def numbered(label: re.Match[str]) -> str:
+        key = label[0].lower()
+        seen[key] += 1
+        return label[0] if seen[key] == 1 else f"{label[0]} {seen[key]}"
+
+    named = NAV_LABEL.sub(numbered, output.replace('role="dialog"', 'role="dialog" aria-label="Search"'))
+    return EMPTY_HEAD.sub("<td></td>", named)
 
 
 def _found(patterns: tuple[str, ...]) -> Iterator[Path]:
@@ -60,7 +88,7 @@ def _sources(page: Path) -> Iterator[Path]:
     """Files and folders of the repository, no pages and no pictures, to which a page links."""
     for link in LINK.findall(page.read_text(encoding="utf-8")):
         target = (page.parent / link).resolve()
-        if target.suffix not in (".md", ".png") and target.exists():
+        if target.suffix not in (".md", ".png", ".ipynb") and target.exists():
             yield target
 
 

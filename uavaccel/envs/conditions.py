@@ -40,24 +40,39 @@ class Ranges(Config):
     """
 
     wind_m_s: Annotated[Range | None, Condition("wind", "difficulty.wind_m_s", "m/s")] = None
+    """Wind, in m/s."""
     light: Annotated[Range | None, Condition("light", "difficulty.light", "of daylight")] = None
+    """Share of daylight."""
     texture_variation: Annotated[Range | None, Condition("textures", "difficulty.texture_variation")] = None
+    """How much textures vary between lanes."""
     row_spacing_m: Annotated[Range | None, Condition("spacing", "difficulty.row_spacing_m", "m")] = None
+    """Metres between two rows."""
     min_gap_m: Annotated[Range | None, Condition("gap", "difficulty.min_gap_m", "m")] = None
+    """Metres that neighbours keep between each other."""
     mass_ratio: Annotated[Range | None, Condition("mass", "difficulty.mass_ratio", "× AirSim's")] = None
+    """Mass and inertia, times the vehicle's own."""
     thrust_ratio: Annotated[Range | None, Condition("thrust", "difficulty.thrust_ratio", "× AirSim's")] = None
+    """Thrust of the rotors, times the vehicle's own."""
     speed_m_s: Annotated[Range | None, Condition("speed", "speed_m_s", "m/s")] = None
+    """Speed of a command, in m/s."""
     altitude_m: Annotated[Range | None, Condition("height", "altitude_m", "m")] = None
+    """Height of the flight, in metres."""
     dvs_threshold_ratio: Annotated[
         Range | None, Condition("threshold", "dvs_threshold_ratio", "× the preset's")
     ] = None
+    """Thresholds of the event camera, times the preset's."""
     dvs_spread_ratio: Annotated[Range | None, Condition("spread", "dvs_spread_ratio", "× the preset's")] = (
         None
     )
+    """Spread of its thresholds, times the preset's."""
     dvs_shot_noise_hz: Annotated[Range | None, Condition("shot_noise", "dvs_shot_noise_hz", "Hz")] = None
+    """Shot-noise events per pixel and second, beside the preset's."""
     dvs_leak_hz: Annotated[Range | None, Condition("leak", "dvs_leak_hz", "Hz")] = None
+    """Leak events per pixel and second, beside the preset's."""
     dvs_hot_pixels: Annotated[Range | None, Condition("hot_pixels", "dvs_hot_pixels", "of all")] = None
+    """Share of hot pixels."""
     image_noise: Annotated[Range | None, Condition("image_noise", "image_noise", "of 255")] = None
+    """Standard deviation of the image noise, in grey levels of 255."""
     latency_scale: Annotated[Range | None, Condition("latency", "latency.scale", "× the model's")] = None
     """Only for timing virtual."""
     share: Share = 1.0

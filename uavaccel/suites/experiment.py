@@ -53,6 +53,7 @@ class Experiment(Config):
     """Keys of every suite. A subclass adds its own, `suite` among them, and `timing` if `task` has none."""
 
     seed: Seed = 0
+    """Of everything that is drawn at random: the same seed and configuration give the same results."""
 
 
 class FlightExperiment(Experiment):
@@ -61,9 +62,11 @@ class FlightExperiment(Experiment):
     clock_speed: ClockSpeeds
     """ClockSpeeds: simulated seconds per wall second, above 0, not necessarily whole."""
     command: CommandNames = ("adsc", "tcsc")
+    """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     timing: Timing = "virtual"
     """wall: measured on the machine's clock; virtual: modelled on a simulated one; lockstep: without latency."""
     profile: ProfileName = "native"
+    """How the simulator handles time: native is exact to the step, airsim behaves like AirSim."""
     t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used with `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel

@@ -80,14 +80,21 @@ class LatencyConfig(Config):
     """
 
     name: str = ""
+    """What reports call this latency model."""
     scale: Annotated[float, Field(ge=0.0, le=MOST_SCALE)] = 1.0
     """Requests and replies take so many times what their quantiles say."""
     quantiles: Numbers = QUANTILES
+    """Of the shares 0 to 1, those at which the lists of latencies below have their values."""
     request_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
+    """By channel: microseconds from the client to the server, a value for each of `quantiles`."""
     reply_us: Tables = Field(default_factory=lambda: {DEFAULT: (0.0,) * len(QUANTILES)})
+    """By channel: microseconds from the server to the client, a value for each of `quantiles`."""
     issue_us: Numbers = (0.0,) * len(QUANTILES)
+    """Microseconds that the client needs to send a message, a value for each of `quantiles`."""
     timer_us: Numbers = (0.0,) * len(QUANTILES)
+    """Microseconds by which a timer wakes late, a value for each of `quantiles`."""
     platform: PlatformConfig = PlatformConfig()
+    """What a platform like AirSim's adds: frames, and faults."""
 
     @field_validator("request_us", "reply_us")
     @classmethod

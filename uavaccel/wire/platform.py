@@ -48,6 +48,7 @@ class FaultConfig(Config):
     late: Share = 0.0
     """Late by `late_us`."""
     late_us: LatencyUs = 10_000.0
+    """Microseconds by which a late message comes later."""
 
 
 class PlatformConfig(Config):
@@ -61,7 +62,9 @@ class PlatformConfig(Config):
     """Delay of a request that follows a command without a reply yet: 40 000 for AirSim's client on a connection with
     Nagle's algorithm and delayed acknowledgements."""
     frames: FrameConfig = FrameConfig()
+    """The game engine's frames, to which pictures and calls may have to wait."""
     faults: FaultConfig = FaultConfig()
+    """Messages that come late or are lost."""
     goal_timeout_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.06
     """AirSim's api_goal_timeout: simulated time without a new goal after which position hold begins."""
     exact_pauses: bool = False

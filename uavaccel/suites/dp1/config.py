@@ -27,7 +27,9 @@ class Dp1Config(FlightExperiment):
     height_m: Annotated[float, Field(ge=-MOST_HEIGHT_M, le=MOST_HEIGHT_M)] | None = None
     """NED z to hold, as moveByVelocityZ does; without it plain moveByVelocity is called, as in the paper."""
     rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
+    """How often the square path is flown in a game; each value is flown."""
     t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
+    """Simulated seconds of a command; each value is flown."""
     t_sample_s: float | None = None
     """How often the client itself gathers the state; without it once per command, beside the server's recorder."""
     games: int = 20
@@ -35,6 +37,7 @@ class Dp1Config(FlightExperiment):
     reference_games: int = 20
     """Real-time ADSC games of each T_move and number of rounds, unless the run flies that cell anyway."""
     reference_timing: Timing = "virtual"
+    """The timing of the reference flights, with ADSC at ClockSpeed 1."""
 
     @field_validator("rounds")
     @classmethod

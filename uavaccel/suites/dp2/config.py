@@ -28,7 +28,9 @@ class DrawnLane(Config):
     """A lane sampled from a seed."""
 
     seed: Seed
+    """The lane's: the same seed and difficulty make the same lane."""
     difficulty: Difficulty = Difficulty()
+    """How hard the lane is, and what the weather and the vehicle are like."""
 
 
 class GuardConfig(Config):
@@ -39,6 +41,7 @@ class GuardConfig(Config):
     min_brightness: NotNegative = 10.0
     """Mean brightness, from 0 to 255, below which an image is too dark."""
     max_retries: Annotated[int, Field(ge=0, le=1000)] = 3
+    """How often a rejected image is asked for again."""
     accept_identical: bool = True
     """Whether an image that comes out identical when it is requested again is accepted."""
 
@@ -54,6 +57,7 @@ class PerturbationConfig(Config):
     half_excess: Annotated[float, Field(gt=0.0)] | None = None
     """ClockSpeed above 1 at which half of the share is reached, as a renderer has less time; without it all have it."""
     kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
+    """How images go wrong; each perturbed image draws one of them."""
 
 
 class Dp2Config(FlightExperiment):
@@ -67,10 +71,13 @@ class Dp2Config(FlightExperiment):
     height_m: Annotated[float, Field(lt=0.0, ge=-limits.MOST_HEIGHT_M)] = -10.0
     """NED z at which the path starts, and which is held: -10 is 10 m up."""
     t_move_s: Seconds = 1.0
+    """Simulated seconds of a command."""
     t_sample_s: Seconds = 0.33
+    """Simulated seconds between two samples during a command."""
     reference_timing: Timing = "virtual"
     """Timing of the game at 1x that each command is compared with, unless the run flies that one anyway."""
     guard: GuardConfig = GuardConfig()
+    """The check of an image's mean brightness, and what follows a rejection."""
     perturbation: PerturbationConfig = PerturbationConfig()
     """Perturbation of the games' images; those that they are compared with stay clean."""
     auto_exposure: bool = False

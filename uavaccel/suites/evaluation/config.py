@@ -25,7 +25,9 @@ class EvaluateConfig(Experiment):
     """Folder of a policy (a training's run directory), `default` (the policy that ships), or a baseline: straight,
     offset:METRES."""
     games: Games = 300
+    """How many evaluation lanes are flown."""
     first_lane: Annotated[int, Field(ge=0)] = 0
+    """The number of the first evaluation lane."""
     environments: Processes = 1
     """Lanes flown in parallel, with one renderer where there is a GPU; 1 with wall. It does not change the rows."""
     simulator: Simulator = "mujoco"

@@ -30,6 +30,7 @@ class PolicyExperiment(Experiment):
     games: Games = 300
     """Number of evaluation lanes, which are the same under each condition."""
     evaluation: Part = Part(experiment="evaluate")
+    """How each policy is evaluated: an experiment, and keys that differ from it."""
 
 
 @dataclass(frozen=True)

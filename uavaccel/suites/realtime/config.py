@@ -66,11 +66,15 @@ class RealtimeConfig(Experiment):
     timing: Literal["virtual", "wall"] = "virtual"
     """virtual: the wall clock is simulated, and flights repeat; wall: measured, in a process of its own."""
     environments: Annotated[dict[str, EnvironmentBlock], Field(min_length=1)]
+    """What is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
+    """Who flies it, by the names that rows and figures have for them."""
     latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
     """Wall time from an observation to its action."""
     clock_speed: ClockSpeeds = (1.0,)
+    """Simulated seconds per wall second that are asked for; each value is flown."""
     command: CommandNames = ("adsc", "tcsc")
+    """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3
     """Trainings of each agent in each environment."""
     episodes: Games = 10

@@ -18,9 +18,13 @@ class Block(Config):
     """Trainings that differ in command and ClockSpeed."""
 
     profile: ProfileName
+    """How the simulator handles time: native is exact to the step, airsim behaves like AirSim."""
     timing: SimulatedTiming = "virtual"
+    """Which simulated wall clock the policies are trained under: virtual with latencies, lockstep without."""
     command: CommandNames = ("adsc", "tcsc")
+    """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
     clock_speed: ClockSpeeds
+    """Simulated seconds per wall second that are asked for; each value is flown."""
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]*$")] = ""
     """Distinguishes these trainings from others of the same command and ClockSpeed; claims use those without one."""
     task: dict[str, Any] = Field(default_factory=dict)
@@ -38,8 +42,11 @@ class RlConfig(Experiment):
     games: Games = 5000
     """Games of each training."""
     cells: Annotated[tuple[Block, ...], Field(min_length=1)]
+    """Which policies are trained: blocks of profile, timing, commands and ClockSpeeds."""
     training: Part = Part(experiment="train")
+    """How each policy is trained: an experiment, and keys that differ from it."""
     evaluation: Part = Part(experiment="evaluate", keys={"games": 100})
+    """How each policy is evaluated: an experiment, and keys that differ from it."""
     evaluation_clock_speed: ClockSpeed = 1.0
     """ClockSpeed of the evaluations; 1 is real time, as in the paper (section IV-D), on a simulated wall clock."""
     as_trained: bool = False
@@ -54,8 +61,11 @@ class RlConfig(Experiment):
     command: tuple[CommandName, ...] = ()
     """Commands to select; this and the next three keys select all cells where they are left out."""
     clock_speed: tuple[float, ...] = ()
+    """Choose the cells of these ClockSpeeds; without values, all."""
     profile: ProfileName | None = None
+    """Choose the cells of this profile; without it, of both."""
     timing: SimulatedTiming | None = None
+    """Choose the cells of this timing; without it, of both."""
 
     @model_validator(mode="after")
     def _has_what_it_selects(self) -> RlConfig:
