@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Iterator
 
@@ -25,8 +26,35 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
+KERNELS = re.compile(r"test_(kernel_\w+|device|rl)\.py|\[docs/kernels")
+# The longest begin, or the last one would keep one core busy alone.
+FIRST = (
+    "kernels",
+    "test_batch",
+    "test_training",
+    "test_fly_scripts",
+    "test_docs",
+    "test_killed_at_random",
+    "test_evaluate",
+)
+
+
+def group_of(item: pytest.Item) -> str:
+    """Whose tests one process runs: a file's, but for the kernels."""
+    return "kernels" if KERNELS.search(item.nodeid) else item.path.stem
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what draws where OpenGL is missing; the probe is a process, so it starts only if something draws."""
+    """Give each test its group, the longest first, and skip what draws where OpenGL is missing."""
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(group_of(item)))
+    items.sort(key=lambda item: FIRST.index(group_of(item)) if group_of(item) in FIRST else len(FIRST))
+    skip_what_cannot_draw(items)
+
+
+def skip_what_cannot_draw(items: list[pytest.Item]) -> None:
+    """The probe is a process, so it starts only if something draws."""
     drawing = [item for item in items if item.get_closest_marker("opengl")]
     if drawing and not _opengl_works():
         for item in drawing:

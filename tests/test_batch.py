@@ -27,15 +27,14 @@ from uavaccel.errors import UserError
 from uavaccel.sim.rendering.service import RenderService
 
 NAME = "uavaccel/ObstacleLane-v0"
-COMMANDS = 14
-FLOWN: list[tuple[tuple[int, int, int], dict[str, Any]]] = [  # lanes, processes, tiles
-    ((5, 2, 3), {}),
-    ((1, 1, 1), {"timing": "virtual", "clock_speed": 10.0, "command": "adsc"}),
+COMMANDS = 9
+FLOWN: list[tuple[tuple[int, int, str, int], dict[str, Any]]] = [  # lanes, processes, renderer, tiles
+    ((5, 2, "shared", 3), {}),
     (
-        (3, 1, 2),
+        (3, 1, "shared", 2),
         {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0},
     ),
-    ((2, 2, 2), {"observation": "depth", "timing": "virtual", "clock_speed": 5.0}),
+    ((2, 2, "own", 1), {"observation": "depth", "timing": "virtual", "command": "adsc", "clock_speed": 5.0}),
 ]
 
 
@@ -79,18 +78,14 @@ def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], co
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
-def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, int], keys: dict[str, Any]) -> None:
-    (lanes, processes, tiles), task = size, {"max_commands": 8, **keys}
-    batch = EnvironmentBatch(ObstacleLane, lanes, processes, "shared", tiles, **task)
+def test_a_batch_flies_as_single_environments_do(
+    size: tuple[int, int, str, int], keys: dict[str, Any]
+) -> None:
+    task = {"max_commands": 6, **keys}
+    batch, lanes = EnvironmentBatch(ObstacleLane, *size, **task), size[0]
     with closing(batch), singles(lanes, **task) as alone:
         ends = assert_flies_as_alone(batch, alone, COMMANDS)
     assert ends >= lanes  # of them all, lost or cut off
-
-
-@needs_opengl
-def test_so_does_one_whose_processes_draw_themselves() -> None:
-    with closing(EnvironmentBatch(ObstacleLane, 2, 1, "own")) as batch, singles(2) as alone:
-        assert_flies_as_alone(batch, alone, 4)
 
 
 @needs_opengl
@@ -184,19 +179,14 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize(("end", "how"), [
-    (signal.SIGKILL, "ended with status -9"),
-    (signal.SIGSTOP, "stands still: it was stopped"),
-])  # fmt: skip
-def test_a_renderer_that_draws_no_more_is_said_in_one_line(
-    end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_renderer_that_draws_no_more_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 1, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
-        batch.service.process.send_signal(end)
-        with pytest.raises(BatchError, match=f"^the renderer of all environments {how}$"):
+        batch.service.process.send_signal(signal.SIGSTOP)
+        said = "^the renderer of all environments stands still: it was stopped$"
+        with pytest.raises(BatchError, match=said):
             batch.step([2, 2])
         pids = [*batch.process_ids, batch.service.process.pid]
     assert not left_after(pids, 0.0)
@@ -255,8 +245,7 @@ def named_memory(pids: list[int]) -> list[str]:
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_nothing_is_left_when_the_program_is_killed(end: signal.Signals) -> None:
+def test_nothing_is_left_when_the_program_is_killed() -> None:
     program = subprocess.Popen(
         [sys.executable, "-c", FLYING], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -265,7 +254,7 @@ def test_nothing_is_left_when_the_program_is_killed(end: signal.Signals) -> None
     started = descendants(program.pid)
     assert len(started) == 2  # one for the lanes, one that draws
     assert not named_memory([program.pid, *started])
-    program.send_signal(end)
+    program.kill()
     program.wait()
     program.stdout.close()
     assert not left_after(started, 60.0)

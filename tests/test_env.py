@@ -182,6 +182,7 @@ print(multiprocessing.active_children())
 @needs_opengl
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
 def test_workers_forked_from_a_process_that_has_drawn_say_what_to_do() -> None:
+    """And spawned ones find the environment of a program without a file, as a notebook's, by its name alone."""
     done = subprocess.run(
         [sys.executable, "-c", FORKED], check=True, capture_output=True, text=True, timeout=300
     )
@@ -189,22 +190,6 @@ def test_workers_forked_from_a_process_that_has_drawn_say_what_to_do() -> None:
     assert "start workers by spawn" in forked
     assert spawned == "spawn (2, 3, 36, 64)"
     assert left == "[]"
-
-
-def test_workers_from_a_program_without_a_file_find_the_environment() -> None:
-    """As from a notebook: nothing but the name tells a spawned process where the environment comes from."""
-    program = (
-        "import gymnasium\n"
-        "from gymnasium.vector import AsyncVectorEnv\n"
-        "make = lambda: gymnasium.make('uavaccel.envs:uavaccel/Hover-v0')\n"
-        "vector = AsyncVectorEnv([make, make], context='spawn')\n"
-        "print(vector.reset(seed=0)[0].shape)\n"
-        "vector.close()"
-    )
-    said = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300
-    )
-    assert said.stdout.strip() == "(2, 13)"
 
 
 # --- lanes ------------------------------------------------------------------------------------------------------

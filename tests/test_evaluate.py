@@ -285,13 +285,19 @@ def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_opengl
-def test_view_flies_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    train_into(tmp_path / "training", tiny_config(games=1))
-    view_game(str(tmp_path / "training"), "lane-000004", None)
-    folder = tmp_path / "training/view"
-    assert capsys.readouterr().out.split() == [str(folder / f"lane-000004.{kind}") for kind in ("mp4", "png")]
+def test_a_trainings_run_directory_is_an_agent_and_is_viewed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    training = tmp_path / "training"
+    train_into(training, tiny_config({"max_commands": 4}, games=1))
+    summary = evaluated(str(training), tmp_path / "run", "task.max_commands=3", games=1)
+    assert summary["games"] == 1
+    capsys.readouterr()
+    view_game(str(training), "lane-000004", None)
+    expected = [str(training / f"view/lane-000004.{kind}") for kind in ("mp4", "png")]
+    assert capsys.readouterr().out.split() == expected
     with pytest.raises(UserError, match="--case 4: must be an evaluation lane, as lane-000007"):
-        view_game(str(tmp_path / "training"), "4", None)
+        view_game(str(training), "4", None)
 
 
 @pytest.mark.slow
@@ -305,14 +311,6 @@ def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text(json.dumps(other))
     with pytest.raises(UserError, match=r"policy\.pt: does not fit the network of policy\.json$"):
         load_policy(tmp_path)
-
-
-@pytest.mark.slow
-@needs_opengl
-def test_a_trainings_run_directory_is_an_agent(tmp_path: Path) -> None:
-    train_into(tmp_path / "training", tiny_config(games=1))
-    summary = evaluated(str(tmp_path / "training"), tmp_path / "run", "task.max_commands=3", games=1)
-    assert summary["games"] == 1
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

@@ -1,56 +1,64 @@
-"""The hot loop's machine code follows the sources that it was compiled from, in whatever file they are."""
+"""Cached machine code is that of the sources that it was compiled from, in whatever file they are.
+
+numba looks for changes in the file of an entry point, and in the values that this closes over: a number of all files
+that its code comes from is one of them.
+"""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-FLY = """
-from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.vehicle.goal import of_velocity
-from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.world import World
-world = World("blocks", NATIVE)
-world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0))))
-world.advance(100)
-print(world.lead.state["position"][0])
-"""
+from uavaccel.kernels import cpu, pictures
+from uavaccel.sim.vehicle import hotloop
+
+ENTRY_POINTS: list[Any] = [
+    *(each._pyfunc for each in hotloop.ENTRY_POINTS),
+    *(each.py_func for each in (*cpu.CPU, pictures._gray, pictures._colour, pictures._depth)),
+]
 
 
-def flown_m(checkout: Path) -> float:
-    done = subprocess.run(
-        [sys.executable, "-c", FLY], cwd=checkout, capture_output=True, text=True, check=True
-    )
-    return float(done.stdout)
+def put_module(patch: pytest.MonkeyPatch, folder: Path, name: str, text: str) -> Path:
+    """A module of ours that has been imported, and its file."""
+    file = folder / f"{name}.py"
+    file.write_text(text)
+    module = ModuleType(f"uavaccel.sim.{name}")
+    module.__file__ = str(file)
+    patch.setitem(sys.modules, module.__name__, module)
+    return file
 
 
-@pytest.mark.slow
-def test_a_change_of_any_file_that_the_hot_loop_reaches_is_flown(tmp_path: Path) -> None:
+def test_the_number_changes_with_any_file_that_is_reached(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A function of a new file, and behind it a number of another new one: no list of files knows them."""
-    for name in ("uavaccel", "assets"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    sim = tmp_path / "uavaccel" / "sim"
-    (sim / "sign.py").write_text("SIGN = 1.0\n")
-    imports = "from uavaccel.parts import part\nfrom uavaccel.sim import sign\n"
-    function = imports + "\n\n@part\ndef signed(x):\n    return {} * x\n"
-    (sim / "signed.py").write_text(function.format("sign.SIGN"))
-    pilot = (sim / "vehicle" / "autopilot.py").read_text()
-    pilot = pilot.replace(
-        "from uavaccel.parts import part\n",
-        "from uavaccel.parts import part\nfrom uavaccel.sim.signed import signed\n",
-    )
-    (sim / "vehicle" / "autopilot.py").write_text(
-        pilot.replace("pitch_goal = -tilt_goal(", "pitch_goal = -signed(1.0) * tilt_goal(")
-    )
-    before = flown_m(tmp_path)
-    (sim / "sign.py").write_text("SIGN = -1.0\n")
-    turned = flown_m(tmp_path)
-    (sim / "signed.py").write_text(function.format("0.5 * sign.SIGN"))
-    assert before > 0
-    assert turned < flown_m(tmp_path) < 0, "half as steep"
+    put_module(monkeypatch, tmp_path, "loop", "from uavaccel.sim.signed import signed\n")
+    signed = put_module(monkeypatch, tmp_path, "signed", "from uavaccel.sim import sign\n")
+    sign = put_module(monkeypatch, tmp_path, "sign", "SIGN = 1.0\n")
+    beside = put_module(monkeypatch, tmp_path, "beside", "SIGN = 1.0\n")
+
+    numbers = [hotloop.sources("uavaccel.sim.loop")]
+    for file in (sign, signed):
+        file.write_text(file.read_text() + "HALF = 0.5\n")
+        numbers.append(hotloop.sources("uavaccel.sim.loop"))
+    assert len({*numbers}) == 3
+    assert 0 not in numbers
+    beside.write_text("SIGN = -1.0\n")
+    assert hotloop.sources("uavaccel.sim.loop") == numbers[-1]
+
+
+@pytest.mark.parametrize("function", ENTRY_POINTS, ids=lambda function: function.__qualname__)
+def test_every_entry_point_closes_over_it(function: Any) -> None:
+    closed = dict(zip(function.__code__.co_freevars, function.__closure__, strict=True))
+    [number] = [closed[name].cell_contents for name in ("sources", "stamp") if name in closed]
+    assert number == hotloop.sources(function.__module__)
+
+
+def test_what_the_hot_loop_computes_is_reached() -> None:
+    reached = hotloop._reached(hotloop.__name__, {})
+    for name in ("autopilot", "free_body", "quadrotor"):
+        assert f"uavaccel.sim.vehicle.{name}" in reached

@@ -127,7 +127,6 @@ finally:
         ("doctor", set()),
         ("run dp1 --dry-run", {"mujoco"}),
         ("train --dry-run", {"gymnasium", "mujoco"}),
-        ("evaluate --dry-run", {"gymnasium", "mujoco"}),
         ("fly print.py", set()),
     ],
 )

@@ -1,7 +1,7 @@
 """Runs killed at random instants, the process alone or with all it started: resumed, they end with the same bytes.
 
-`KILLS=100 pytest -n 0 -s tests/test_killed_at_random.py` kills as often as one likes, over every suite; without it the
-few that are quickest are killed a few times.
+`KILLS=100 pytest -n 0 -s tests/test_killed_at_random.py` kills as often as one likes, over every suite; without it
+one of them is killed once.
 """
 
 from __future__ import annotations
@@ -49,8 +49,7 @@ class Killed:
 
 ALL = {
     "dp1": Killed(
-        "run dp1 --jobs 2 --timing virtual --clock 10 --clock 50 --t-move 0.2 --rounds 4 --games 10 "
-        "--set reference_games=4"
+        "run dp1 --jobs 2 --timing virtual --clock 50 --t-move 0.2 --rounds 4 --games 10 --set reference_games=4"
     ),
     "train": Killed(f"train --timing virtual --games 20 --set checkpoint_games=4 --set mirror=false {BLIND} "
                     + " ".join(f"--set '{key}'" for key in ("hidden=[16]", "options.learning_starts=8"))),
@@ -69,9 +68,9 @@ ALL = {
     "wall": Killed("run dp1 --timing wall --clock 50 --t-move 1 --rounds 8 --games 6 --set reference_games=2",
                    (PARENT, GROUP, SERVER)),
 }  # fmt: skip
-EVERY_DAY = ("dp1", "train", "evaluate")
+EVERY_DAY = ("dp1",)  # with processes of joblib; tests of the others kill them at instants of their own
 RUNS = {name: ALL[name] for name in (ALL if "KILLS" in os.environ else EVERY_DAY)}
-KILLS = max(int(os.environ.get("KILLS", "3")) // len(RUNS), 1)
+KILLS = max(int(os.environ.get("KILLS", "1")) // len(RUNS), 1)
 CLOCK = MonotonicClock()
 
 

@@ -71,8 +71,7 @@ def port_of(process: "subprocess.Popen[str]") -> int:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_in_one_line(kind: signal.Signals, tmp_path: Path) -> None:
+def test_a_signal_ends_it_in_one_line(tmp_path: Path) -> None:
     with (
         serving("--clock", "20", "--recordings", str(tmp_path)) as process,
         MultirotorClient(port=port_of(process)) as client,
@@ -83,7 +82,7 @@ def test_a_signal_ends_it_in_one_line(kind: signal.Signals, tmp_path: Path) -> N
         client.enableApiControl(True)
         client.startRecording()
         client.moveByVelocityAsync(1, 0, 0, 1).join()
-        os.kill(process.pid, kind)
+        os.kill(process.pid, signal.SIGTERM)  # SIGINT ends the one below
         rest = rest_of(process)
     assert process.returncode == 0
     [recording] = tmp_path.glob(f"*/{FILE_NAME}")

@@ -118,11 +118,17 @@ def test_commands_of_the_readme_parse(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_task_of_ones_own_trains(folder: Path) -> None:
-    command = [sys.executable, "task.py", "--commands", "256", "--games", "2"]
-    said = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=600).stdout
-    assert "of 2 games" in said
-    assert (folder / "there_and_back.zip").is_file()
+def test_the_task_of_ones_own_trains(folder: Path, tmp_path: Path) -> None:
+    """On 128 commands between two updates instead of 1024."""
+    text = (folder / "task.py").read_text()
+    assert "n_steps=128" in text
+    (tmp_path / "task.py").write_text(
+        text.replace("n_steps=128, batch_size=256", "n_steps=16, batch_size=128")
+    )
+    command = [sys.executable, "task.py", "--commands", "128", "--games", "1"]
+    done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True, timeout=600)
+    assert "after 128 commands: " in done.stdout
+    assert (tmp_path / "there_and_back.zip").is_file()
 
 
 def test_a_folder_with_something_in_it_is_left_alone(folder: Path, tmp_path: Path) -> None:
