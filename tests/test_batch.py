@@ -79,7 +79,7 @@ def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], co
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
 def test_a_batch_flies_as_single_environments_do(
-    size: tuple[int, int, str, int], keys: dict[str, Any]
+    size: tuple[int, int, Any, int], keys: dict[str, Any]
 ) -> None:
     task = {"max_commands": 6, **keys}
     batch, lanes = EnvironmentBatch(ObstacleLane, *size, **task), size[0]
@@ -179,14 +179,19 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_renderer_that_draws_no_more_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("end", "how"), [
+    (signal.SIGKILL, "ended with status -9"),
+    (signal.SIGSTOP, "stands still: it was stopped"),
+])  # fmt: skip
+def test_a_renderer_that_draws_no_more_is_said_in_one_line(
+    end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 1, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
-        batch.service.process.send_signal(signal.SIGSTOP)
-        said = "^the renderer of all environments stands still: it was stopped$"
-        with pytest.raises(BatchError, match=said):
+        batch.service.process.send_signal(end)
+        with pytest.raises(BatchError, match=f"^the renderer of all environments {how}$"):
             batch.step([2, 2])
         pids = [*batch.process_ids, batch.service.process.pid]
     assert not left_after(pids, 0.0)

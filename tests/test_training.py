@@ -266,7 +266,7 @@ def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(
             raise RuntimeError("stopped")
 
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, begin_run(Training(), config, tmp_path / "cut", {}), on_flown=stop)
+        run_suite(Training(), config, begin_run(Training(), config, tmp_path / "cut", {}), on_game=stop)
     resumed = train_into(tmp_path / "cut", config, resume=True)
     assert resumed == train_into(tmp_path / "whole", config)
 

@@ -36,6 +36,7 @@ class AblationConfig(Experiment):
 
     suite: Literal["ablation"]
     title: str = "Ablation"
+    """Title of the report."""
     axis: str = "variant"
     """Label of the figure's axis: the quantity whose values are the variants' names."""
     times_clock_speed: bool = False
@@ -43,6 +44,7 @@ class AblationConfig(Experiment):
     base: dict[str, Plain]
     """A DP1 configuration; `suite` and `seed` may be left out. Its latency is a block or what ships for the profile."""
     variants: Annotated[tuple[Variant, ...], Field(min_length=1)]
+    """The variants of the DP1 configuration, each flown in full."""
 
     @field_validator("variants")
     @classmethod

@@ -22,11 +22,15 @@ class RobustnessConfig(PolicyExperiment):
 
     suite: Literal["robustness"]
     profile: ProfileName = "airsim"
+    """How time is handled: exact to the tick, or as AirSim does."""
     command: CommandNames = ("tcsc", "adsc")
+    """The synchronous commands to fly with."""
     clock_speed: ClockSpeeds
+    """ClockSpeeds to fly at: simulated seconds per wall second."""
     latency_scale: tuple[float, ...]
     """Factors of the latencies of the profile's model, flown in this order: put what matters most first."""
     games: Games = 100
+    """Lanes flown in each cell."""
 
     @field_validator("latency_scale")
     @classmethod
