@@ -15,7 +15,7 @@ from uavaccel.watch.track import Track
 if TYPE_CHECKING:
     from viser import ViserServer
 
-COMMANDED, THINKING, IDEAL, ARROW = (0, 114, 178), (213, 94, 0), (245, 245, 245), (240, 180, 0)
+COMMANDED, THINKING, IDEAL, ARROW = (0, 84, 160), (205, 50, 0), (245, 245, 245), (240, 180, 0)
 ARROW_M, LABEL_M = 0.7, 0.55
 PATH_WIDTH, IDEAL_WIDTH = 5.0, 2.0  # pixels
 

@@ -17,7 +17,7 @@ from uavaccel.units import NS_PER_S, ned_to_mujoco
 from uavaccel.watch.drone import Drone
 from uavaccel.watch.pictures import Eyes
 from uavaccel.watch.playhead import Playhead
-from uavaccel.watch.scene import show_surroundings
+from uavaccel.watch.scene import light_up, show_surroundings
 from uavaccel.watch.track import Track
 
 if TYPE_CHECKING:
@@ -29,7 +29,8 @@ PICTURES_EVERY = 3  # updates
 STEP_S = 0.05  # simulated
 PACES = {"0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0}
 APART_M = 4.6
-FROM_BEHIND = (-1.25, 0.0, 0.95)  # to the first view, in reaches of the flights; x north, y west, z up
+FROM_BEHIND = (-1.15, 0.0, 0.85)  # to the first view, in reaches of the flights; x north, y west, z up
+LOWER = 0.3  # of the distance, by which a phone's view looks below the flights
 BRAND = (0, 114, 178)
 
 
@@ -41,7 +42,9 @@ def open_server(host: str, port: int) -> ViserServer:
         raise UserError(MISSING) from None
     with redirect_stdout(io.StringIO()):  # it greets, even where it is asked to be silent
         server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
+    server.gui.configure_theme(
+        control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
+    )
     server.gui.set_panel_label("uavaccel watch")
     return server
 
@@ -64,11 +67,18 @@ class Page:
     def _make_scene(self, tracks: Sequence[Track]) -> None:
         server, world = self._server, self._world
         server.scene.set_up_direction("+z")
+        light_up(server)
         show_surroundings(server, world.model, world.data)
         middle = (len(tracks) - 1) / 2
         ideal = tracks[-1].position_m if len(tracks) > 1 else None
         self.drones = [
-            Drone(server, track, world.model, np.array([0.0, (n - middle) * APART_M, 0.0]), ideal)
+            Drone(
+                server,
+                track,
+                world.model,
+                np.array([0.0, (n - middle) * APART_M, 0.0]),
+                None if track is tracks[-1] else ideal,
+            )
             for n, track in enumerate(tracks)
         ]
         self._look_at(np.concatenate([track.position_m for track in tracks]), APART_M * middle)
@@ -83,8 +93,12 @@ class Page:
 
         @self._server.on_client_connect
         def _(client: ClientHandle) -> None:
-            if client.camera.aspect < 1.0:
-                client.camera.position = centre + back / client.camera.aspect
+            if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
+                farther = back / client.camera.aspect
+                client.camera.position = centre + farther
+                client.camera.look_at = centre - np.array([0.0, 0.0, LOWER * float(np.linalg.norm(farther))])
+            if len(self._server.get_clients()) == 1:  # who comes first has missed nothing
+                self.playhead.replay()
 
     def _make_controls(self, title: str) -> None:
         gui = self._server.gui

@@ -17,7 +17,21 @@ SHOWN_GROUPS = 3  # MuJoCo draws groups 0 to 2; hulls are in 3
 GROUND_PIXELS = 2048
 PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end
 ROTOR_SECTIONS = 40
+ZENITH, HORIZON = (120, 165, 215), (229, 238, 250)
 Geom = mujoco.mjtGeom
+
+
+def light_up(server: ViserServer) -> None:
+    """Sky, sun and the sky's own light; without shadows and light from a picture, which need a GPU."""
+    server.scene.configure_environment_map(hdri=None)
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.add_light_hemisphere(
+        "/light/sky", sky_color=HORIZON, ground_color=(110, 115, 105), intensity=2.2
+    )
+    server.scene.add_light_directional("/light/sun", intensity=2.4, position=(-30.0, -40.0, 60.0))
+    share = np.linspace(0.0, 1.0, 64)[:, None, None]
+    sky = (1.0 - share) * np.array(ZENITH) + share * np.array(HORIZON)
+    server.scene.set_background_image(np.tile(sky, (1, 2, 1)).astype(np.uint8), format="png")
 
 
 def show_surroundings(server: ViserServer, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -84,7 +98,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     elif kind == Geom.mjGEOM_CYLINDER:
         mesh = trimesh.creation.cylinder(a, 2 * b, sections=ROTOR_SECTIONS)
     elif kind == Geom.mjGEOM_CAPSULE:
-        mesh = trimesh.creation.capsule(2 * b, a, count=(12, 12)).apply_translation((0, 0, 0))
+        mesh = trimesh.creation.capsule(2 * b, a, count=(12, 12))
     elif kind == Geom.mjGEOM_MESH:
         mesh = _own_mesh(model, int(model.geom_dataid[geom]))
     else:

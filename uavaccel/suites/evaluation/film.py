@@ -35,6 +35,9 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     It is flown in the exact simulator, as its title says where the evaluation was not. Raises UserError for a policy
     that sees no events, in `wall`.
     """
+    import torch as th
+
+    th.set_num_threads(1)  # as the evaluation's own games are flown
     task = config.task
     agent = FilmedAgent(make_agent(config.agent, task))
     environment, seen = ObstacleLane(**_seen_by_camera(config).model_dump(mode="json")), SamplesSeen()

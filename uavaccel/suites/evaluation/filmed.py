@@ -58,12 +58,13 @@ class FilmedAgent:
         self._taken: list[int] = []
 
     def act(self, observation: Frame, info: Info) -> int:
-        action = self._agent.act(observation, info)
-        if isinstance(self._agent, PolicyAgent):
-            self._rated_as, ratings = self._agent.policy.rate(observation[None])
-            self._given.append(observation.copy())
-            self._ratings.append(ratings[0])
-            self._taken.append(action)
+        if not isinstance(self._agent, PolicyAgent):
+            return self._agent.act(observation, info)
+        self._rated_as, ratings = self._agent.policy.rate(observation[None])
+        action = int(ratings[0].argmax())  # what it would do; asked, it would rate the observation once more
+        self._given.append(observation.copy())
+        self._ratings.append(ratings[0])
+        self._taken.append(action)
         return action
 
     def decisions(self, headings_deg: tuple[float, ...], of_sample: list[int]) -> Decisions | None:
