@@ -76,7 +76,7 @@ class Drone:
         self._frame.position, self._frame.wxyz = shown, quaternion_ned_to_mujoco(attitude)
         flown = max(int(np.searchsorted(self.track.time_s, time_s, side="right")) - 1, 0)
         here = self.track.time_s[min(flown, len(self._path) - 1)]
-        path, colours = self._path[:flown], self._colours[:flown]
+        path, colours = np.asarray(self._path[:flown]), np.asarray(self._colours[:flown])
         if time_s > here and flown < len(self._path):  # up to the drone itself, between two samples
             path = np.concatenate([path, [[self._path[flown, 0], shown]]])
             colours = np.concatenate([colours, self._colours[flown : flown + 1]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from uavaccel.watch.scene import light_up, show_surroundings
 from uavaccel.watch.track import Track
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, ViserServer
+    from viser import ClientHandle, GuiImageHandle, ViserServer
 
 MISSING = "watch: needs the package viser: pip install 'uavaccel[watch]'"
 UPDATES_PER_S = 30
@@ -118,7 +118,7 @@ class Page:
     def _set_pace(self) -> None:
         self.playhead.slowness = self.speed / PACES[self._pace.value]
 
-    def _make_eyes(self) -> list[tuple[Eyes, Callable[[np.ndarray], None]]]:
+    def _make_eyes(self) -> list[tuple[Eyes, GuiImageHandle]]:
         """Pictures below the controls; none where nothing can draw."""
         try:
             eyes = [Eyes(self._world) for _ in self.drones]
@@ -131,7 +131,7 @@ class Page:
             handle = self._server.gui.add_image(
                 blank, label=f"{drone.track.name}: camera, events", format="jpeg"
             )
-            shown.append((eye, lambda picture, handle=handle: setattr(handle, "image", picture)))
+            shown.append((eye, handle))
         return shown
 
     def run(self) -> None:
@@ -154,9 +154,9 @@ class Page:
             if self._play.label != label:
                 self._play.label = label
         if self.updates % PICTURES_EVERY == 0:
-            for drone, (eye, show) in zip(self.drones, self._eyes, strict=False):
+            for drone, (eye, shown) in zip(self.drones, self._eyes, strict=False):
                 time_s = drone.track.simulated_s(wall_s)
-                show(eye.look(*drone.track.pose(time_s), time_s))
+                shown.image = eye.look(*drone.track.pose(time_s), time_s)
         self.updates += 1
 
     def _clock_table(self, wall_s: float) -> str:

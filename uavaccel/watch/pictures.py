@@ -9,7 +9,7 @@ from uavaccel.draw.film import dvs_picture
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.world import World
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
-from uavaccel.vision.dvs import init_state, luma, step
+from uavaccel.vision.dvs import DvsState, init_state, luma, step
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 
 LONGEST_S = 0.25  # simulated; beyond it the spectator has jumped, and the events begin anew
@@ -22,7 +22,8 @@ class Eyes:
         self._world = world
         self._camera = world.camera(WIDTH, HEIGHT)
         self._sensor = make_sensor(DvsParameters(), (HEIGHT, WIDTH), seed=0)
-        self._seen_s: float | None = None
+        self._state: DvsState | None = None
+        self._began_s, self._seen_s = 0.0, 0.0
         self._events = np.full((HEIGHT, WIDTH, 3), 246, np.uint8)
 
     def look(
@@ -36,10 +37,10 @@ class Eyes:
         return np.vstack([picture, self._events])
 
     def _see(self, frame: NDArray[np.uint8], time_s: float) -> None:
-        passed_s = time_s - self._seen_s if self._seen_s is not None else -1.0
-        if passed_s == 0.0:
+        passed_s = time_s - self._seen_s
+        if self._state is not None and passed_s == 0.0:
             return  # the clock stands: nothing changes, and nothing is seen
-        if 0.0 < passed_s < LONGEST_S:
+        if self._state is not None and 0.0 < passed_s < LONGEST_S:
             self._state, on, off = step(self._sensor, self._state, frame, time_s - self._began_s)
             self._events = np.ascontiguousarray(dvs_picture(on, off, (WIDTH, HEIGHT))[..., ::-1])
         else:

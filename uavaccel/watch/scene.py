@@ -134,7 +134,9 @@ def _placed(mesh: trimesh.Trimesh, turn: NDArray[np.float64], place: NDArray[np.
 def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     import trimesh
 
-    return trimesh.util.concatenate(meshes)
+    joined = trimesh.util.concatenate(meshes)
+    assert isinstance(joined, trimesh.Trimesh)
+    return joined
 
 
 def _show_plane(server: ViserServer, model: mujoco.MjModel, geom: int, place: NDArray[np.float64]) -> None:
