@@ -81,7 +81,7 @@ class Drone:
             path = np.concatenate([path, [[self._path[flown, 0], shown]]])
             colours = np.concatenate([colours, self._colours[flown : flown + 1]])
         if len(path):
-            self._line.points, self._line.colors = path, colours
+            self._line.points, self._line.colors = path.astype(np.float32), colours
         self._line.visible = bool(len(path))
         self._show_command(time_s, shown)
         self._label.text = f"{self.track.name}: {self.state(wall_s)}"

@@ -16,7 +16,10 @@ NEEDED = {"time_s", "position_m", "orientation_wxyz", "command_start_s", "comman
 
 
 def recorded_track(folder: Path, case: str | None) -> Track:
-    """The track of a run's game, without `case` the first of its fastest. Raises UserError if there is none, or no samples of it."""
+    """The track of a run's game, without `case` the first of its fastest.
+
+    Raises UserError if there is none, or no samples of it.
+    """
     run = RunDirectory(folder)
     rows: list[Row] = [row for row in run.rows() if isinstance(row, dict)]
     row = choose_row(run, case, sorted(rows, key=_interest))
