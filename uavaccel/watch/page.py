@@ -94,7 +94,7 @@ class Page:
         @self._server.on_client_connect
         def _(client: ClientHandle) -> None:
             if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
-                farther = back / client.camera.aspect
+                farther = 1.25 * back / client.camera.aspect
                 client.camera.position = centre + farther
                 client.camera.look_at = centre - np.array([0.0, 0.0, LOWER * float(np.linalg.norm(farther))])
             if len(self._server.get_clients()) == 1:  # who comes first has missed nothing
