@@ -18,12 +18,12 @@ import typer
 from uavaccel.cli.airsim_commands import fly, serve
 from uavaccel.cli.experiment_commands import evaluate, run, train
 from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
-from uavaccel.cli.result_commands import export, report, view
+from uavaccel.cli.result_commands import export, report, view, watch
 from uavaccel.cli.starter import init, schema
 from uavaccel.errors import mistake_of
 
 COMMANDS: list[Callable[..., None]] = [
-    *(run, report, view, calibrate, advise, train, evaluate),
+    *(run, report, view, watch, calibrate, advise, train, evaluate),
     *(export, bench, serve, fly, init, schema, doctor),
 ]
 """In the order of `uavaccel --help`."""

@@ -1,4 +1,4 @@
-"""The commands on finished runs and policies: report, view, export. They import what they need when they run."""
+"""The commands on finished runs and policies: report, view, watch, export. They import what they need when they run."""
 
 from __future__ import annotations
 
@@ -54,6 +54,31 @@ def view(
         view_events(source, case, events, events_rate_hz)
     else:
         view_game(source, case, out)
+
+
+def watch(
+    run: Annotated[
+        Path | None, typer.Argument(help="Run directory of dp1; without it ADSC and TCSC fly a square.")
+    ] = None,
+    case: Annotated[
+        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the first.")
+    ] = None,
+    clock: Annotated[float, typer.Option(min=0.01, max=1000.0, help="ClockSpeed of the square.")] = 50.0,
+    think: Annotated[
+        float,
+        typer.Option(min=0.0, max=10.0, help="Wall seconds that the client thinks before each command."),
+    ] = 0.012,
+    seed: Annotated[int, typer.Option(min=0, help="Of the square's latencies.")] = 0,
+    host: Annotated[
+        str, typer.Option(help="Address of the page; others than this machine see it if told.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="The first that is free from here on.")] = 8080,
+) -> None:
+    """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
+    from uavaccel.cli.watch import WatchRequest
+    from uavaccel.cli.watch import watch as open_page
+
+    open_page(WatchRequest(run, case, clock, think, seed, host, port))
 
 
 def export(

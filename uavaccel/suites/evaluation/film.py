@@ -73,12 +73,13 @@ class FilmedAgent:
         self._taken: list[int] = []
 
     def act(self, observation: Frame, info: Info) -> int:
-        action = self._agent.act(observation, info)
-        if isinstance(self._agent, PolicyAgent):
-            self._rated_as, ratings = self._agent.policy.rate(observation[None])
-            self._given.append(observation.copy())
-            self._ratings.append(ratings[0])
-            self._taken.append(action)
+        if not isinstance(self._agent, PolicyAgent):
+            return self._agent.act(observation, info)
+        self._rated_as, ratings = self._agent.policy.rate(observation[None])
+        action = int(ratings[0].argmax())  # what the agent would do; asking it would rate the observation once more
+        self._given.append(observation.copy())
+        self._ratings.append(ratings[0])
+        self._taken.append(action)
         return action
 
     def decisions(self, headings_deg: tuple[float, ...], of_sample: list[int]) -> Decisions | None:
@@ -106,6 +107,9 @@ def film_lane(config: EvaluateConfig, lane: int) -> Film:
     It is flown in the exact simulator, and its title says so where the evaluation was not. Raises UserError in `wall`
     for a policy whose observation has no events.
     """
+    import torch as th
+
+    th.set_num_threads(1)  # as the evaluation's own games are flown
     task = config.task
     agent = FilmedAgent(make_agent(config.agent, task))
     environment, seen = ObstacleLane(**_seen_by_camera(config).model_dump(mode="json")), SamplesSeen()
