@@ -49,7 +49,8 @@ ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["bench"] = ROOMS["rl"]
 ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench", "realtime"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
-ROOMS["cli"] = ROOMS["suites"] | {"suites", "fly", "__init__"}
+ROOMS["export"] = ROOMS["suites"] | {"suites"}
+ROOMS["cli"] = ROOMS["suites"] | {"suites", "fly", "export", "__init__"}
 ROOMS["__main__"] = {"cli"}
 HEAVY = {
     *("cv2", "gymnasium", "joblib", "matplotlib", "mujoco", "numba", "scipy", "stable_baselines3", "sympy"),

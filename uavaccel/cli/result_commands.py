@@ -50,15 +50,24 @@ def view(
 
 def export(
     source: Annotated[
-        str, typer.Argument(help="A policy's folder or default, for --onnx; a run directory for tables.")
+        str, typer.Argument(help="A policy's folder or default, for --onnx; else a run directory.")
     ],
     onnx: Annotated[
         Path | None, typer.Option(help="ONNX file of the policy with its pre-processing.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(help="Folder for the run's games as MCAP, or an .mcap file for one game.")
+    ] = None,
+    minari: Annotated[
+        Path | None, typer.Option(help="Folder, named NAME-vN, for an evaluation as a Minari dataset.")
+    ] = None,
+    case: Annotated[
+        str | None, typer.Option(help="The only game for --mcap, as rows.jsonl names it.")
+    ] = None,
 ) -> None:
-    """Write a policy as ONNX, or a run as tables."""
+    """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
     from uavaccel.cli.export import export as export_source
 
-    export_source(source, onnx, csv, parquet)
+    export_source(source, onnx, csv, parquet, mcap, minari, case)
