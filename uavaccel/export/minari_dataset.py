@@ -9,6 +9,7 @@ with h5py, game by game and deflated, since `minari` keeps whole buffers in memo
 from __future__ import annotations
 
 import copy
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -108,8 +109,8 @@ def _write_metadata(
         "total_steps": sum(len(row["actions"]) for row in rows),
         "data_format": "hdf5",
         "jpeg_encoding": False,
-        "observation_space": to_json(_plain_space(observations)),
-        "action_space": to_json(_plain_space(actions)),
+        "observation_space": json.dumps(_plain_space(observations)),
+        "action_space": json.dumps(_plain_space(actions)),
         "env_spec": spec.to_json(),
         "dataset_id": name,
         "minari_version": LAYOUT,
@@ -122,7 +123,10 @@ def _write_metadata(
 
 
 def _plain_space(space: spaces.Space[Any]) -> dict[str, object]:
-    """A space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane."""
+    """A space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane.
+
+    Bounds may be infinite, which Minari reads as Python's json writes it.
+    """
     if isinstance(space, spaces.Discrete):
         return {"type": "Discrete", "dtype": "int64", "start": int(space.start), "n": int(space.n)}
     assert isinstance(space, spaces.Box)
