@@ -219,7 +219,8 @@ def test_an_evaluation_is_flown_again_and_logged_with_its_collision(tmp_path: Pa
         log = read(path)
         asked = vectors(log.messages["/drone/command"], "velocity_m_s")
         headings = np.radians(np.array([-60.0, -30.0, 0.0, 30.0, 60.0])[row["actions"]])
-        flown = np.column_stack([2 * np.cos(headings), 2 * np.sin(headings), np.zeros(len(headings))])
+        speed_m_s = run.config()["task"]["speed_m_s"]
+        flown = speed_m_s * np.column_stack([np.cos(headings), np.sin(headings), np.zeros(len(headings))])
         np.testing.assert_allclose(asked, flown, atol=1e-12)
         north = vectors(log.messages["/drone/pose"], "pose", "position")[:, 0]
         assert north[-1] - north[0] == pytest.approx(row["distance_m"], abs=0.02)
