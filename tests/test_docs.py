@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ FENCE = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 FLOWN = {"run", "train", "evaluate"}
+MADE = "docs/data.md"  # whose programs load what its commands have written
+OPTIONAL = {"pyarrow": "--parquet"}  # packages that the tests can do without, and what needs them
 
 
 # In place of the runtime that flies a policy's file.
@@ -161,17 +164,37 @@ def test_every_fence_is_a_block_of_a_known_kind() -> None:
 @pytest.mark.usefixtures("reading")
 @pytest.mark.parametrize("block", in_language("python"))
 def test_programs_run(
-    block: Block, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    block: Block,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     """As they stand, each a module of its own; scripts of AirSim's client fly as their page flies them."""
     if "import airsim" in block.code:
         Path("onnxruntime.py").write_text(STRAIGHT_AHEAD)
         assert not app([*flown_by(block), block.title], standalone_mode=False)
         return
+    if block.page == MADE:
+        if any(f"from {package} " in block.code and not find_spec(package) for package in OPTIONAL):
+            pytest.skip("the package that it loads with is not installed")
+        make_everything(tmp_path_factory.getbasetemp() / "made", monkeypatch)
+        capsys.readouterr()
     module = ModuleType(Path(block.title).stem or "block")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     exec(compile(block.code, f"{block.page}:{block.line}", "exec"), module.__dict__)
     assert "print(" not in block.code or capsys.readouterr().out
+
+
+def make_everything(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, what the commands of the page MADE write; the folder is the working directory."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "datasets")  # which the page's program sets
+    first = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    monkeypatch.chdir(folder)
+    for block, line in COMMANDS if first else ():
+        missing = [option for package, option in OPTIONAL.items() if not find_spec(package)]
+        if block.page == MADE and not any(option in line for option in missing):
+            assert not app(shlex.split(line)[1:], standalone_mode=False)
 
 
 def flown_by(block: Block) -> list[str]:

@@ -177,10 +177,11 @@ def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> No
 
 
 def test_export_says_what_it_can_write_and_refuses_what_is_no_source(tmp_path: Path) -> None:
-    for source, to, said in (
+    refused: tuple[tuple[str, dict[str, Any], str], ...] = (
         ("default", {}, "say what to write"),
         (str(tmp_path), {"csv": tmp_path / "out"}, "not a run directory"),
         (str(tmp_path), {"onnx": tmp_path / "file"}, "holds no policy"),
-    ):
+    )
+    for source, to, said in refused:
         with pytest.raises(UserError, match=said):
-            export(source, **{"onnx": None, "csv": None, "parquet": None, **to})
+            export(source, **to)

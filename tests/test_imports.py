@@ -50,8 +50,8 @@ ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["bench"] = ROOMS["rl"]
 ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench", "realtime"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
-ROOMS["watch"] = ROOMS["suites"] | {"suites"}
-ROOMS["cli"] = ROOMS["watch"] | {"watch", "fly", "__init__"}
+ROOMS["watch"] = ROOMS["export"] = ROOMS["suites"] | {"suites"}
+ROOMS["cli"] = ROOMS["watch"] | {"watch", "export", "fly", "__init__"}
 ROOMS["__main__"] = {"cli"}
 HEAVY = {
     *("cv2", "gymnasium", "joblib", "matplotlib", "mujoco", "numba", "scipy", "stable_baselines3", "sympy"),

@@ -83,32 +83,24 @@ def watch(
 
 def export(
     source: Annotated[
-        str, typer.Argument(help="For --onnx a policy's folder or default; for tables a run directory.")
+        str, typer.Argument(help="A policy's folder or default, for --onnx; else a run directory.")
     ],
     onnx: Annotated[
         Path | None, typer.Option(help="ONNX file for the policy with its pre-processing.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(help="Folder for the run's games as MCAP, or an .mcap file for one game.")
+    ] = None,
+    minari: Annotated[
+        Path | None, typer.Option(help="Folder, named NAME-vN, for an evaluation as a Minari dataset.")
+    ] = None,
+    case: Annotated[
+        str | None, typer.Option(help="The only game for --mcap, as rows.jsonl names it.")
+    ] = None,
 ) -> None:
-    """Write a policy as ONNX, or a run as tables."""
-    from uavaccel.cli.terminal import console
-    from uavaccel.errors import UsageError
-    from uavaccel.records import RunDirectory
-    from uavaccel.suites.tables import write_tables
+    """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
+    from uavaccel.cli.export import export as export_source
 
-    folders = [(folder, kind) for folder, kind in ((csv, "csv"), (parquet, "parquet")) if folder is not None]
-    if onnx is not None:
-        from uavaccel.rl.agents import policy_folder
-        from uavaccel.rl.onnx_file import write_onnx
-        from uavaccel.rl.policy import load_policy
-
-        about = write_onnx(load_policy(policy_folder(source)), onnx)
-        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
-    elif not folders:
-        raise UsageError(
-            "export: say what to write: --onnx FILE of a policy, --csv or --parquet FOLDER of a run"
-        )
-    for folder, kind in folders:
-        for path in write_tables(RunDirectory(source), folder, kind):
-            console.print(str(path))
+    export_source(source, onnx, csv, parquet, mcap, minari, case)

@@ -8,7 +8,7 @@ from uavaccel.commands.paths import PATHS, velocities
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.report import Row
+from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
 from uavaccel.watch.track import Track, track_of
 

@@ -76,7 +76,9 @@ class FilmedAgent:
         if not isinstance(self._agent, PolicyAgent):
             return self._agent.act(observation, info)
         self._rated_as, ratings = self._agent.policy.rate(observation[None])
-        action = int(ratings[0].argmax())  # what the agent would do; asking it would rate the observation once more
+        action = int(
+            ratings[0].argmax()
+        )  # what the agent would do; asking it would rate the observation once more
         self._given.append(observation.copy())
         self._ratings.append(ratings[0])
         self._taken.append(action)

@@ -1,0 +1,390 @@
+"""Games as MCAP logs and as Minari datasets: read back by the formats' own libraries, equal bytes, clear refusals."""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+import torch as th
+from scipy.spatial.transform import Rotation
+
+from tests.opengl import needs_opengl
+from tests.running import configured, run_into
+from uavaccel.cli.export import export
+from uavaccel.config import Config
+from uavaccel.errors import UsageError, UserError
+from uavaccel.export.foxglove import NED_IN_ENU, OPTICAL_IN_BODY
+from uavaccel.export.mcap_file import TOPICS
+from uavaccel.files import file_sha256
+from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.dp2.suite import Dp2
+from uavaccel.suites.evaluation.suite import Evaluation
+
+mcap_reader = pytest.importorskip("mcap.reader")
+# Minari's import warns where Minari's optional parts are missing.
+minari = pytest.importorskip("minari")
+
+SHORT_PATH = "path=[[1.0, 0.0], [1.0, 0.0], [0.0, 0.5]]"
+
+
+@pytest.fixture(scope="module")
+def dp1(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    out = tmp_path_factory.mktemp("dp1") / "run"
+    config = configured(
+        "dp1",
+        "rounds=[1]",
+        "t_move_s=[0.5]",
+        "reference_games=1",
+        clock_speed=[1.0],
+        command=["tcsc", "adsc"],
+        games=1,
+    )
+    run_into(out, Dp1(), config)
+    return RunDirectory(out)
+
+
+@pytest.fixture(scope="module")
+def dp2(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    out = tmp_path_factory.mktemp("dp2") / "run"
+    run_into(out, Dp2(), configured("dp2", SHORT_PATH, clock_speed=[1.0], command=["tcsc"]))
+    return RunDirectory(out)
+
+
+def evaluated(out: Path, *overrides: str, **options: Any) -> RunDirectory:
+    config = configured("evaluate", *overrides, **{"agent": "straight", "games": 2, **options})
+    run_into(out, Evaluation(), config)
+    return RunDirectory(out)
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """Two lanes flown straight ahead, seen as a state: nothing has to be drawn."""
+    out = tmp_path_factory.mktemp("evaluate") / "run"
+    return evaluated(out, "task.observation=state", "task.command=adsc", "task.clock_speed=20")
+
+
+class Log(NamedTuple):
+    """What an MCAP file says, read by MCAP's own library."""
+
+    messages: dict[str, list[tuple[int, Any]]]
+    metadata: dict[str, str]
+    schemas: dict[str, str]
+
+
+def read(path: Path) -> Log:
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    schemas = {}
+    with path.open("rb") as file:
+        reader = mcap_reader.make_reader(file, validate_crcs=True)
+        [metadata] = reader.iter_metadata()
+        [attachment] = reader.iter_attachments()
+        assert attachment.name == "config.yaml"
+        last_ns = 0
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert message.log_time >= last_ns, "written in the order of time"
+            last_ns = message.log_time
+            assert schema.encoding == "jsonschema"
+            schemas[channel.topic] = schema.name
+            messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+    return Log(messages, metadata.metadata, schemas)
+
+
+def vectors(entries: list[tuple[int, Any]], *keys: str) -> np.ndarray:
+    found = []
+    for _, message in entries:
+        for key in keys:
+            message = message[key]
+        found.append([message[axis] for axis in "xyz"])
+    return np.array(found)
+
+
+# --- MCAP -------------------------------------------------------------------------------------------------------
+
+
+def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_path: Path) -> None:
+    export(str(dp1.path), mcap=tmp_path / "logs")
+    rows = dp1.rows()
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == sorted(
+        f"{row['case']}.mcap" for row in rows
+    )
+    for row in rows:
+        log, arrays = read(tmp_path / "logs" / f"{row['case']}.mcap"), dp1.load_arrays(row)
+        assert log.schemas == {topic: TOPICS[topic] for topic in log.schemas}
+        poses = log.messages["/drone/pose"]
+        np.testing.assert_array_equal(vectors(poses, "pose", "position"), arrays["position_m"])
+        np.testing.assert_array_equal(
+            [at for at, _ in poses], np.rint(arrays["time_s"] * 1e9).astype(np.int64)
+        )
+        quaternions = [[each["pose"]["orientation"][axis] for axis in "wxyz"] for _, each in poses]
+        np.testing.assert_array_equal(quaternions, arrays["orientation_wxyz"])
+        velocities = log.messages["/drone/velocity"]
+        np.testing.assert_array_equal(vectors(velocities, "velocity_m_s"), arrays["linear_velocity_m_s"])
+        commands = log.messages["/drone/command"]
+        assert len(commands) == row["commands"]
+        square = [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]
+        path = [[1, 0, 0], [1, 0, 0], [-1, 0, 0]] if row["role"] == "figure2" else square
+        np.testing.assert_array_equal(vectors(commands, "velocity_m_s"), path)
+        assert {each["frame_id"] for _, each in (*poses, *commands)} == {"ned"}
+        assert log.metadata["timing"] == row["timing"]
+        assert log.metadata["numbers"] == "modelled"
+        assert log.metadata["config_sha256"] == file_sha256(dp1.path / "config.yaml")
+        assert json.loads(log.metadata["row"]) == row
+
+
+def test_the_same_game_is_the_same_bytes(dp1: RunDirectory, tmp_path: Path) -> None:
+    case = dp1.rows()[0]["case"]
+    for name in ("a.mcap", "b.mcap"):
+        export(str(dp1.path), mcap=tmp_path / name, case=case)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def turned(wxyz: tuple[float, ...], vector: tuple[int, ...]) -> np.ndarray:
+    w, x, y, z = wxyz
+    return np.asarray(Rotation.from_quat([x, y, z, w]).apply(vector))
+
+
+def test_frames_turn_down_into_up_and_the_view_forward(dp1: RunDirectory, tmp_path: Path) -> None:
+    """North, east, down are (0, 1, 0), (1, 0, 0), (0, 0, -1) in ENU; the optical axis is the body's x."""
+    for axis, in_enu in (((1, 0, 0), (0, 1, 0)), ((0, 1, 0), (1, 0, 0)), ((0, 0, 1), (0, 0, -1))):
+        np.testing.assert_allclose(turned(NED_IN_ENU, axis), in_enu, atol=1e-12)
+    for optical, in_body in (((0, 0, 1), (1, 0, 0)), ((1, 0, 0), (0, 1, 0)), ((0, 1, 0), (0, 0, 1))):
+        np.testing.assert_allclose(turned(OPTICAL_IN_BODY, optical), in_body, atol=1e-12)
+    export(str(dp1.path), mcap=tmp_path / "a.mcap", case=dp1.rows()[0]["case"])
+    for _, message in read(tmp_path / "a.mcap").messages["/tf"]:
+        pairs = [(each["parent_frame_id"], each["child_frame_id"]) for each in message["transforms"]]
+        assert pairs == [("enu", "ned"), ("drone", "front_center"), ("ned", "drone")]
+
+
+def picture_of(message: Any) -> np.ndarray:
+    assert message["format"] == "png"
+    png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
+    return np.asarray(cv2.imdecode(png, cv2.IMREAD_UNCHANGED))
+
+
+def columns_of(message: Any) -> dict[str, np.ndarray]:
+    kinds = {"x": "<u2", "y": "<u2", "t": "<u4", "p": "u1"}
+    return {name: np.frombuffer(base64.b64decode(message[name]), kind) for name, kind in kinds.items()}
+
+
+@needs_opengl
+@pytest.mark.slow
+def test_pictures_and_events_of_dp2(dp2: RunDirectory, tmp_path: Path) -> None:
+    export(str(dp2.path), mcap=tmp_path / "logs")
+    for row in dp2.rows():
+        log, arrays = read(tmp_path / "logs" / f"{row['case']}.mcap"), dp2.load_arrays(row)
+        shown = [picture_of(message) for _, message in log.messages["/camera/front_center"]]
+        kept = arrays["colour"][..., ::-1] if "colour" in arrays else arrays["image"]
+        np.testing.assert_array_equal(shown, kept)
+        np.testing.assert_array_equal(
+            vectors(log.messages["/drone/command"], "velocity_m_s"), [[1, 0, 0], [1, 0, 0], [0, 0.5, 0]]
+        )
+        began = [at / 1e9 for at, _ in log.messages["/drone/command"]]
+        assert began == pytest.approx([0.0, 1.0, 2.0], abs=0.1)
+        windows = log.messages["/dvs/events"]
+        assert len(windows) == len(arrays["image"]) - 1
+        assert sum(message["count"] for _, message in windows) > 0
+        before_us = 0
+        for (at, message), (_, drawn) in zip(windows, log.messages["/dvs/image"], strict=True):
+            columns = columns_of(message)
+            assert {len(each) for each in columns.values()} == {message["count"]}
+            assert (columns["x"] < message["width"]).all()
+            assert (columns["y"] < message["height"]).all()
+            assert (before_us <= columns["t"]).all()
+            assert (columns["t"] <= at / 1000 + 1).all()
+            assert (np.diff(columns["t"].astype(int)) >= 0).all()
+            before_us = at // 1000
+            touched = np.zeros((message["height"], message["width"]), bool)
+            touched[columns["y"], columns["x"]] = True
+            plain = picture_of(drawn)
+            background = plain[~touched]
+            assert not len(background) or (background == background[0]).all()
+
+
+@needs_opengl
+@pytest.mark.slow
+def test_an_evaluation_is_flown_again_and_logged_with_its_collision(tmp_path: Path) -> None:
+    run = evaluated(tmp_path / "run", "task.max_commands=12")
+    export(str(run.path), mcap=tmp_path / "logs")
+    export(str(run.path), mcap=tmp_path / "again")
+    for row in run.rows():
+        path = tmp_path / "logs" / f"{row['case']}.mcap"
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
+        log = read(path)
+        asked = vectors(log.messages["/drone/command"], "velocity_m_s")
+        headings = np.radians(np.array([-60.0, -30.0, 0.0, 30.0, 60.0])[row["actions"]])
+        speed_m_s = run.config()["task"]["speed_m_s"]
+        flown = speed_m_s * np.column_stack([np.cos(headings), np.sin(headings), np.zeros(len(headings))])
+        np.testing.assert_allclose(asked, flown, atol=1e-12)
+        north = vectors(log.messages["/drone/pose"], "pose", "position")[:, 0]
+        assert north[-1] - north[0] == pytest.approx(row["distance_m"], abs=0.02)
+        assert len(log.messages["/camera/front_center"]) == len(north)
+        said = [message["message"] for _, message in log.messages["/log"]]
+        assert said[0] == f"{row['case']} begins"
+        assert said[1:] == ([f"hit {row['collision']}"] if row["collision"] else [])
+        assert sum(message["count"] for _, message in log.messages["/dvs/events"]) > 0
+
+
+# --- Minari -----------------------------------------------------------------------------------------------------
+
+
+def load(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder.parent))
+    return minari.load_dataset(folder.name)
+
+
+def test_a_dataset_says_what_the_environment_says(
+    straight: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Loaded by minari, its environment recovered, each episode's actions flown from its seed: the same steps."""
+    export(str(straight.path), minari=tmp_path / "lane-v0")
+    dataset, rows = load(tmp_path / "lane-v0", monkeypatch), straight.rows()
+    assert dataset.total_episodes == len(rows)
+    assert dataset.total_steps == sum(row["commands"] for row in rows)
+    environment = dataset.recover_environment()
+    assert environment.observation_space == dataset.observation_space
+    assert environment.action_space == dataset.action_space
+    episodes = zip(
+        dataset.iterate_episodes(), dataset.storage.get_episode_metadata(range(2)), rows, strict=True
+    )
+    for episode, about, row in episodes:
+        assert episode.actions.tolist() == row["actions"]
+        assert len(episode.observations) == len(episode.actions) + 1
+        assert about["options"]["lane"] == row["lane"]
+        assert episode.terminations.tolist() == [False] * (row["commands"] - 1) + [True]
+        assert not episode.truncations.any()
+        observation, _ = environment.reset(
+            seed=about["seed"], options={"lane": int(about["options"]["lane"])}
+        )
+        np.testing.assert_array_equal(observation, episode.observations[0])
+        for i, action in enumerate(episode.actions):
+            environment.unwrapped.charge(0.0005)
+            observation, reward, terminated, truncated, _ = environment.step(action)
+            np.testing.assert_array_equal(observation, episode.observations[i + 1])
+            assert (reward, terminated, truncated) == (
+                episode.rewards[i],
+                episode.terminations[i],
+                episode.truncations[i],
+            )
+    environment.close()
+
+
+def test_the_same_run_is_the_same_dataset(straight: RunDirectory, tmp_path: Path) -> None:
+    for above in ("a", "b"):
+        (tmp_path / above).mkdir()
+        export(str(straight.path), minari=tmp_path / above / "lane-v0")
+    for name in ("metadata.json", "main_data.hdf5"):
+        one, other = (tmp_path / above / "lane-v0/data" / name for above in ("a", "b"))
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_network_learns_to_copy_the_flights(
+    straight: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behaviour cloning: from a network that prefers another heading to one that flies straight ahead as they do."""
+    export(str(straight.path), minari=tmp_path / "lane-v0")
+    dataset = load(tmp_path / "lane-v0", monkeypatch)
+    episodes = list(dataset.iterate_episodes())
+    seen = th.from_numpy(np.concatenate([each.observations[:-1] for each in episodes])).float().flatten(1)
+    taken = th.from_numpy(np.concatenate([each.actions for each in episodes]))
+    th.manual_seed(0)
+    network = th.nn.Linear(seen.shape[1], int(dataset.action_space.n))
+    th.nn.init.zeros_(network.weight)
+    optimiser = th.optim.Adam(network.parameters(), lr=0.05)
+    losses = []
+    for _ in range(100):
+        loss = th.nn.functional.cross_entropy(network(seen), taken)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < losses[0] / 10
+    assert (network(seen).argmax(1) == taken).all()
+
+
+@pytest.mark.slow
+def test_a_game_of_the_kernels_is_flown_again_by_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = evaluated(tmp_path / "run", "simulator=kernels", "task.max_commands=5")
+    export(str(run.path), minari=tmp_path / "kernels-v1")
+    dataset = load(tmp_path / "kernels-v1", monkeypatch)
+    assert dataset.observation_space.dtype == np.uint8
+    assert [each.actions.tolist() for each in dataset.iterate_episodes()] == [
+        row["actions"] for row in run.rows()
+    ]
+    with pytest.raises(UserError, match="keeps no poses to log"):
+        export(str(run.path), mcap=tmp_path / "logs")
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------
+
+
+def test_a_game_that_does_not_repeat_is_refused(straight: RunDirectory, tmp_path: Path) -> None:
+    """And leaves nothing behind."""
+    for name in ("config.yaml", "manifest.json"):
+        (tmp_path / "run").mkdir(exist_ok=True)
+        (tmp_path / "run" / name).write_bytes((straight.path / name).read_bytes())
+    first = straight.rows()[0]
+    changed = json.dumps({**first, "actions": [0, *first["actions"][1:]]})
+    (tmp_path / "run/rows.jsonl").write_text(changed + "\n")
+    with pytest.raises(UserError, match=rf"{first['case']}: flown again it differs in .*distance_m"):
+        export(str(tmp_path / "run"), minari=tmp_path / "lane-v0")
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def other_run(path: Path, text: str, rows: str = "") -> str:
+    RunDirectory.create(path, Config(), {})
+    (path / "config.yaml").write_text(text)
+    (path / "rows.jsonl").write_text(rows)
+    return str(path)
+
+
+def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, tmp_path: Path) -> None:
+    (tmp_path / "there-v0").mkdir()
+    (tmp_path / "there.mcap").write_text("")
+    row, case = '{"case": "lane-000000", "lane": 0, "actions": []}\n', dp1.rows()[0]["case"]
+    empty = other_run(tmp_path / "empty", "suite: evaluate\n")
+    wall = other_run(tmp_path / "wall", "suite: evaluate\nagent: straight\ntask: {timing: wall}\n", row)
+    training = other_run(tmp_path / "training", "suite: train\n", '{"case": "game-0000000"}\n')
+    one, many, dataset = str(straight.path), str(dp1.path), tmp_path / "lane-v0"
+    logs = tmp_path / "logs"
+    for source, to, said in (
+        (str(tmp_path / "none"), {"mcap": logs}, "not a run directory"),
+        (empty, {"mcap": logs}, "holds no finished game"),
+        (empty, {"minari": dataset}, "holds no finished game"),
+        (wall, {"mcap": logs}, "never repeats, and --mcap"),
+        (wall, {"minari": dataset}, "never repeats, and --minari"),
+        (training, {"mcap": logs}, "a run of train keeps no flights"),
+        (training, {"minari": dataset}, "a run of train keeps no actions --minari"),
+        (many, {"minari": dataset}, "a run of dp1 keeps no actions"),
+        (one, {"minari": tmp_path / "there-v0"}, "there-v0: exists"),
+        (one, {"minari": tmp_path / "lane"}, "named NAME-vNUMBER"),
+        (one, {"minari": tmp_path / "there.mcap/lane-v0"}, r"there\.mcap"),
+        (many, {"mcap": tmp_path / "all.mcap"}, "take a folder, or one game by --case"),
+        (many, {"mcap": tmp_path / "there.mcap", "case": case}, r"there\.mcap: exists"),
+        (many, {"mcap": tmp_path / "there.mcap/logs"}, r"there\.mcap"),
+        (many, {"mcap": logs, "case": "tcsc-k2"}, "--case tcsc-k2: not in"),
+    ):
+        with pytest.raises(UserError, match=said) as refused:
+            export(source, **to)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(UsageError, match="--case: goes with --mcap"):
+        export(one, minari=dataset, case="lane-000000")
+    left = {"there-v0", "there.mcap", "empty", "wall", "training"}
+    assert {path.name for path in tmp_path.iterdir()} == left
+
+
+def test_a_missing_package_is_named(
+    dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(UserError, match=r"pip install 'uavaccel\[export\]'"):
+        export(str(dp1.path), mcap=tmp_path / "logs")
+    assert not list(tmp_path.iterdir())

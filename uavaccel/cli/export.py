@@ -1,0 +1,70 @@
+"""`uavaccel export`: a policy as ONNX; a run as tables, as logs of its games, as a dataset to learn from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uavaccel.cli.progress import LINES
+from uavaccel.cli.terminal import console
+from uavaccel.errors import UsageError
+from uavaccel.records import RunDirectory
+
+
+def export(
+    source: str,
+    onnx: Path | None = None,
+    csv: Path | None = None,
+    parquet: Path | None = None,
+    mcap: Path | None = None,
+    minari: Path | None = None,
+    case: str | None = None,
+) -> None:
+    """Write what was asked for. Raises UserError with one clear line."""
+    if onnx is csv is parquet is mcap is minari is None:
+        raise UsageError(
+            "export: say what to write: --onnx FILE of a policy; "
+            "--csv, --parquet, --mcap or --minari FOLDER of a run"
+        )
+    if case is not None and mcap is None:
+        raise UsageError("--case: goes with --mcap; the other formats take all games of a run")
+    if onnx is not None:
+        _export_policy(source, onnx)
+    for folder, kind in ((csv, "csv"), (parquet, "parquet")):
+        if folder is not None:
+            _export_run(source, folder, kind)
+    if mcap is not None:
+        _export_logs(source, mcap, case)
+    if minari is not None:
+        _export_dataset(source, minari)
+
+
+def _export_policy(source: str, path: Path) -> None:
+    from uavaccel.rl.agents import policy_folder
+    from uavaccel.rl.onnx_file import write_onnx
+    from uavaccel.rl.policy import load_policy
+
+    about = write_onnx(load_policy(policy_folder(source)), path)
+    console.print(f"{path}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
+
+
+def _export_run(source: str, folder: Path, kind: str) -> None:
+    from uavaccel.suites.tables import write_tables
+
+    for path in write_tables(RunDirectory(source), folder, kind):
+        console.print(str(path))
+
+
+def _export_logs(source: str, path: Path, case: str | None) -> None:
+    from uavaccel.export.mcap_file import write_mcap
+
+    for written in write_mcap(RunDirectory(source), path, case):
+        console.print(str(written))
+
+
+def _export_dataset(source: str, folder: Path) -> None:
+    from uavaccel.export.minari_dataset import write_minari
+
+    for done, games in write_minari(RunDirectory(source), folder):
+        if done * LINES // games > (done - 1) * LINES // games:
+            console.print(f"{done}/{games} games")
+    console.print(str(folder))
