@@ -27,7 +27,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 # Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
-KERNELS = re.compile(r"test_(kernel_\w+|device|rl)\.py|\[docs/kernels")
+KERNELS = re.compile(r"test_(kernel_\w+|device|rl)\.py|\[docs/kernels|of_the_kernels")
 # The longest begin, or the last one would keep one core busy alone.
 FIRST = (
     "kernels",

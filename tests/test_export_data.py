@@ -133,7 +133,7 @@ def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_pa
         np.testing.assert_array_equal(vectors(commands, "velocity_m_s"), path)
         assert {each["frame_id"] for _, each in (*poses, *commands)} == {"ned"}
         assert log.metadata["timing"] == row["timing"]
-        assert log.metadata["numbers"] == "modelled"
+        assert log.metadata["numbers"] == ("measured" if row["timing"] == "wall" else "modelled")
         assert log.metadata["config_sha256"] == file_sha256(dp1.path / "config.yaml")
         assert json.loads(log.metadata["row"]) == row
 
@@ -315,7 +315,7 @@ def test_a_game_of_the_kernels_is_flown_again_by_them(
     run = evaluated(tmp_path / "run", "simulator=kernels", "task.max_commands=5")
     export(str(run.path), minari=tmp_path / "kernels-v1")
     dataset = load(tmp_path / "kernels-v1", monkeypatch)
-    assert dataset.observation_space.dtype == np.uint8
+    assert dataset.observation_space.dtype == np.float32
     assert [each.actions.tolist() for each in dataset.iterate_episodes()] == [
         row["actions"] for row in run.rows()
     ]
