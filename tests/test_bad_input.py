@@ -226,6 +226,8 @@ OPTIONS = [
     ("run dp1 --out there.txt", "exists"),
     ("run dp1 --out there.txt/run", "--out"),
     ("run --resume", "--out"),
+    ("run dp1 --resume", "--out FOLDER"),
+    ("train --resume", "--out"),
     ("run --resume --out nowhere", "nowhere"),
     ("run --out nowhere", "experiment"),
     ("train --resume --out nowhere", "nowhere"),

@@ -6,7 +6,7 @@ A wheel has both folders inside the package; in a source tree, installed editabl
 from importlib.resources import files
 from pathlib import Path
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 
 _PACKAGE = Path(str(files("uavaccel")))
 
@@ -31,8 +31,8 @@ def _find(folder: str, name: str) -> Path:
     root = _folder(folder)
     path = root / name
     if not path.exists():
-        present = sorted(entry.name for entry in path.parent.glob("*")) or ["nothing"]
-        raise UserError(f"no {name!r} among the {folder}; {path.parent} holds {', '.join(present)}")
+        present = sorted(entry.stem for entry in path.parent.glob(f"*{path.suffix}")) or ["none"]
+        raise UserError(f"no {name!r} among the {folder}; {suggestion(path.stem, present)}")
     return path
 
 

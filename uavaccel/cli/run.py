@@ -97,6 +97,8 @@ class RunRequest:
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
     """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line."""
+    if request.resume and request.out is None and request.experiment is not None:
+        raise UsageError("--resume: say which run to go on with: --out FOLDER")
     suite, config = configure(request)
     check_jobs(suite, config, request.jobs)
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
