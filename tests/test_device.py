@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from typing import Any
 
 import gymnasium
@@ -20,6 +21,7 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.kernels.recording import recording
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.training.config import TrainConfig
@@ -279,3 +281,22 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
         (game.number, game.lane, game.reward) for game in games[-len(again) :]
     ]
     assert weights_sha256(other.policy) == weights_sha256(learner.policy)
+
+
+def test_no_garbage_is_collected_while_a_graph_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A graph that is freed meanwhile, of an evaluation before in the same process, would invalidate the recording."""
+    before = gc.isenabled()
+    asked: list[str] = []
+
+    @contextmanager
+    def graph(recorded: Any) -> Iterator[None]:
+        asked.append(f"recorded, collecting: {gc.isenabled()}")
+        yield
+
+    monkeypatch.setattr(th.cuda, "graph", graph)
+    monkeypatch.setattr(th.cuda, "synchronize", lambda: asked.append("waited"))
+    monkeypatch.setattr(gc, "collect", lambda: asked.append("collected"))
+    with pytest.raises(ZeroDivisionError), recording(None):  # type: ignore[arg-type]
+        asked.append(str(1 / 0))
+    assert asked == ["waited", "collected", "recorded, collecting: False"]
+    assert gc.isenabled() == before

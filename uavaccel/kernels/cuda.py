@@ -31,6 +31,7 @@ from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
 from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.recording import recording
 from uavaccel.kernels.touching import NOTHING, deepest_of_all, least_of_all
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
@@ -612,8 +613,7 @@ class Recorded:
             return
         if self._graph is None:
             self._graph = th.cuda.CUDAGraph()
-            th.cuda.synchronize()
-            with th.cuda.graph(self._graph):
+            with recording(self._graph):
                 self._work()
         self._graph.replay()
 

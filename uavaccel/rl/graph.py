@@ -7,6 +7,7 @@ from copy import deepcopy
 
 import torch as th
 
+from uavaccel.kernels.recording import recording
 from uavaccel.rl.replay import Batch
 
 WARM_UPS = 3  # before recording, as PyTorch asks for
@@ -35,7 +36,7 @@ class GraphedStep:
         th.cuda.current_stream().wait_stream(side)
         self._graph = th.cuda.CUDAGraph()
         optimizer.zero_grad(set_to_none=True)
-        with th.cuda.graph(self._graph):
+        with recording(self._graph):
             step(self._batch)
         networks.load_state_dict(weights)
         _put_back(optimizer, moments)

@@ -76,7 +76,8 @@ class LanesOnGpu:
         self._actions.copy_(th.cat(chosen)[self._rows])
 
     def close(self) -> None:
-        """The device's memory is released with the last reference to it."""
+        """Release the device's memory: the recorded round refers to these lanes, and they to it."""
+        del self._round
 
 
 def _moved(agent: Agent, device: th.device) -> Agent:
