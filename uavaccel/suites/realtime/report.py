@@ -93,12 +93,12 @@ class RealtimeReport(Report):
         return drawn
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
-        said = [f"{_of_speed(ranking)}." for ranking in self._rankings() if len(ranking["clock_speeds"]) > 1]
+        held = [ranking for ranking in self._rankings() if len(ranking["clock_speeds"]) > 1]
         return [
             Paragraph(self.headline() + "."),
             *figures,
             Heading("How fast may one simulate before the ranking changes?"),
-            *([Paragraph(" ".join(said))] if said else []),
+            *([_rankings_table(held)] if held else []),
             Paragraph(_READING),
             Heading("All cells"),
             _returns_table(self._cells(), "all returns"),
@@ -180,12 +180,30 @@ def _of_speed(ranking: Ranking) -> str:
         return f"{where}: {' > '.join(ranking['orders'][0])}"
     if not reversals:
         return f"{where}: no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
-    first = reversals[0]
-    return (
-        f"{where}: the ranking holds up to {clock_label(ranking['holds_to'])}; at "
-        f"{clock_label(first['clock_speed'])} {first['ahead']} is ahead of {first['behind']}, which beats it at "
-        f"{clock_label(speeds[0])}"
+    change = _first_change(ranking)
+    return f"{where}: the ranking holds up to {clock_label(ranking['holds_to'])}; {change}"
+
+
+def _first_change(ranking: Ranking) -> str:
+    first, slowest = ranking["reversals"][0], clock_label(ranking["clock_speeds"][0])
+    at = clock_label(first["clock_speed"])
+    return f"at {at} {first['ahead']} is ahead of {first['behind']}, which beats it at {slowest}"
+
+
+def _rankings_table(rankings: Sequence[Ranking]) -> Table:
+    speeds = ", ".join(clock_label(speed) for speed in rankings[0]["clock_speeds"][1:])
+    return Table.of(
+        rankings,
+        ("environment", lambda ranking: ranking["environment"]),
+        ("latency, ms", lambda ranking: f"{1e3 * ranking['latency_s']:g}"),
+        ("ranking holds up to", lambda ranking: clock_label(ranking["holds_to"])),
+        (f"Kendall's tau at {speeds}", lambda ranking: ", ".join(map(_tau, ranking["kendall_tau"][1:]))),
+        ("first change", lambda ranking: _first_change(ranking) if ranking["reversals"] else "none"),
     )
+
+
+def _tau(tau: float | None) -> str:
+    return or_dash(tau, "{:.2f}".format)
 
 
 def _at_middle_latency(rankings: Sequence[Ranking]) -> list[Ranking]:
