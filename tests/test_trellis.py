@@ -50,6 +50,7 @@ def test_arrows_times_and_spans_are_drawn_by_event() -> None:
     assert headline(drawn) == ("Messages of one command", "where from")
     tcsc, adsc = drawn.axes
     assert (tcsc.get_title("left"), adsc.get_title("left")) == ("TCSC", "ADSC")
+    assert adsc.get_ylim()[0] >= len(recorded_trace()) - 1, "the longer trace is cut"
     arrows: list[Any] = [text for text in tcsc.texts if not text.get_text()]
     assert [(arrow.xyann, arrow.xy) for arrow in arrows] == [
         ((0.0, 0), (1.0, 1)),

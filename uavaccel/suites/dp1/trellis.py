@@ -86,6 +86,7 @@ def plot_trellis(traces: Mapping[str, Trace], source: str) -> Figure:
         for axes, (name, trace) in zip(panels, traces.items(), strict=False):
             _plot_trace(axes, trace[:MOST_EVENTS])
             axes.set_title(name)
+        panels[0].set_ylim(longest - 0.3, -1.9)  # shared: the longer trace decides
         if traces:
             lines = [Line2D([], [], label=label, **line_style) for label, line_style in _LEGEND.items()]
             figure.legend(handles=lines, loc="outside upper right", ncols=len(lines))
@@ -142,7 +143,6 @@ def _answer(trace: Trace, handled: int, returned: int) -> int:
 def _plot_trace(axes: Axes, trace: Trace) -> None:
     axes.set_axis_off()
     axes.set_xlim(-1.85, 2.0)
-    axes.set_ylim(len(trace) - 0.3, -1.9)
     for x, name in ((_CLIENT_X, "client"), (_SERVER_X, "server")):
         axes.plot([x, x], [-0.7, len(trace) - 0.5], color=style.GREY, linewidth=1.0)
         axes.text(x, -1.0, name, ha="center", va="bottom", fontweight="bold")
