@@ -12,6 +12,7 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -45,6 +46,7 @@ def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Trained:
     normalised.seed(1000 * seed)
     policy = {"net_arch": list(agent.hidden)}
     learner = PPO("MlpPolicy", normalised, seed=seed, device="cpu", policy_kwargs=policy, **LEARNER)
+    learner.set_logger(Logger(None, []))  # its own makes a folder among the temporary files
     returns = _Returns()
     learner.learn(block.train_steps, returns)
     weights = {name: value.numpy().copy() for name, value in learner.policy.state_dict().items()}
