@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 
+from uavaccel.bench import advice, agreement, calibration
 from uavaccel.bench.advice import Advice, advise, sentence
 from uavaccel.bench.agreement import Agreement
 from uavaccel.bench.calibration import Latencies, _gather
+from uavaccel.bench.square import SquareGame
 from uavaccel.bench.traces import ClientEvent
 from uavaccel.cli.advise import show_advice
 from uavaccel.errors import UserError
-from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig, shipped_latency
+from uavaccel.metrics.trajectory import trajectory
+from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, LatencyConfig, shipped_latency
+from uavaccel.wire.session import VirtualSession
 
 
 def row(clock_speed: float, adsc_m: float, tcsc_m: float) -> Advice:
@@ -21,8 +26,8 @@ def row(clock_speed: float, adsc_m: float, tcsc_m: float) -> Advice:
 
 
 def test_the_sentence_names_the_fastest_within_the_error() -> None:
-    advice = [row(1, 0.0, 0.0), row(10, 0.05, 0.0), row(50, 0.2, 0.01)]
-    said = sentence(advice, 0.1, 1.0)
+    told = [row(1, 0.0, 0.0), row(10, 0.05, 0.0), row(50, 0.2, 0.01)]
+    said = sentence(told, 0.1, 1.0)
     assert said.startswith(
         "With commands of 1 s ADSC stays within 0.1 m up to ClockSpeed 10, 9.0x real time;"
     )
@@ -39,6 +44,49 @@ def test_without_latency_both_fly_alike_and_with_it_adsc_alone_is_off() -> None:
     assert {each.tcsc_error_m for each in late} == {0.0}
     assert late[-1].adsc_error_m > late[2].adsc_error_m > 0.0
     assert late[-1].adsc_speedup < late[-1].tcsc_speedup < late[-1].clock_speed
+
+
+def flown(offset_m: float, wall_s: float, gap_s: np.ndarray) -> SquareGame:
+    """A flight of two places, each so far off the ideal one."""
+    places = np.array([[0.0, offset_m, 0.0], [100.0, offset_m, 0.0]])
+    return SquareGame(trajectory([0.0, 1.0], places), gap_s, wall_s, 1.0)
+
+
+def test_commands_are_compared_with_the_ideal_flight_and_with_adsc_in_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Five games of each, off by squares: their median, and their mean wall time, are in the middle of nothing else."""
+    asked = []
+
+    def fly(
+        session: Any, command: str, speed: float, t_move_s: float, rounds: int, *seed_and_t_th: int
+    ) -> Any:
+        asked.append((command, speed, *seed_and_t_th))
+        if session is None:
+            return flown(0.0, 1.0, np.empty(0))
+        number = (seed_and_t_th[0] % 5 + 1) ** 2
+        unit_m, unit_s = (0.1, 2.0) if command == "adsc" else (0.01, 1.0)
+        return flown(unit_m * number, unit_s * number / speed, np.empty(0))
+
+    monkeypatch.setattr(advice, "VirtualSession", lambda *told: nullcontext(told[2] if told[2:] else None))
+    monkeypatch.setattr(advice, "fly_square", fly)
+    found = list(advise(ZERO_LATENCY, "airsim", 1.0, 2, seed=3))
+    squares = np.arange(1, 6) ** 2
+    for each in found:
+        apart_m = abs(0.01 * squares[:, None] - 0.1 * squares).T
+        assert each[1:] == pytest.approx((
+            0.9,
+            np.median((1 + np.exp(-abs(0.1 * squares[:, None] - 0.1 * squares))).mean(axis=1)),
+            each.clock_speed,
+            0.09,
+            np.median((1 + np.exp(-apart_m)).mean(axis=0)),
+            2 * each.clock_speed,
+        ))  # fmt: skip
+    assert [each.clock_speed for each in found] == list(advice.CLOCK_SPEEDS)
+    seeds = {seed for command, speed, seed, _ in asked[1:]}
+    assert seeds == {15, 16, 17, 18, 19}  # none of them another seed's
+    latest_ns = {speed: t_th_ns for _, speed, _, t_th_ns in asked}
+    assert (latest_ns[1.0], latest_ns[50.0], latest_ns[200.0]) == (3_000_000, 50_000_000, 100_000_000)
 
 
 def test_its_seed_chooses_the_latencies() -> None:
@@ -72,7 +120,7 @@ def test_what_cannot_be_advised_is_one_line(request_: tuple[Any, ...], said: str
     assert "\n" not in str(caught.value)
 
 
-def agreement(virtual: list[float], again: list[float]) -> Agreement:
+def agreement_of(virtual: list[float], again: list[float]) -> Agreement:
     wall = np.array([10.0, 20.0, 30.0])
     return Agreement("adsc", 50.0, 1.0, "gap s", wall, np.array(again), np.array(virtual))
 
@@ -90,7 +138,43 @@ def agreement(virtual: list[float], again: list[float]) -> Agreement:
 def test_a_model_agrees_as_two_runs_of_the_machine_do(
     virtual: list[float], again: list[float], agrees: bool
 ) -> None:
-    assert agreement(virtual, again).agrees is agrees
+    assert agreement_of(virtual, again).agrees is agrees
+
+
+def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machines_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("WallSession", "VirtualSession"):
+        marks = {2: "wall" if name == "WallSession" else "ideal", 3: "model"}
+        monkeypatch.setattr(agreement, name, lambda *told, marks=marks: nullcontext(marks[len(told)]))
+    asked = []
+
+    def fly(session: str, command: str, speed: float, t_move_s: float, rounds: int, seed: int) -> SquareGame:
+        asked.append(session)
+        run = {"wall": 1.0, "model": 2.0, "ideal": 0.0}[session]
+        run = 3.0 if asked[-2:] == ["model", "wall"] else run
+        return flown(run * (seed + 1), 0.0, run * np.arange(11.0))
+
+    monkeypatch.setattr(agreement, "fly_square", fly)
+    done: list[tuple[int, int]] = []
+    found = list(agreement.check_agreement(ZERO_LATENCY, "native", 2, lambda *each: done.append(each)))
+    assert asked == ["wall", "model", "wall", "wall", "model", "wall", "ideal"] * 8
+    assert done == [(number, 16) for number in range(1, 17)]
+    assert len({each[:3] for each in found}) == 8
+    for each in found:
+        once = np.array([1.1, 1.5, 1.9]) if each.quantity == "error m" else np.array([1.0, 5.0, 9.0])
+        np.testing.assert_allclose([each.wall, each.virtual, each.wall_again], [once, 2 * once, 3 * once])
+        assert each.median_off == pytest.approx(0.0)
+
+
+def test_as_many_commands_of_each_kind_are_timed_as_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    batches: list[tuple[str, str]] = []
+    monkeypatch.setattr(calibration, "WallSession", VirtualSession)
+    monkeypatch.setattr(calibration, "_fly_batch", lambda client, name, *_: batches.append(("fly", name)))
+    monkeypatch.setattr(calibration, "_request", lambda client, what, _: batches.append(("ask", what)))
+    commands = 3 * 8 * calibration.BATCH  # three batches at each of two ClockSpeeds and four T_move
+    calibration.calibrate("native", commands, images=False)
+    assert sorted(batches) == [("ask", "ping")] * 48 + [("fly", "adsc")] * 24 + [("fly", "tcsc")] * 24
 
 
 def test_a_coalesced_command_has_no_latency_of_its_own() -> None:
@@ -103,20 +187,31 @@ def test_a_coalesced_command_has_no_latency_of_its_own() -> None:
             ClientEvent("call", "moveByVelocity", "move", 51, True),
             ClientEvent("issued", "moveByVelocity", "move", 53, True),
             ClientEvent("call", "uavaccelContinueFor", "continue_for", 54),
-            ClientEvent("return", "uavaccelContinueFor", "continue_for", 1_200),
+            ClientEvent("return", "uavaccelContinueFor", "continue_for", 12_000_200),
+            ClientEvent("call", "simPause", "pause", 12_000_250),
+            ClientEvent("return", "simPause", "pause", 12_000_900),
+            ClientEvent("call", "uavaccelState", "state", 12_000_910),
+            ClientEvent("issued", "uavaccelState", "state", 12_000_930),
         )
 
     server = [
         ("handle uavaccelState", 20, 0),
         ("handle moveByVelocity", 100, 0),
         ("handle uavaccelContinueFor", 110, 0),
-        ("timer", 1_000, 5),
-        ("pause", 1_040, 5),
+        ("timer", 12_000_000, 5),
+        ("pause", 12_000_040, 5),
+        ("handle simPause", 12_000_400, 5),
+        ("pause", 12_000_400, 5),  # for which no timer was set
+        ("handle uavaccelState", 12_001_000, 5),
     ]
     latencies = Latencies()
     _gather(Traced(), server, latencies)  # type: ignore[arg-type]
     assert latencies.request["move"] == []
-    assert latencies.issue == []
     assert latencies.request["continue_for"] == [110 - 53]
-    assert latencies.reply["continue_for"] == [1_200 - 1_040]
+    assert latencies.reply["continue_for"] == [200 - 40]
     assert latencies.timer == [40]
+    assert latencies.request["pause"] == latencies.request["pause@10ms"] == [200]  # after a wait of 12 ms
+    assert latencies.reply["pause"] == [500]
+    assert latencies.issue == [30]
+    assert latencies.counts() == "3 requests, 3 replies, 1 issues, 1 wall timers"
+    assert calibration.quantiles_us([40_000]) == [40.0] * len(QUANTILES)

@@ -173,6 +173,27 @@ def test_enumerations_have_airsims_numbers() -> None:
         assert [getattr(kind, name) for name in names] == list(range(len(names)))
 
 
+def test_fields_are_nothing_until_they_are_set_but_for_these() -> None:
+    """As in AirSim's types.py; nested objects are looked at by themselves."""
+    set_already = {
+        "Quaternionr": {"w_val": 1.0},
+        "CollisionInfo": {"object_id": -1},
+        "YawMode": {"is_rate": True},
+        "ImageRequest": {"camera_name": "0", "compress": True},
+        "ImageResponse": {"compress": True},
+        "CameraInfo": {"fov": -1},
+        "CarControls": {"gear_immediate": True},
+    }
+    for name, kind in vars(types).items():
+        if isinstance(kind, type) and issubclass(kind, types.MsgpackMixin) and kind is not types.MsgpackMixin:
+            plain_fields = {
+                key: each for key, each in vars(kind()).items() if not hasattr(each, "to_msgpack")
+            }
+            assert {key: each for key, each in plain_fields.items() if each} == set_already.get(name, {}), (
+                name
+            )
+
+
 # --- answers ----------------------------------------------------------------------------------------------------
 
 POINT = {"x_val": 1.0, "y_val": 2.0, "z_val": 3.0}

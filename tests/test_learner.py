@@ -394,9 +394,24 @@ def test_it_explores_as_often_as_it_is_to() -> None:
         return float(np.mean([learner._act(seen_of(0)[None])[0] for _ in range(count)]))
 
     assert share(99, 0.0) == pytest.approx(0.5, abs=0.05)  # before it learns it knows nothing
+    learner.config = learner.config.model_copy(update={"start_from": "default"})
+    assert share(99, 0.0) == 1.0  # unless it began with what another training had learned
     assert share(100, 0.0) == 1.0
     assert share(100, 0.4) == pytest.approx(0.8, abs=0.05)
     assert share(100, 1.0) == pytest.approx(0.5, abs=0.05)
+
+
+def test_its_seed_draws_the_weights_the_actions_and_the_batches() -> None:
+    def drawn(seed: int) -> tuple[Any, ...]:
+        learner, lanes = learning(1, games=20, seed=seed)
+        first = weights_of(learner.policy.q_net).tolist()
+        coin = learner.random.rand()
+        train(learner)
+        return first, coin, [each.action for each in lanes.flown(0)]
+
+    once, again, other = drawn(5), drawn(5), drawn(6)
+    assert once == again
+    assert all(ours != theirs for ours, theirs in zip(once, other, strict=True))
 
 
 def test_learning_rate_and_exploration_fall_with_games() -> None:
@@ -449,10 +464,11 @@ def test_the_ratio_of_learning_is_exact(commands: int, environments: int, rhythm
 
 def test_a_learner_goes_on_from_its_state() -> None:
     """Two that were one learn the same weights from then on; every counter and generator is put back."""
-    first, _ = learning(2, games=60)
+    keys: dict[str, Any] = {"games": 60, "task": {"timing": "virtual"}, "learning_s": 0.25}
+    first, _ = learning(2, **keys)
     while not (first.games > 20 and first.at_rest and first.owed):
         first.advance()
-    second, _ = learning(2, games=60, seed=5)
+    second, lanes = learning(2, **keys, seed=5)
     second.set_state(deepcopy(first.get_state()), first.observations)
     for name in double_dqn.COUNTERS:
         assert getattr(second, name) == getattr(first, name), name
@@ -463,6 +479,9 @@ def test_a_learner_goes_on_from_its_state() -> None:
             each._step()
     np.testing.assert_array_equal(weights_of(first.policy.q_net), weights_of(second.policy.q_net))
     assert second.random.rand() == first.random.rand()
+    share_s = second.owed / 2 * 0.25
+    second.advance()
+    assert [log[0] for log in lanes.log] == [("learning", share_s)] * 2, "what was due is still paid for"
 
 
 # --- the learner beside lanes on a GPU, on tensors of the CPU -----------------------------------------------------

@@ -108,14 +108,15 @@ def test_a_wrapped_ring_is_put_back_and_goes_on() -> None:
     assert 7.0 in drawn[0][0]
 
 
-def test_pictures_are_kept_as_bytes() -> None:
-    buffer = ReplayBuffer(2, 1, (1, 2, 2), np.dtype(np.uint8), CPU)
-    picture, after = np.array([[[[0, 1], [254, 255]]]], np.uint8), np.full((1, 1, 2, 2), 9, np.uint8)
-    buffer.add(picture, np.array([3]), np.array([1.5]), after, np.array([True]), np.array([False]))
-    batch = buffer.sample(1, 1, GAMMA, np.random.RandomState(0))
+def test_pictures_are_kept_as_bytes_and_no_buffer_is_too_small_for_the_newest_command() -> None:
+    buffer = ReplayBuffer(1, 2, (1, 2, 2), np.dtype(np.uint8), CPU)
+    picture, after = np.array([[[[0, 1], [254, 255]]]] * 2, np.uint8), np.full((2, 1, 2, 2), 9, np.uint8)
+    for seen in (after, picture):
+        buffer.add(seen, np.array([3, 3]), np.ones(2), after, np.ones(2, bool), np.zeros(2, bool))
+    batch = buffer.sample(20, 1, GAMMA, np.random.RandomState(0))
     assert batch.observations.dtype == th.uint8
-    assert (batch.observations.numpy() == picture).all()
-    assert (batch.next_observations.numpy() == after).all()
+    assert (batch.observations.numpy() == picture[0]).all()
+    assert (batch.next_observations.numpy() == after[0]).all()
 
 
 # --- of lanes on a GPU, on tensors of the CPU -------------------------------------------------------------------

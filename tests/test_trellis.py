@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.drawing import headline, legend_texts, points, texts
+from uavaccel.bench.traces import ClientEvent, _merge
 from uavaccel.suites.dp1.trellis import MOST_EVENTS, Message, messages, plot_trellis, running_spans
 
 Trace = list[dict[str, Any]]
@@ -25,6 +26,22 @@ def recorded_trace() -> Trace:
         ("client", "return move", 5.0 + 1.06e-2, 8.0),
     ]
     return [{"source": s, "event": e, "wall_s": w, "sim_s": t} for s, e, w, t in steps]
+
+
+def test_a_trace_is_both_ends_in_order_of_the_wall_clock() -> None:
+    """A client knows no simulated time: its events have the server's last one."""
+    client = [
+        ClientEvent("call", "move", "move", 100),
+        ClientEvent("issued", "move", "move", 110),
+        ClientEvent("return", "move", "move", 400),
+    ]
+    found = _merge(client, [("run", 200, 7_000), ("end move", 300, 9_000)])
+    assert [tuple(each.values()) for each in found] == [
+        ("client", "call move", 1e-7, 7e-6),
+        ("server", "run", 2e-7, 7e-6),
+        ("server", "end move", 3e-7, 9e-6),
+        ("client", "return move", 4e-7, 9e-6),
+    ]
 
 
 def test_answers_leave_where_their_work_ended() -> None:

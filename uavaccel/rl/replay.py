@@ -94,7 +94,7 @@ class ReplayBuffer:
         ahead = (rows[:, None] + steps) % self.rows
         # No later step counts after a game's last one, nor after the newest in the ring.
         at = ahead, lanes[:, None]
-        ends = (self.dones[at] > 0) | (self.truncated[at] > 0) | (ahead == (self.place - 1) % self.rows)
+        ends = (self.dones[at] > 0) | (ahead == (self.place - 1) % self.rows)
         last = np.where(ends.any(axis=1), ends.argmax(axis=1), n_steps - 1)
         counted = steps <= last[:, None]
         powers = np.float32(gamma) ** np.arange(n_steps, dtype=np.float32)
