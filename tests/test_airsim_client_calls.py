@@ -137,7 +137,8 @@ def test_a_method_sends_what_airsims_does(client: Any, recorder: Recorder, call:
     given = {name: value_of(name, number) for number, (name, _) in enumerate(call.parameters)}
     found = ask(client, call.method, *given.values())
     expected = eval(f"[{call.sent}]", {"lists": lists, **given})
-    assert recorder.sent == [(call.on_wire, *expected)]
+    ask(client, call.method, **given)
+    assert recorder.sent == [(call.on_wire, *expected)] * 2, "by place and by name"
     assert (found is recorder.future) == call.method.endswith("Async")
 
 
@@ -300,7 +301,13 @@ def test_what_the_client_does_with_several_calls_or_none(
     )
     recorder.answer = 0
     client.confirmConnection()
-    assert "AirSim server is too old" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "AirSim server is too old" in said.out
+    assert said.err == "Client Ver:1 (Min Req: 0), Server Ver:0 (Min Req: 1)\n"
+    monkeypatch.setattr(client, "getServerVersion", lambda: 9)
+    recorder.answer = 9  # which a client must have
+    client.confirmConnection()
+    assert "This client is too old" in capsys.readouterr().out
 
 
 def test_a_client_connects_to_where_airsim_listens(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -358,8 +365,10 @@ def test_the_client_before_1_2_waits_for_the_end_of_what_has_a_time_limit(record
     for command in (lambda: client.takeoff(0), lambda: client.moveByVelocity(1, 0, 0, 1)):
         assert command() is True
         assert not recorder.future.done
-    assert client.moveToZ(-3, 1) is False
-    assert recorder.future.done
+    for waits in (lambda: client.moveToZ(-3, 1), client.hover):
+        recorder.future.done = False
+        assert waits() is False
+        assert recorder.future.done
 
 
 def test_the_client_before_1_2_reads_parts_of_the_state(recorder: Recorder) -> None:
@@ -372,4 +381,8 @@ def test_the_client_before_1_2_reads_parts_of_the_state(recorder: Recorder) -> N
     assert client.getVelocity().x_val == 9.0
     assert client.getGpsLocation().altitude == 99.0
     assert (client.getLandedState(), client.timestampNow(), client.isSimulationMode()) == (1, 5, True)
-    assert client.getPitchRollYaw() == airsim.to_eularian_angles(client.getOrientation())
+    angles = airsim.to_eularian_angles(client.getOrientation())
+    assert client.getPitchRollYaw() == client.getRollPitchYaw() == angles  # both in the order of the former
+    client.setCameraOrientation(3, client.getOrientation())
+    method, camera, pose, *_ = recorder.sent[-1]
+    assert (method, camera, pose["orientation"]) == ("simSetCameraPose", "3", TURN)

@@ -77,7 +77,9 @@ def test_a_lockstep_game_of_96_seconds_counts_as_96_seconds(monkeypatch: pytest.
 def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    memory, slept, asked = iter([90.0, 80.0, *range(50, 68)]), [], []
+    memory = iter([90.0, 80.0, *range(50, 68)])
+    slept: list[int] = []
+    asked: list[int] = []
     server = SimpleNamespace(memory_mib=lambda: next(memory))
     client = SimpleNamespace(
         run=lambda: None, kinematics=lambda: asked.append(1), speed=lambda: {"real_time_factor": 99.0}

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,10 @@ import pytest
 from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.watch import drone, pictures, replay
+from uavaccel.watch.drone import COMMANDED, THINKING, Drone
+from uavaccel.watch.pictures import Eyes
 from uavaccel.watch.playhead import Playhead
 from uavaccel.watch.square import T_MOVE_S, fly_side_by_side
 from uavaccel.watch.track import Track, track_of
@@ -38,6 +44,11 @@ def test_only_the_clock_of_tcsc_stands_while_the_client_thinks(both: list[Track]
         assert tcsc.simulated_s(wall_s + 0.011) == tcsc.simulated_s(wall_s + 0.001)
     assert not tcsc.between_commands(tcsc.time_s[:-1]).any()
     assert adsc.between_commands(adsc.time_s).sum() >= 3 * 0.6 / 0.05
+    for track in both:
+        assert (np.diff(track.marks, axis=0) >= 0.0).all()  # neither clock runs backwards
+        issued_s, returned_s = track.marks[::2, 0], track.marks[1::2, 0]
+        assert issued_s[0] == 0.0  # nobody thinks before the first command
+        np.testing.assert_allclose(issued_s[1:] - returned_s[:-1], 0.012, atol=1e-4)
 
 
 def test_looking_on_changes_no_flight(both: list[Track]) -> None:
@@ -85,6 +96,98 @@ def test_the_playhead_pauses_steps_and_begins_anew() -> None:
     assert (head.at_s, head.playing) == (0.2, False)
     head.toggle()
     assert (head.at_s, head.playing) == (0.0, True)
+    head.step()
+    head.replay()
+    assert (head.at_s, head.playing) == (0.0, True)
+
+
+def test_a_game_without_marks_took_its_simulated_time_over_its_clock_speed() -> None:
+    track = track_of(
+        "ADSC", 10.0, {**dict.fromkeys(drone_arrays(), np.zeros(1)), "time_s": np.array([1.0, 5.0])}
+    )
+    assert track.wall_s == 0.4
+    assert [track.simulated_s(wall_s) for wall_s in (0.0, 0.1, 9.0)] == [1.0, 2.0, 5.0]
+
+
+def drone_arrays() -> dict[str, np.ndarray]:
+    """Four samples a second apart: a command northwards, a second without one, and another one eastwards."""
+    return {
+        "time_s": np.arange(4.0),
+        "position_m": np.array([[0.0, 0.0, -10.0], [1.0, 0.0, -10.0], [2.0, 0.0, -10.0], [2.0, 1.0, -10.0]]),
+        "orientation_wxyz": np.tile([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (4, 1)),
+        "command_start_s": np.array([0.0, 2.0]),
+        "command_end_s": np.array([1.0, 3.0]),
+    }
+
+
+def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """MuJoCo's frame is north, west, up. Of the 0.2 s in which the client thinks the clock stands in the first half."""
+    made: dict[str, Any] = {}
+
+    def add(name: str, *arguments: Any, **options: Any) -> Any:
+        made[name] = SimpleNamespace(name=name, arguments=arguments)
+        return made[name]
+
+    scene = SimpleNamespace(add_frame=add, add_label=add, add_arrows=add, add_line_segments=add)
+    monkeypatch.setattr(drone, "show_drone", lambda *_: None)
+    marks = np.array([[0.0, 0.0], [0.1, 1.0], [0.2, 1.0], [0.3, 2.0], [0.4, 3.0]])
+    track = track_of("TCSC", 10.0, drone_arrays(), [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0)], marks)
+    server: Any = SimpleNamespace(scene=scene)
+    shown = Drone(server, track, None, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
+    said = {}
+    for wall_s in (0.05, 0.15, 0.25, 0.35, 0.4):
+        shown.show(wall_s)
+        arrow = made["/TCSC command"]
+        said[wall_s] = made["/TCSC/name"].text, arrow.points.round(9).tolist() if arrow.visible else None
+    assert said == {
+        0.05: ("TCSC: flies its command", [[[0.5, -3.0, 10.0], [1.2, -3.0, 10.0]]]),
+        0.15: ("TCSC: client thinks, clock stands", None),
+        0.25: ("TCSC: client thinks, drone flies on", None),
+        0.35: ("TCSC: flies its command", [[[2.0, -3.5, 10.0], [2.0, -4.2, 10.0]]]),
+        0.4: ("TCSC: done", None),
+    }
+    line = made["/TCSC path"]
+    assert line.colors[:, 0].tolist() == [[*COMMANDED], [*THINKING], [*COMMANDED]]
+    assert line.points.tolist() == [
+        [[0, -3, 10], [1, -3, 10]],
+        [[1, -3, 10], [2, -3, 10]],
+        [[2, -3, 10], [2, -4, 10]],
+    ]
+    np.testing.assert_allclose(made["/TCSC"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
+    shown.show(0.05)  # half of the first second again
+    assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
+    assert made["/TCSC ideal"].arguments[0].tolist() == [[[0, -3, 0]] * 2] * 2
+
+
+def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_jump(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frame = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    camera = SimpleNamespace(colour=lambda _: frame)
+    lead = SimpleNamespace(qpos=np.zeros(7))
+    eyes = Eyes(SimpleNamespace(camera=lambda *_: camera, lead=lead, data=None))  # type: ignore[arg-type]
+    stepped: list[float] = []
+
+    def step(sensor: Any, state: Any, image: Any, time_s: float) -> Any:
+        stepped.append(time_s)
+        return state, np.zeros((HEIGHT, WIDTH), int), np.zeros((HEIGHT, WIDTH), int)
+
+    monkeypatch.setattr(pictures, "step", step)
+    for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
+        picture = eyes.look(np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.5, 0.5, 0.5]), time_s)
+    assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
+    assert picture.shape == (2 * HEIGHT, WIDTH, 3)
+    assert lead.qpos.tolist() == [1.0, -2.0, 3.0, 0.5, 0.5, -0.5, -0.5]
+
+
+def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
+    rows: Any = [
+        {"role": "reference", "clock_speed": 100.0},
+        *({"role": "game", "clock_speed": k} for k in (1.0, 50.0)),
+    ]
+    assert [row["clock_speed"] for row in sorted(rows, key=replay._interest)] == [50.0, 1.0, 100.0]
 
 
 @contextmanager

@@ -48,7 +48,8 @@ class Drone:
         )
         places = self._shown(track.position_m)
         self._path = np.stack([places[:-1], places[1:]], axis=1)
-        between = track.between_commands(track.time_s[1:])
+        # a line between two samples shows what was flown in its middle: a command may end at either
+        between = track.between_commands((track.time_s[:-1] + track.time_s[1:]) / 2)
         colours = np.where(between[:, None], THINKING, COMMANDED).astype(np.uint8)
         self._colours = np.repeat(colours[:, None], 2, axis=1)
         self._line = server.scene.add_line_segments(
