@@ -83,6 +83,23 @@ def test_on_move_what_stands_still_is_left_out(tmp_path: Path) -> None:
     assert not (file.parent / "images").exists()
 
 
+def test_on_move_what_turns_has_moved(tmp_path: Path) -> None:
+    wire = AirSimWire({"SimMode": "ComputerVision", "Recording": {"RecordOnMove": True}}, recordings=tmp_path)
+    wire.call("startRecording")
+    for turn in (0.0, 0.6, 0.6, 0.6):
+        pose = {
+            "position": dict.fromkeys(("x_val", "y_val", "z_val"), float("nan")),
+            "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": turn},
+        }
+        wire.call("simSetVehiclePose", pose, True, "")
+        wire.fly(0.05)
+    wire.call("stopRecording")
+    [file] = tmp_path.glob("*/airsim_rec.txt")
+    rows = [line.split("\t")[2:9] for line in file.read_text().splitlines()[1:]]
+    assert len(rows) == 2
+    assert rows[0][:3] == rows[1][:3]
+
+
 @pytest.mark.parametrize(("image", "reason"), [
     ({"CameraName": "nose"}, "no camera 'nose'"),
     ({"ImageType": 12}, "image type 12 is not available"),
@@ -113,11 +130,11 @@ def test_a_disk_that_takes_no_more_images_ends_neither_recording_nor_flight(tmp_
 def test_folders_are_not_made_faster_than_one_a_second(tmp_path: Path) -> None:
     wire = recorder(tmp_path, Cameras=[])
     for _ in range(3):
-        wire.fly(2.0)
+        wire.fly(1.5)
         for _ in range(100):
             with suppress(rpc.RpcError):
                 wire.call("startRecording")
-    assert len([*tmp_path.iterdir()]) == 20 + 2 * 2
+    assert len([*tmp_path.iterdir()]) == 20 + 2 + 1
     with pytest.raises(rpc.RpcError, match="begun too often"):
         wire.call("startRecording")
     assert wire.call("isRecording"), "what is refused ends nothing"

@@ -11,9 +11,12 @@ import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.scenes import Pose
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
-from uavaccel.sim.sensors.earth import GeoPoint, geographic, local, magnetic_field_gauss
+from uavaccel.sim.sensors.base import Truth
+from uavaccel.sim.sensors.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
+from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
 from uavaccel.sim.world import World
@@ -104,7 +107,7 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     )
     wire = with_sensors(
         Quiet={"SensorType": 1, "PressureFactorSigma": 0.0, **QUIET},
-        Field={"SensorType": 4, "NoiseSigma": 0.0},
+        Field={"SensorType": 4, "NoiseSigma": 0.0, "ScaleFactor": 2.0},
     )
     wire.call("simSetVehiclePose", TILTED.message(), True, "")
     altitude = 122.0 + 9.0
@@ -113,6 +116,10 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     pressure = 101_325 * (1 - 0.0065 * geopotential / 288.15) ** 5.255877
     assert told["pressure"] == pytest.approx(pressure, rel=1e-6)
     assert told["altitude"] == pytest.approx(altitude, abs=0.5)
+    assert told["qnh"] == 1013.25
+    assert atmosphere(15_000.0)[:2] == pytest.approx(
+        (216.65, 12_111.0), rel=1e-3
+    )  # US Standard Atmosphere 1976
     air = wire.call("simGetGroundTruthEnvironment", "")
     assert (air["air_pressure"], air["temperature"]) == pytest.approx(
         (pressure, 288.15 - 0.0065 * geopotential)
@@ -122,7 +129,8 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     assert xyz(air["position"]) == pytest.approx(TILTED.position_m)
     field = np.array(xyz(wire.call("getMagnetometerData", "", "Drone")["magnetic_field_body"]))
     north, east, down = TILTED.matrix() @ field
-    assert (north, east, down) == pytest.approx(magnetic_field_gauss(GeoPoint(**air["geo_point"])), abs=1e-6)
+    there = np.array(magnetic_field_gauss(GeoPoint(**air["geo_point"])))
+    assert (north, east, down) == pytest.approx(2.0 * there, abs=1e-6)
 
 
 def test_a_receiver_is_late_and_finds_its_satellites_after_a_while() -> None:
@@ -144,6 +152,27 @@ def test_a_receiver_is_late_and_finds_its_satellites_after_a_while() -> None:
     assert xyz(told["gnss"]["velocity"])[0] == pytest.approx(5.0, abs=0.2)
 
 
+def test_a_receivers_dilutions_fall_each_at_its_rate_and_its_velocity_is_as_late_as_its_place() -> None:
+    wire = with_sensors(Gps={"SensorType": 3, "EPV_TimeConstant": 1.8, "EpvInitial": 50.0})
+    wire.call("moveByVelocity", 5.0, 0.0, 0.0, 20.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
+    wire.fly(0.5)
+    told, true = wire.call("getGpsData", "", "")["gnss"], wire.call("simGetGroundTruthKinematics", "")
+    assert told["eph"] == pytest.approx(0.1 + 99.9 * math.exp(-0.5 / 0.9))
+    assert told["epv"] == pytest.approx(0.1 + 49.9 * math.exp(-0.5 / 1.8))
+    velocity, acceleration = (np.array(xyz(true[f"linear_{each}"])) for each in ("velocity", "acceleration"))
+    assert acceleration[0] > 1.0
+    assert xyz(told["velocity"]) == pytest.approx(velocity - 0.2 * acceleration)
+
+
+def test_a_vehicles_own_sensors_stand_in_for_the_default_ones() -> None:
+    settings: dict[str, Any] = {"DefaultSensors": {"Common": {"SensorType": 1}}}
+    AirSimWire(settings).call("getBarometerData", "Common", "")
+    wire = AirSimWire(settings | {"Vehicles": {"Drone": {"Sensors": {"Own": {"SensorType": 1}}}}})
+    wire.call("getBarometerData", "Own", "")
+    with pytest.raises(rpc.RpcError, match="No barometer with name Common exist on vehicle; there is Own"):
+        wire.call("getBarometerData", "Common", "")
+
+
 def test_places_on_the_earth_and_around_home_turn_into_each_other() -> None:
     home = GeoPoint(*HOME.values())
     for place in ((0.0, 0.0, 0.0), (1234.0, -5678.0, 90.0), (-2e5, 3e5, -1e4)):
@@ -156,6 +185,8 @@ def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
     assert told["distance"] == pytest.approx(10.0)
     assert (told["min_distance"], told["max_distance"]) == (0.2, 40.0)
     assert wire.call("getDistanceSensorData", "Ahead", "")["distance"] == 40.0, "the block is 42 m away"
+    assert xyz(told["relative_pose"]["position"]) == [0.0, 0.0, 0.0]
+    assert list(told["relative_pose"]["orientation"].values()) == pytest.approx([0.5**0.5, 0, -(0.5**0.5), 0])
     wire.call("simSetVehiclePose", level_pose(22.0, 0.0, -5.0), True, "")
     assert wire.call("getDistanceSensorData", "Ahead", "")["distance"] == pytest.approx(20.0)
     for name in ("Off", "Sideways"):
@@ -238,6 +269,12 @@ def test_a_lidars_rays_are_those_of_airsims_formula(
         assert len(np.unique(rays.round(9), axis=0)) == len(rays), "no ray twice"
 
 
+def test_a_lidars_scan_has_a_hundred_thousand_points_at_most() -> None:
+    whole_circle = {"horizontal_fov_start": 0.0, "horizontal_fov_end": 360.0}
+    many = LidarSettings.model_validate({"PointsPerSecond": 10**7, "NumberOfChannels": 10})
+    assert len(directions(many.model_copy(update=whole_circle), 0.0)) == 100_000
+
+
 def test_a_lidar_of_fewer_points_than_channels_sees_nothing() -> None:
     """Less than half a point for each of them is none."""
     assert directions(lidar(64, 310), 0.0).shape == (0, 3)
@@ -289,6 +326,19 @@ def test_a_barometer_drifts_from_nothing_as_airsims_gauss_markov_process() -> No
     assert drift_of(wire) == pytest.approx(0.0, abs=1e-12)
     wire.fly(3.0)
     assert drift_of(wire) == pytest.approx(values[150], rel=1e-9), "whoever asked before"
+
+
+def test_an_imus_biases_walk_as_far_as_their_settings_say() -> None:
+    """Settings of a degree per second and of 1 g over two root seconds: half of each after a second, as a deviation."""
+    silent = {"AngularRandomWalk": 0.0, "VelocityRandomWalk": 0.0}
+    taus = {"GyroBiasStabilityTau": 4.0, "AccelBiasStabilityTau": 4.0}
+    settings = ImuSettings(**silent, **taus, GyroBiasStability=3600.0, AccelBiasStability=1e6)
+    hover = Kinematics(10**9, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
+    truth = Truth(hover, 0.002, 1.0, GeoPoint(*HOME.values()))
+    read = [Imu(settings, seed, "imu").read(truth) for seed in range(400)]
+    rate, force = (np.array(each) for each in zip(*read, strict=True))
+    np.testing.assert_allclose(rate.std(axis=0), math.radians(0.5), rtol=0.12)
+    np.testing.assert_allclose((force + np.array([0.0, 0.0, 9.80665])).std(axis=0), 9.80665 / 2, rtol=0.12)
 
 
 def test_an_imus_biases_walk_in_small_steps() -> None:
