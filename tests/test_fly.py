@@ -20,7 +20,7 @@ from uavaccel.airsim.connection import as_received
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
-from uavaccel.fly import runs, simulated
+from uavaccel.fly import runs, simulated, wall
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.modules import client_modules, importing
@@ -386,6 +386,42 @@ def test_flights_are_compared_at_equal_simulated_times(tmp_path: Path) -> None:
         rows[10:, 1] = shift
         write_trajectory(tmp_path / name, np.arange(samples) * 50_000_000, rows)
     assert largest_difference_m(tmp_path / "a", tmp_path / "b") == 3.0
+
+
+def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_table(tmp_path: Path) -> None:
+    rows, time_ns = np.arange(20.0).reshape(2, 10), np.array([0, 50_000_000])
+    write_trajectory(tmp_path, time_ns, rows)
+    with np.load(tmp_path / "trajectory.npz") as kept:
+        assert kept["time_ns"].tolist() == time_ns.tolist()
+        found = [kept[name].tolist() for name in ("position_m", "orientation_wxyz", "velocity_m_s")]
+    assert found == [rows[:, columns].tolist() for columns in (slice(3), slice(3, 7), slice(7, 10))]
+    header, _, last = (tmp_path / "trajectory.csv").read_text().splitlines()
+    assert dict(zip(header.split(","), map(float, last.split(",")), strict=True))["q_w"] == 13.0
+    assert last.startswith("0.05,10,11,12,")
+
+
+def test_in_wall_time_the_trajectory_is_the_servers_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whole milliseconds, and places to which velocities belong; the flight ends by the machine's clock."""
+    made = tmp_path / "recordings" / "2020"
+    made.mkdir(parents=True)
+    rows = [f"A\t{1000 + 50 * n}\t{0.1 * n}\t0\t-1\t1\t0\t0\t0\t" for n in range(3)]
+    (made / "airsim_rec.txt").write_text("\n".join(["header", *rows]) + "\n")
+    options = FlightOptions(tmp_path / "script.py", (), tmp_path, "wall")
+    log = MessageLog(tmp_path)
+    log.close()
+    flight = wall.WallFlight(options, None, 4.0, log)
+    flight.end()
+    with np.load(tmp_path / "trajectory.npz") as kept:
+        assert kept["time_ns"].tolist() == [1_000_000_000, 1_050_000_000, 1_100_000_000]
+        np.testing.assert_allclose(kept["velocity_m_s"], [[2.0, 0.0, 0.0]] * 3)
+    assert flight.summary()["simulated_s"] == pytest.approx(0.1)
+    timers: list[float] = []
+    monkeypatch.setattr(wall.signal, "setitimer", lambda kind, seconds: timers.append(seconds))
+    with wall.stopping_after(20.0, 4.0):
+        pass
+    assert timers == [5.0, 0.0]
 
 
 def test_answers_are_those_that_a_wire_carries() -> None:

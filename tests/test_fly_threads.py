@@ -96,6 +96,84 @@ def test_events_conditions_and_queues_wake_who_waits(script: Any) -> None:
     assert [full.get_nowait(), full.get_nowait(), full.empty()] == [3, 4, True]
 
 
+def test_a_lock_that_may_be_taken_again_is_free_once_it_was_given_back_as_often(script: Any) -> None:
+    lock = script.threading.RLock()
+
+    def take(name: str) -> None:
+        with lock:
+            script.written.append((name, seconds(script)))
+
+    with lock:
+        with lock:
+            [thread] = script.start(lambda: take("other"))
+            script.sleep(1.0)
+        script.sleep(1.0)
+        script.written.append(("mine", seconds(script)))
+    thread.join()
+    assert script.written == [("mine", 2.0), ("other", 2.0)]
+    with pytest.raises(RuntimeError, match="un-acquired"):
+        lock.release()
+
+
+def test_who_waited_first_is_woken_first_and_no_more_than_are_to_be(script: Any) -> None:
+    condition, places = script.threading.Condition(), script.threading.Semaphore(0)
+
+    def wait(name: int) -> None:
+        with condition:
+            script.written.append((name, condition.wait(3.0), seconds(script)))
+
+    def take(name: str) -> None:
+        script.written.append((name, places.acquire(timeout=3.0), seconds(script)))
+
+    threads = script.start(*(lambda name=name: wait(name) for name in range(3)))
+    script.sleep(1.0)
+    with condition:
+        condition.notify()
+    script.sleep(1.0)
+    with condition:
+        condition.notify()
+    for thread in threads:
+        thread.join()
+    assert script.written == [(0, True, 1.0), (1, True, 2.0), (2, False, 3.0)]
+    script.written.clear()
+    threads = script.start(*(lambda name=name: take(name) for name in "abc"))
+    script.sleep(1.0)
+    places.release(2)
+    for thread in threads:
+        thread.join()
+    assert script.written == [("a", True, 4.0), ("b", True, 4.0), ("c", False, 6.0)]
+    with condition:
+        assert condition.wait_for(lambda: False, 0.5) is False
+    assert seconds(script) == 6.5
+
+
+def test_a_queue_holds_as_much_as_it_may_and_is_done_when_its_tasks_are(script: Any) -> None:
+    tasks = script.queue.Queue(maxsize=1)
+
+    def work() -> None:
+        for _ in range(2):
+            script.sleep(1.0)
+            tasks.get()
+            script.sleep(1.0)
+            tasks.task_done()
+
+    [thread] = script.start(work)
+    tasks.put("one")
+    with pytest.raises(script.queue.Full):
+        tasks.put("two", timeout=0.5)
+    tasks.put("two")
+    script.written.append(seconds(script))
+    tasks.join()
+    script.written.append(seconds(script))
+    thread.join()
+    assert script.written == [1.0, 4.0]
+    simple, bounded = script.queue.SimpleQueue(), script.threading.BoundedSemaphore()
+    with pytest.raises(script.queue.Empty):
+        simple.get(timeout=1.0)
+    assert (bounded.acquire(), bounded.acquire(timeout=1.0)) == (True, False)
+    assert seconds(script) == 6.0
+
+
 def test_who_waits_for_nobody_is_told() -> None:
     """Whatever else the process did before the script, such as a library's thread that waits for its own work."""
     done = threading.Event()

@@ -224,6 +224,9 @@ def test_two_that_meet_have_touched_each_other() -> None:
     assert told["A"]["normal"]["x_val"] < -0.9 < 0.9 < told["B"]["normal"]["x_val"]
     apart = told["B"]["position"]["x_val"] + 5.0 - told["A"]["position"]["x_val"]
     assert apart == pytest.approx(2 * 0.3418, abs=0.03), "each in its own frame"
+    for name in ("A", "B"):
+        where, impact = (np.array(list(told[name][key].values())) for key in ("position", "impact_point"))
+        assert np.linalg.norm(impact - where) < 0.5
 
 
 def test_a_camera_sees_the_others_and_not_its_own_vehicle() -> None:
@@ -543,7 +546,7 @@ def test_a_camera_that_does_not_fly_goes_below_the_ground() -> None:
 @pytest.mark.parametrize(("method", "params", "text"), [
     ("simSetVehiclePose", [pose(1.1e4, 0, -10), True], "north and east have to be within 10000 m"),
     ("simSetVehiclePose", [pose(0, 0, -3e4), True], "NED z has to be"),
-    ("simSetKinematics", [pose(0, 0, -10) | {"linear_velocity": point(0, 600, 0), "angular_velocity": STILL}, True],
+    ("simSetKinematics", [pose(0, 0, -10) | {"linear_velocity": point(0, -600, 0), "angular_velocity": STILL}, True],
      "linear_velocity must be at most 500"),
     ("simSetKinematics", [pose(0, 0, -10), True], "linear_velocity must be a Vector3r"),
     ("simSetKinematics", [3, True], "state must be a KinematicsState"),

@@ -95,7 +95,6 @@ class Recorder:
     def stop(self) -> None:
         """Stop the recording, and write all samples to the file."""
         self._simulation.world.stop_recording()
-        self._simulation.records_game = True
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
