@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tests.airsim_wire import AirSimWire, level_pose, xyz
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
+from uavaccel.wire.cameras import Cameras, CameraSettings
 from uavaccel.wire.segmentation import id_of_name
 from uavaccel.wire.types import EPOCH_NS
 
@@ -123,6 +124,22 @@ def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
     assert floats(response)[row, column] == pytest.approx(forward, abs=0.5), "the vehicle is in the way"
     with pytest.raises(rpc.RpcError, match="no camera 'mast'"):
         wire.images(("mast", PLANAR, True))
+    with pytest.raises(rpc.RpcError, match="no camera '0'; there are mast"):
+        wire.call("simGetCameraInfo", "0", "", True)
+
+
+def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
+    common = CameraSettings.model_validate(
+        {"CaptureSettings": [{"Width": 64, "Height": 48, "FOV_Degrees": 60}]}
+    )
+    for own, lens in (
+        ({}, (64, 48, 60.0)),
+        ({"Width": 300}, (300, 48, 60.0)),
+        ({"Height": 20}, (64, 20, 60.0)),
+        ({"FOV_Degrees": 30}, (64, 48, 30.0)),
+    ):
+        given = CameraSettings.model_validate({"CaptureSettings": [own]})
+        assert Cameras(common, {"0": given}).named("front_center").lens(0) == lens
 
 
 def test_a_camera_is_moved_and_zoomed_for_all_types_and_nan_leaves_its_part() -> None:

@@ -186,7 +186,13 @@ def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire
         "Car_1",
         "Car_far",
     ]
-    wire.call("simSetDetectionFilterRadius", "front_center", 0, 5000.0, "", False)
+    wire.call("simAddDetectionFilterMeshName", "0", 0, "block_no?th", "", False)  # beside the other name
+    assert {found["name"] for found in wire.call("simGetDetections", "0", 0, "", False)} == {
+        "Car_1",
+        "Car_far",
+        "block_north",
+    }
+    wire.call("simSetDetectionFilterRadius", "front_center", 0, 3000.0, "", False)
     [car] = wire.call("simGetDetections", "0", 0, "", False)
     box = car["box2D"]
     near, far = 9.5, 10.5  # of its faces; 128 pixels are one metre at one metre

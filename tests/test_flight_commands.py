@@ -515,16 +515,23 @@ def test_after_throttle_the_vertical_integrator_is_new() -> None:
 
 def test_sticks_fly_where_no_program_has_control() -> None:
     api = hovering()
-    sticks = {"roll": 0.25, "pitch": 0.0, "throttle": 0.6, "yaw": 0.0, "is_valid": True}
+    sticks = {"roll": 0.25, "pitch": 0.1, "throttle": 0.6, "yaw": 0.0, "is_valid": True}
     call(api, "moveByRC", sticks)
     go_on(api, 1.0)
     assert attitude(api)[0] == pytest.approx(0.0, abs=0.01), "a program has control"
     call(api, "enableApiControl", False)
     call(api, "moveByRC", sticks, "SimpleFlight")
     go_on(api, 1.0)
-    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5, abs=0.01)
+    assert attitude(api)[:2] == pytest.approx((0.25 * math.pi / 5.5, -0.1 * math.pi / 5.5), abs=0.01)
     told = call(api, "getMultirotorState")["rc_data"]
-    assert (told["roll"], told["throttle"], told["is_valid"]) == (0.25, 0.6, True)
+    assert (told["roll"], told["pitch"], told["throttle"], told["is_valid"]) == (0.25, 0.1, 0.6, True)
+    call(
+        api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "switches": 3, "is_valid": True}
+    )  # its lowest bit: rates
+    go_on(api, 1.0)
+    rates = api.simulation.kinematics().angular_velocity_rad_s
+    assert rates == pytest.approx((0.25 * math.pi / 5.5, 0.0, 0.0), abs=0.01)
+    assert call(api, "getMultirotorState")["rc_data"]["switches"] == 1
 
 
 def test_manual_flight_follows_the_sticks() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import EPOCH_NS
 
 ASIDE = {"X": 5, "Y": 5}
 MANY = 50
@@ -229,6 +231,20 @@ def test_two_that_meet_have_touched_each_other() -> None:
         assert np.linalg.norm(impact - where) < 0.5
 
 
+def test_a_games_collision_is_its_first_in_the_frame_of_the_vehicle_that_leads() -> None:
+    api = fleet(A={"X": -6, "Y": 2})
+    first_ns = None
+    for north in (3.0, 9.0):
+        call(api, "simSetVehiclePose", pose(north, 0.0, -1.0), True, "A")
+        fly(api, "moveByVelocity", 0.0, 0.0, 4.0, 1.0, 0, STRAIGHT, "A")
+        found = call(api, "uavaccelCollision")
+        first_ns = first_ns or found["time_ns"]
+        assert (found["object"], found["time_ns"]) == ("ground", first_ns)
+        assert found["position_m"] == pytest.approx([3.0, 0.0, -0.05], abs=0.1)
+    latest_ns = call(api, "simGetCollisionInfo")["time_stamp"] - EPOCH_NS
+    assert latest_ns > first_ns
+
+
 def test_a_camera_sees_the_others_and_not_its_own_vehicle() -> None:
     """By MuJoCo's groups: the leading vehicle's cameras leave out its own."""
     model = fleet(A={}, B=ASIDE).simulation.world.model
@@ -350,6 +366,17 @@ def test_each_takes_off_over_its_own_place() -> None:
         risen = in_world(api, name) - begun[name]
         assert risen == pytest.approx((0.0, 0.0, -2.0), abs=0.55)
         assert np.hypot(*risen[:2]) < 0.1
+
+
+def test_each_flies_to_the_place_on_the_earth_that_it_is_told() -> None:
+    """By its own origin: the same degrees lead both to one place in the world, whose degrees these are."""
+    api = fleet(A={"X": -6, "Y": 2}, B=ASIDE)
+    north = math.degrees(12.0 / 6_378_137)
+    for name, height in (("A", 122.0 + 6.0), ("B", 122.0 + 9.0)):
+        where = [47.641468 + north, -122.140165, height]
+        fly(api, "moveToGPS", *where, 4.0, 30.0, 0, STRAIGHT, -1.0, 1.0, name)
+        go_on(api, 3.0)
+        assert in_world(api, name) == pytest.approx((12.0, 0.0, 122.0 - height), abs=0.6)
 
 
 def test_take_off_goes_up_from_where_the_vehicle_is() -> None:
