@@ -16,7 +16,7 @@ from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.report import Dp2Report, table
 from uavaccel.suites.dp2.scores import ObservedFlight, count_events, score_game, score_games, summary_of
 from uavaccel.suites.experiment import read_mapping, resolve
-from uavaccel.vision.dvs import PRESETS
+from uavaccel.vision.dvs import PRESETS, DvsParameters
 
 PIXELS = (2, 5)
 
@@ -174,6 +174,17 @@ def test_the_first_image_makes_no_events() -> None:
     on, off = count_events(images, np.array([0.0, 0.33, 0.66, 1.0]), PRESETS["clean"], 0)
     assert [bool(events.any()) for events in on] == [False, True, False, False]
     assert [bool(events.any()) for events in off] == [False, False, False, True]
+    counted = {"dvs_on": on, "dvs_off": off}  # in flight: these stand
+    assert [id(each) for each in counts_of(counted, "clean", 0)] == [id(on), id(off)]
+
+
+def test_noise_is_of_the_sensors_seed() -> None:
+    still, noisy = np.full((3, 20, 20), 90, np.uint8), DvsParameters(shot_noise_rate_hz=5.0)
+    once, again, other = (
+        np.array(count_events(still, np.array([0.0, 0.3, 0.6]), noisy, seed)) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(once, again)
+    assert (once != other).any()
 
 
 def test_a_line_of_the_table() -> None:

@@ -418,7 +418,7 @@ def test_in_wall_time_the_trajectory_is_the_servers_recording(
         np.testing.assert_allclose(kept["velocity_m_s"], [[2.0, 0.0, 0.0]] * 3)
     assert flight.summary()["simulated_s"] == pytest.approx(0.1)
     timers: list[float] = []
-    monkeypatch.setattr(wall.signal, "setitimer", lambda kind, seconds: timers.append(seconds))
+    monkeypatch.setattr("signal.setitimer", lambda kind, seconds: timers.append(seconds))
     with wall.stopping_after(20.0, 4.0):
         pass
     assert timers == [5.0, 0.0]
