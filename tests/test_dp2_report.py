@@ -14,7 +14,14 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.report import Dp2Report, table
-from uavaccel.suites.dp2.scores import ObservedFlight, count_events, score_game, score_games, summary_of
+from uavaccel.suites.dp2.scores import (
+    ObservedFlight,
+    count_events,
+    counts_of,
+    score_game,
+    score_games,
+    summary_of,
+)
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS, DvsParameters
 
