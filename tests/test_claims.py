@@ -294,6 +294,17 @@ def test_findings_say_their_numbers() -> None:
         "690 of 3000 (23%, 3 trainings) v 30 of 3000 (1%, 3 trainings): 0.04 times [0.00, 0."
     )
     assert decision("rendering_costs_scalability")(found["dp1"], found["rl"]).value == "58.8x v 15.4x"
+    peaks = decision("lines_peak_at_obstacles")(policies()).value
+    assert peaks.endswith("; by chance 19%")  # fourteen rows, 1 m before and behind each, of 150 m
+    near_and_far = Cloud(np.repeat([0.01, 0.2], 100), np.repeat([0.0, 30.0], 100))
+    apart = decision("same_place_other_images")(Images({50.0: near_and_far, 100.0: near_and_far}))
+    assert (apart.holds, apart.value) == (
+        False,
+        "50x +0 to +0 %, 100x +0 to +0 %",
+    )  # of one place all are alike
+    full = judged(CLAIMS["tcsc_improves_at_5x"], evidence(rl={"tcsc1": 0.8, "tcsc5": 0.99}))
+    assert full["verdict"] == "undecided"
+    assert full["value"].endswith("leaves no room for 1.25 times as much")  # at the upper end of its interval
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,14 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
+from uavaccel.rl.learner import Game
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import plot_evaluations, summarise
+from uavaccel.suites.training import rows as training_rows
 from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
-from uavaccel.suites.training.phases import phase_times, plot_trainings
+from uavaccel.suites.training.phases import phase_times, plot_stacked, plot_trainings, unit_of
 from uavaccel.suites.training.real_time import model_real_time
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
 
 Row = Any
@@ -326,3 +330,57 @@ def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
         plot_trainings([run], tmp_path / "figure9_phases.png")
         assert headline(drawn["figure9_phases"])[1].startswith(provenance)
         assert "one" not in tick_texts(drawn["figure9_phases"].axes[0].xaxis)[0]
+
+
+def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Success of the last games, an earlier start's among them; simulated over wall time of this start's."""
+    # It is made; a game ends; an evaluation is flown from 110 to 115 s; another game ends.
+    now_s = iter([100.0, 104.0, 110.0, 115.0, 120.0])
+    clock = SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S))
+    monkeypatch.setattr(training_rows, "MonotonicClock", lambda: clock)
+    drawn: list[tuple[int, dict[str, float]]] = []
+    monkeypatch.setattr(training_rows.CurvesFile, "add", lambda _, *point: drawn.append(point))
+    earlier: Any = [{"is_success": True}]
+    rows = training_rows.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
+    stopwatch: Any = SimpleNamespace(spent_s=dict)
+    info: dict[str, Any] = {
+        "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,
+        "phase_s": {}, "host_phase_s": {},
+    }  # fmt: skip
+    first = rows.finished(Game(40, 1, info, -2.5, 0.25), stopwatch)
+    with rows.clock_stopped():
+        pass
+    rows.finished(Game(41, 0, info, 1.0, None), stopwatch)
+    rows.close()
+    point = {"games/distance_m": 7.0, "games/return": -2.5, "games/real_time_factor": 8.0 / 4.0}
+    assert drawn == [
+        (41, {"games/success_recent": 0.5, **point}),
+        (
+            42,
+            {
+                **point,
+                "games/success_recent": 1 / 3,
+                "games/return": 1.0,
+                "games/real_time_factor": 16.0 / 15.0,
+            },
+        ),
+    ]
+    assert first.row["sim_time_s"] == 8.0
+    assert first.host["wall_s"] == 4.0
+
+
+@pytest.mark.parametrize(
+    ("longest_s", "unit", "height"),
+    [(7_200.0, "hours", 2.0), (3_599.0, "minutes", 3_599 / 60), (30.0, "seconds", 30.0)],
+)
+def test_figure_9_has_the_largest_unit_that_is_no_fraction(
+    longest_s: float, unit: str, height: float
+) -> None:
+    spent = [{"simulation": longest_s / 2, "learning": longest_s / 2}, {"simulation": 1.0, "learning": 0.0}]
+    assert unit_of(spent) == unit
+    axes = Figure().subplots()
+    plot_stacked(axes, spent, unit)
+    tops = [bar.get_y() + bar.get_height() for bars in axes.containers for bar in bars]
+    assert max(tops) == pytest.approx(height)

@@ -16,6 +16,7 @@ import pytest
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
+from uavaccel.suites import suite
 from uavaccel.suites.registry import find_suite, own_folder
 
 ROOT = Path(__file__).parents[1]
@@ -224,3 +225,15 @@ def test_a_mistake_in_one_is_one_line(
     assert complaint.startswith("uavaccel: error: ")
     assert complaint.count("\n") == 1
     assert reason in complaint
+
+
+def test_what_a_game_costs_is_its_simulated_time_over_the_speed_of_what_flies_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A GPU is full with 1024 lanes: more of them fly no faster."""
+    monkeypatch.setattr(suite, "usable_cores", lambda: 2)
+    game = suite.SimpleCase("game", "virtual", 153_600.0)
+    assert [suite.kernels_s(game, "cuda", lanes) for lanes in (512, 1024, 4096)] == [2.0, 1.0, 1.0]
+    assert suite.kernels_s(game, "cpu", 4096) == 153_600 / 500
+    assert suite.flying_s(game, 10.0) == 512.0
+    assert suite.flying_s(suite.SimpleCase("game", "wall", 153_600.0), 10.0) == 15_360.0

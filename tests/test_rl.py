@@ -23,8 +23,8 @@ from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites import gpu, runner
 from uavaccel.suites.paper import policy_claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
-from uavaccel.suites.parts import part_suite
-from uavaccel.suites.rl.cases import cases, evaluation_part, flights, training_part
+from uavaccel.suites.parts import Part, part_suite
+from uavaccel.suites.rl.cases import EXACT, cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.plots import plot_training_time
@@ -250,6 +250,11 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     assert len(names()) == 12
 
 
+def test_a_part_has_the_seed_of_the_run_unless_its_keys_name_another() -> None:
+    for keys, seed in (({}, 3), ({"seed": 9}, 9)):
+        assert part_suite(Part(experiment="evaluate", keys=keys), 3)[1].seed == seed
+
+
 def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
     def disk_bytes(config: Any) -> float:
         return sum(Rl().cost(config, case).disk_bytes for case in Rl().cases(config))
@@ -391,6 +396,40 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     assert real_time["fisher_p"] is real_time["permutation_p"] is None
 
 
+def test_both_simulators_ends_are_paired_by_seed_and_lane() -> None:
+    """The exact one flew seed 1's policy alone; the same end is a game won in both, or lost in both."""
+    rows = made("tcsc", 1.0, [list(range(40)), list(range(12))], 1.0)
+    (exact,) = made("tcsc", 1.0, [[*range(2, 12), 39]], 1.0)
+    exact |= {"seed": 1, "case": "exact"}
+    del exact["training"]
+
+    def of_both(row: Any) -> dict[str, np.ndarray]:
+        arrays = load(row)
+        return (
+            arrays
+            if "training" in row
+            else {name.replace("tcsc", EXACT): each for name, each in arrays.items()}
+        )
+
+    (found,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, [*rows, exact], of_both)[
+        "exact"
+    ]
+    assert found["seeds"] == [1]
+    assert (found["kernels"]["successes"], found["exact"]["successes"]) == (12, 11)
+    assert (found["lanes"], found["same_end"]) == (40, 37)
+    assert found["mcnemar_p"] == pytest.approx(binomtest(1, 3).pvalue)
+
+
+def test_weights_are_the_same_where_every_clock_speed_learned_them() -> None:
+    rows = (
+        made("tcsc", 1.0, [[], [], []], 1.0) + made("tcsc", 5.0, [[], []], 1.0) + made("adsc", 1.0, [[]], 1.0)
+    )
+    rows[4]["training"]["weights_sha256"] = "other"  # of seed 1; seed 2 was not trained at 5x
+    (found,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["same_weights"]
+    assert (found["command"], found["clock_speed"]) == ("tcsc", [1.0, 5.0])
+    assert (found["seeds"], found["equal"]) == ([0, 1], [0])
+
+
 def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
     (row,) = made("tcsc", 1.0, [list(range(30))], 1.0)
     row["evaluations"].append(flight("adsc", 1.0, 24))
@@ -413,7 +452,7 @@ def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> Non
         row["evaluations"].append(flight("adsc", 5.0, count))
 
     def both(row: Any) -> dict[str, np.ndarray]:
-        fast = load({"command": "adsc", "lanes": range(row["evaluations"][1]["successes"])})
+        fast = load({"command": "adsc", "lanes": range(row["evaluations"][-1]["successes"])})
         return load(row) | {name.replace("adsc", "adsc-5x"): each for name, each in fast.items()}
 
     config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
@@ -425,6 +464,9 @@ def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> Non
     assert within["as_trained"]["fisher_p"] == pytest.approx(
         fisher_exact(np.array([[15, 25], [4, 36]])).pvalue
     )
+    plain["evaluations"].pop()  # flown in real time alone: a variant's two flights have nothing beside them
+    (alone,) = summarise(config, [plain, told], both)["as_trained"]
+    assert alone["real_time"]["mcnemar_p"] is alone["as_trained"]["mcnemar_p"] is None
 
 
 def test_times_of_a_figure_are_means_of_the_seeds_and_rendering_is_of_simulation() -> None:
@@ -492,10 +534,15 @@ def test_the_gap_from_which_a_policy_fails_is_the_one_that_success_never_recover
 def test_where_no_gap_breaks_a_policy_the_report_says_so() -> None:
     cells = [thought("adsc", f"hard_think_{n}ms", n / 10, 60 - n) for n in range(3)]
     (line,) = over_gaps(cells)
-    assert collapse([line]) == (
+    said = (
         "ADSC, airsim, hard: no gap was flown, up to 0.20 s, from which success in real time stays below half of the "
         "best cell's 60.0%."
     )
+    assert collapse([line]) == said
+    easier = over_gaps(
+        [thought("adsc", f"think_{n}ms", n / 10, 100) for n in range(3)]
+    )  # another lane's best
+    assert collapse([line, *easier]).startswith(said)
     assert over_gaps(cells[:2]) == []
     ended = GapLine("adsc", "airsim, hard", [*cells[:2], thought("adsc", "hard_think_9ms", 0.1, 3), cells[2]])
     assert "no gap was flown" in collapse([ended])
