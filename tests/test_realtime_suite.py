@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
+from uavaccel.suites.realtime import agents, flights
 from uavaccel.suites.realtime.agents import LookAhead, Policy, train
-from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase, cases
+from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase, cases, flies
 from uavaccel.suites.realtime.config import AgentBlock, EnvironmentBlock
 from uavaccel.suites.realtime.environments import timed, training
 from uavaccel.suites.realtime.report import agreement
@@ -59,6 +61,14 @@ def test_its_cases_are_each_training_once_and_each_delay() -> None:
     assert len({case.id for case in met}) == len(met)
 
 
+def test_a_drone_takes_no_chunks_and_has_no_model_to_look_ahead_with() -> None:
+    drone = EnvironmentBlock(id="uavaccel/Hover-v0", train_steps=2048)
+    kinds = {"plain": AgentBlock(), "chunk": AgentBlock(chunk=2), "ahead": AgentBlock(look_ahead=True)}
+    config: Any = SimpleNamespace(environments={"drone": drone, "pendulum": PENDULUM}, agents=kinds)
+    assert [agent for agent in kinds if flies(config, "pendulum", agent)] == [*kinds]
+    assert [agent for agent in kinds if flies(config, "drone", agent)] == ["plain"]
+
+
 def test_the_same_bytes_every_time_killed_or_not(run: RunDirectory, tmp_path: Path) -> None:
     again = flown(tmp_path / "again", jobs=2)
     rows = (again.path / "rows.jsonl").read_bytes()
@@ -94,6 +104,29 @@ def test_its_report_says_who_is_best_and_how_fast_one_may_simulate(run: RunDirec
     assert "How fast may one simulate before the ranking changes?" in page
     assert (run.path / "figures/returns.png").stat().st_size > 10_000
     assert json.loads((run.path / "summary.json").read_text())["provenance"] == "modelled"
+
+
+def test_a_runs_seed_moves_every_trainings_and_every_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of an evaluation begin with others than any training's; agents of one seed meet the same ones."""
+    begun: dict[str, list[Any]] = {"train": [], "episodes": []}
+    weights: Any = {}
+    monkeypatch.setattr(
+        flights, "train", lambda *told: (begun["train"].append(told[-1]), agents.Trained(weights, 1.0, 5))[1]
+    )
+    monkeypatch.setattr(flights, "Policy", lambda *_: None)
+    monkeypatch.setattr(
+        flights, "_episode", lambda *told: (begun["episodes"].append(told[3]), (1.0, 0.0, 0.0))[1]
+    )
+    for run_seed in (0, 10):
+        config: Any = configured("realtime_smoke", *TINY, "seeds=2", seed=run_seed)
+        some = list(cases(config))
+        for case in (some[0], some[1], next(each for each in some if isinstance(each, EvaluationCase))):
+            if isinstance(case, TrainingCase):
+                flights.fly_training(config, case)
+            else:
+                flights.fly_evaluation(config, case, weights)
+    assert begun["train"] == [0, 1, 10, 11]
+    assert begun["episodes"] == [1_000_000, 1_000_001, 1_000_010, 1_000_011]
 
 
 # --- agents ---------------------------------------------------------------------------------------
@@ -136,8 +169,6 @@ def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(cl
     echo = Echo()
     ahead = LookAhead(echo, env, PENDULUM, 0.03, clock_speed)
     inside: Any = env.unwrapped
-    observation, _ = env.reset(seed=3)
-    ahead.begin()
     applied, do_simulation = [], inside.do_simulation
 
     def watched(control: Any, ticks: int) -> None:
@@ -145,12 +176,30 @@ def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(cl
         do_simulation(control, ticks)
 
     inside.do_simulation = watched
-    for _ in range(4):
-        observation, *_ = env.step(ahead.act(observation))
+    for seed in (3, 4):
+        observation, _ = env.reset(seed=seed)
+        ahead.begin()
+        for _ in range(4):
+            observation, *_ = env.step(ahead.act(observation))
     del inside.do_simulation
-    steps = len(applied) // 4  # of each decision the last one begins where its action is applied
+    steps = len(applied) // 8  # of each decision the last one begins where its action is applied
     np.testing.assert_allclose(echo.shown, applied[steps - 1 :: steps], atol=1e-12)
     env.close()
+
+
+def test_a_trainings_return_is_the_mean_of_its_last_hundred_episodes() -> None:
+    """A lane's episodes have two steps, and each brings 1 more than the one before."""
+    returns: Any = agents._Returns()
+    rewards = np.zeros(agents.LANES)
+    lanes = SimpleNamespace(get_original_reward=lambda: rewards)
+    returns.model = SimpleNamespace(get_env=lambda: lanes)
+    assert np.isnan(returns.last())
+    for episode in range(150):
+        for ends in (False, True):
+            rewards[:] = episode / 2
+            returns.locals = {"dones": np.arange(agents.LANES) == (0 if ends else -1)}
+            returns._on_step()
+    assert returns.last() == pytest.approx(np.mean(np.arange(50, 150)))
 
 
 def test_a_training_meets_one_delay_an_episode_from_its_range() -> None:
@@ -199,6 +248,8 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure() -> None:
     assert (held["holds_to"], held["reversals"]) == (5, [])  # b is ahead of a, but their intervals overlap
     assert held["kendall_tau"] == [1.0, pytest.approx(1 / 3)]
     assert held["orders"] == [["a", "b", "c"], ["b", "a", "c"]]
+    stopped: Any = [{**cell("c", speed, 99), "command": "tcsc"} for speed in (1, 5)]
+    assert rankings_of([*cells, *stopped]) == [held]  # which is of ADSC
     (broken,) = rankings_of([*cells, cell("a", 20, 1), cell("b", 20, 2), cell("c", 20, 9)])
     assert broken["holds_to"] == 5
     assert broken["reversals"] == [
@@ -211,13 +262,24 @@ def test_an_interval_is_over_trainings_and_episodes() -> None:
     row: Any = {"environment": "e", "agent": "a", "command": "adsc", "latency_s": 0.0, "clock_speed": 1.0}
     rows: Any = [
         {**row, "returns": [1.0, 3.0], "delays_s": [0.0, 0.1], "late_s": 0.0},
-        {**row, "returns": [7.0, 9.0], "delays_s": [0.2, 0.1], "late_s": 0.3},
+        {**row, "returns": [7.0, 9.0], "delays_s": [0.5, 0.1], "late_s": 0.3},
     ]
     (found,) = cells_of(rows, seed=0)
     assert (found["return_mean"], found["seeds"], found["episodes"]) == (5.0, 2, 4)
     assert 1.0 <= found["return_low"] < 5.0 < found["return_high"] <= 9.0
     assert found["delay_s"] == pytest.approx(0.1)
     assert found["late_s"] == 0.3
+
+
+def test_under_tcsc_each_trainings_returns_are_held_against_its_own() -> None:
+    def flown(seed: int, speed: float, returned: float, command: str = "tcsc") -> Any:
+        return {"environment": "e", "agent": "a", "command": command, "seed": seed, "clock_speed": speed,
+                "returns": [returned]}  # fmt: skip
+
+    rows = [flown(0, 1, 3.0), flown(1, 1, 4.0), flown(0, 5, 3.0), flown(1, 5, 4.0), flown(0, 1, 7.0, "adsc")]
+    assert tcsc_equal(rows) is True
+    assert tcsc_equal([*rows, flown(1, 9, 4.5)]) is False
+    assert tcsc_equal(rows[:2]) is None
 
 
 def test_clocks_that_agree_are_said_to() -> None:
