@@ -108,15 +108,21 @@ def test_its_report_says_who_is_best_and_how_fast_one_may_simulate(run: RunDirec
 
 def test_a_runs_seed_moves_every_trainings_and_every_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of an evaluation begin with others than any training's; agents of one seed meet the same ones."""
-    begun: dict[str, list[Any]] = {"train": [], "episodes": []}
+    trained: list[int] = []
+    begun: list[int] = []
     weights: Any = {}
-    monkeypatch.setattr(
-        flights, "train", lambda *told: (begun["train"].append(told[-1]), agents.Trained(weights, 1.0, 5))[1]
-    )
+
+    def train_at_once(block: Any, agent: Any, seed: int) -> Any:
+        trained.append(seed)
+        return agents.Trained(weights, 1.0, 5)
+
+    def end_at_once(env: Any, policy: Any, look_ahead: Any, seed: int, thinks_s: float) -> Any:
+        begun.append(seed)
+        return 1.0, 0.0, 0.0
+
+    monkeypatch.setattr(flights, "train", train_at_once)
     monkeypatch.setattr(flights, "Policy", lambda *_: None)
-    monkeypatch.setattr(
-        flights, "_episode", lambda *told: (begun["episodes"].append(told[3]), (1.0, 0.0, 0.0))[1]
-    )
+    monkeypatch.setattr(flights, "_episode", end_at_once)
     for run_seed in (0, 10):
         config: Any = configured("realtime_smoke", *TINY, "seeds=2", seed=run_seed)
         some = list(cases(config))
@@ -125,8 +131,8 @@ def test_a_runs_seed_moves_every_trainings_and_every_episodes(monkeypatch: pytes
                 flights.fly_training(config, case)
             else:
                 flights.fly_evaluation(config, case, weights)
-    assert begun["train"] == [0, 1, 10, 11]
-    assert begun["episodes"] == [1_000_000, 1_000_001, 1_000_010, 1_000_011]
+    assert trained == [0, 1, 10, 11]
+    assert begun == [1_000_000, 1_000_001, 1_000_010, 1_000_011]
 
 
 # --- agents ---------------------------------------------------------------------------------------

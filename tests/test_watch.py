@@ -134,6 +134,7 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
     monkeypatch.setattr(drone, "show_drone", lambda *_: None)
     marks = np.array([[0.0, 0.0], [0.1, 1.0], [0.2, 1.0], [0.3, 2.0], [0.4, 3.0]])
     track = track_of("TCSC", 10.0, drone_arrays(), [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0)], marks)
+    assert track.between_commands(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False, False, True, False]
     server: Any = SimpleNamespace(scene=scene)
     shown = Drone(server, track, None, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
     said = {}
