@@ -20,6 +20,7 @@ from uavaccel.cli.export import export
 from uavaccel.config import Config
 from uavaccel.errors import UsageError, UserError
 from uavaccel.export.foxglove import NED_IN_ENU, OPTICAL_IN_BODY
+from uavaccel.export.game import Window, _windows
 from uavaccel.export.mcap_file import TOPICS
 from uavaccel.files import file_sha256
 from uavaccel.records import RunDirectory
@@ -160,6 +161,19 @@ def test_frames_turn_down_into_up_and_the_view_forward(dp1: RunDirectory, tmp_pa
     for _, message in read(tmp_path / "a.mcap").messages["/tf"]:
         pairs = [(each["parent_frame_id"], each["child_frame_id"]) for each in message["transforms"]]
         assert pairs == [("enu", "ned"), ("drone", "front_center"), ("ned", "drone")]
+
+
+def test_events_are_of_the_window_that_ends_with_them_and_counted_by_pixel_and_sign() -> None:
+    rows = np.array([  # s, x, y, sign
+        [0.01, 3, 2, 1], [0.05, 3, 2, 1], [0.05, 4, 2, -1], [0.051, 3, 2, -1], [0.12, 0, 0, -1],
+    ])  # fmt: skip
+    windows = list(_windows(rows, 120_000_000))
+    assert [(each.time_ns, len(each.rows)) for each in windows if each.rows is not None] == [
+        (50_000_000, 3), (100_000_000, 1), (120_000_000, 1),
+    ]  # fmt: skip
+    on, off = windows[0].per_pixel()
+    assert (on[2, 3], on.sum(), off[2, 4], off.sum()) == (2, 2, 1, 1)
+    assert Window(0, None, (off, on)).per_pixel()[0] is off
 
 
 def picture_of(message: Any) -> np.ndarray:
