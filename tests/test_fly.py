@@ -215,6 +215,10 @@ def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Pa
     client = client_of(flight)
     first = client.getMultirotorState().timestamp
     assert client.getMultirotorState().timestamp - first == 100_000_000
+    flight.pass_time(0.1)
+    flight.end()
+    with np.load(tmp_path / "trajectory.npz") as kept:
+        assert kept["time_ns"].tolist() == [*range(0, 450_000_000, 50_000_000)]  # two thoughts and a sleep
 
 
 def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from uavaccel.clock import VirtualClock
+from uavaccel.fly.script import FlightOver
 from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
@@ -183,6 +184,15 @@ def test_who_waits_for_nobody_is_told() -> None:
     with pytest.raises(RuntimeError, match="would wait for ever"):
         modules["threading"].Event().wait()
     done.set()
+
+
+def test_what_waits_without_end_ends_with_the_flight() -> None:
+    clock = VirtualClock()
+    event = ThreadClasses(Turns(clock, limit_ns=3 * NS_PER_S)).modules()["threading"].Event()
+    assert event.wait(1.0) is False
+    with pytest.raises(FlightOver):
+        event.wait()
+    assert clock.now_ns() == 3 * NS_PER_S
 
 
 def test_who_all_wait_for_each_other_are_told(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,9 @@
 """Environments of gym 0.21's interface, as AirSim's samples have them, between a script and libraries of today."""
 
+import sysconfig
 from collections.abc import Iterator
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -53,9 +54,21 @@ def test_wrappers_of_a_script_are_old_too(gym: ModuleType) -> None:
         def observation(self, observation: Any) -> Any:
             return 2 * observation
 
+    class Turned(gym.ActionWrapper):  # type: ignore[name-defined]
+        def action(self, action: int) -> int:
+            return 1 - action
+
+    class Paid(gym.RewardWrapper):  # type: ignore[name-defined]
+        def reward(self, reward: float) -> float:
+            return 10 * reward
+
     env = Doubled(gym.make("walk-v0"))
     assert env.reset().tolist() == [2]
     assert env.step(1)[0].tolist() == [4]
+    env = Paid(Turned(gym.make("walk-v0")))
+    assert env.reset().tolist() == [1]
+    assert env.step(0)[:3] == ([2], 20, False)
+    assert env.unwrapped.place == 2
 
 
 def test_stable_baselines_sees_gymnasiums_interface(gym: ModuleType) -> None:
@@ -69,6 +82,26 @@ def test_stable_baselines_sees_gymnasiums_interface(gym: ModuleType) -> None:
     assert (done.tolist(), reward.tolist(), info[0]["terminal_observation"].tolist()) == ([True], [3.0], [3])
     assert info[0]["episode"]["r"] == 5
     assert observation.tolist() == [[1]]  # reset
+
+
+def test_a_library_is_told_apart_what_is_over_and_what_is_cut_short_and_seeds_what_it_resets(
+    gym: ModuleType,
+) -> None:
+    class Cut(Walk):
+        seeds: ClassVar[list[int]] = []
+
+        def seed(self, seed: int | None = None) -> Any:
+            self.seeds.append(seed or 0)
+
+        def step(self, action: int) -> Any:
+            observation, reward, _, info = super().step(action)
+            return observation, reward, True, info | {"TimeLimit.truncated": self.place == 1}
+
+    env = old_gym.Adapted(Cut())
+    library: dict[str, Any] = {"env": env, "__file__": sysconfig.__file__}
+    called = [eval(call, library) for call in ("env.reset(seed=4)", "env.step(1)", "env.step(1)")]
+    assert (called[0][0].tolist(), called[0][1], Cut.seeds) == ([0], {}, [4])
+    assert [each[2:4] for each in called[1:]] == [(False, True), (True, False)]
 
 
 def test_an_environment_that_nobody_registered(gym: ModuleType) -> None:
