@@ -23,6 +23,7 @@ from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
 from uavaccel.rl.config import DqnOptions
 from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.lanes import BatchVecEnv
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
 from uavaccel.rl.replay import Batch
@@ -234,6 +235,27 @@ def test_learning_goes_on_while_the_lanes_fly() -> None:
 def say_and(said: list[str], word: str, work: Callable[..., Any], *told: Any) -> Any:
     said.append(word)
     return work(*told)
+
+
+def test_a_game_that_is_over_at_its_time_limit_is_over_and_not_cut_short() -> None:
+    """Its last observation and info are the ended game's, the observation that is returned the next one's."""
+    ends = np.array([[True, True, False], [True, False, True]])  # terminated, truncated
+    infos = [{"final_info": {"game": lane}, "final_obs": 9 + lane, "next": True} for lane in range(3)]
+    batch: Any = SimpleNamespace(
+        num_envs=3,
+        single_observation_space=spaces.Box(0, 1, (1,)),
+        single_action_space=spaces.Discrete(2),
+        render_mode=None,
+        step_wait=lambda lanes: (np.zeros((3, 1)), np.ones(3), *ends, infos),
+    )
+    lanes = BatchVecEnv(batch)
+    _, _, dones, told = lanes.step_wait()
+    assert dones.tolist() == [True] * 3
+    assert told == [
+        {"game": lane, "terminal_observation": 9 + lane, "TimeLimit.truncated": lane == 2}
+        for lane in range(3)
+    ]
+    assert lanes.reset_infos == [{"next": True}] * 3
 
 
 # --- a gradient step --------------------------------------------------------------------------------------------
