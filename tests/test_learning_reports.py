@@ -235,6 +235,11 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     assert points(lines["long"]) == recent  # from the 100th game on
     assert axes.get_xscale() == "log"
     marks = [np.asarray(line.get_xdata()) for line in axes.lines]
+    assert [mark[0] for mark in marks if len(mark) == 2] == []  # the paper's 182 h would squeeze the curves
+    assert axes.get_xlim() == (5.0, 2 * 498.0)
+    days = curve_of(tmp_path / "days", won, [200.0 * game for game in range(250)])
+    plot_over_time([days], ["days"], tmp_path / "curves.png")
+    marks = [np.asarray(line.get_xdata()) for line in drawn["curves"].axes[0].lines]
     assert [mark[0] for mark in marks if len(mark) == 2] == [182 * 3600.0]
     with pytest.raises(UserError, match="is no training with a wall time"):
         plot_over_time([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from uavaccel.config import validate
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
@@ -155,7 +155,7 @@ class EvaluationReport(Report):
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         beside = _beside_the_papers(self.summary)
-        return [Paragraph(self.headline() + "."), beside, *figures, summary_table(self.summary)]
+        return [beside, *figures, summary_table(self.summary)]
 
 
 def _beside_the_papers(summary: Summary) -> Table:

@@ -29,7 +29,10 @@ from uavaccel.suites.training.rows import RECENT
 PAPER_S = {
     "paper: 5 000 games in real time, 182 h": paper_results.REAL_TIME_S
 }  # section IV-D: a week, 14 hours
+FAR = 30.0  # times the longest training: marks beyond it would squeeze the curves
 TICKS_S = {
+    "10 ms": 0.01,
+    "100 ms": 0.1,
     "1 s": 1.0,
     "10 s": 10.0,
     "1 min": 60.0,
@@ -168,13 +171,16 @@ def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Ma
             axes.plot(curve.at, curve.success, color=colour, label=curve.label if first else None)
             if curve.evaluated is not None:
                 plot_evaluated(axes, [curve.evaluated], colour)
-        for name, wall_s in marks.items():
+        longest_s = max(curve.at[-1] for curve in curves)
+        near = {name: wall_s for name, wall_s in marks.items() if wall_s <= FAR * longest_s}
+        for name, wall_s in near.items():
             axes.axvline(wall_s, color=style.BLACK, linewidth=1.2, linestyle="--")
             axes.text(0.93 * wall_s, 0.5, name, rotation=90, ha="right", va="center")
         axes.set_xscale("log")
-        longest_s = max([*marks.values(), *(curve.at[-1] for curve in curves)])
-        axes.set_xlim(1.0, 2.0 * longest_s)
-        ticks = {name: wall_s for name, wall_s in TICKS_S.items() if wall_s <= 2.0 * longest_s}
+        longest_s = max([*near.values(), longest_s])
+        least_s, most_s = max(0.5 * min(curve.at[0] for curve in curves), 0.01), 2.0 * longest_s
+        axes.set_xlim(least_s, most_s)
+        ticks = {name: wall_s for name, wall_s in TICKS_S.items() if least_s <= wall_s <= most_s}
         axes.set_xticks(list(ticks.values()), list(ticks))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set(xlabel="wall clock since the first command", ylabel="games won, of the last 100")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.document import Block, Picture, Table, or_dash
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
@@ -100,7 +100,6 @@ class TrainingReport(Report):
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         *curves, phases = figures
         return [
-            Paragraph(self.headline() + "."),
             _beside_the_papers(self.run, self.summary),
             *curves,
             *_evaluated(self.summary.get("evaluations", ())),
@@ -118,7 +117,8 @@ def _curves(run: RunDirectory) -> list[Picture]:
     if wall_s(run):
         over_time = plot_over_time([run], [run.path.name], run.file("figures/learning_curve.png"))
         caption = (
-            "The same over the wall clock, measured; the dashed line is the paper's training in real time."
+            "The same over the wall clock, measured; a dashed line, unless it is far beyond, is the paper's training "
+            "in real time."
         )
         pictures.append(Picture(over_time, caption))
     return pictures
