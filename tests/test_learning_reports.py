@@ -22,7 +22,12 @@ from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import plot_evaluations, summarise
-from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
+from uavaccel.suites.training.learning_curves import (
+    plot_over_games,
+    plot_over_time,
+    plot_progress,
+    recent_mean,
+)
 from uavaccel.suites.training.phases import phase_times, plot_trainings
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.wire.latency import shipped_latency
@@ -218,6 +223,28 @@ def curve_of(path: Path, won: list[bool], walls_s: list[float]) -> RunDirectory:
     config = Flown(seed=6, task={})
     timings: list[Row] = [{"wall_s": wall_s} for wall_s in walls_s]
     return run_of(path, config, [{"is_success": each} for each in won], timings)
+
+
+def test_progress_shows_each_game_and_the_mean_of_the_last_100(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    rows: list[Any] = [
+        {"return": float(n), "commands": 2 * n, "exploration": 1 - n / 200} for n in range(150)
+    ]
+    plot_progress(rows, tmp_path / "progress.png", "modelled")
+    returns, lengths, explored = drawn["progress"].axes
+    assert points(labelled(returns)["a game"])[-1] == (150.0, 149.0)
+    mean = points(labelled(returns)["mean of the last 100"])
+    assert (mean[0], mean[9], mean[-1]) == ((1.0, 0.0), (10.0, 4.5), (150.0, 99.5))
+    assert points(labelled(lengths)["mean of the last 100"])[-1] == (150.0, 199.0)
+    assert explored.lines[0].get_ydata()[-1] == 1 - 149 / 200
+    ppo: list[Any] = [{**row, "exploration": None} for row in rows]
+    plot_progress(ppo, tmp_path / "progress.png", "modelled")
+    assert not drawn["progress"].axes[2].lines
+
+
+def test_a_moving_mean_has_a_value_for_every_game() -> None:
+    assert recent_mean([1.0, 3.0, 5.0]).tolist() == [1.0, 2.0, 3.0]
 
 
 def test_learning_curves_are_over_the_wall_clock_of_all_starts(

@@ -62,8 +62,11 @@ def overview(summary: Summary) -> Table:
 
 
 def verdict(summary: Summary) -> str:
-    """Return each command's likeness to real time, error and speed-up in a sentence; lockstep is left out."""
-    cells = [cell for cell in summary["cells"] if cell["timing"] != "lockstep"]
+    """Return each command's likeness to real time, error and speed-up in a sentence.
+
+    Cells in lockstep are left out, unless there are no others.
+    """
+    cells = [cell for cell in summary["cells"] if cell["timing"] != "lockstep"] or summary["cells"]
     compared = [cell for cell in cells if cell["clock_speed"] > 1 and cell["stlc_median"] is not None]
     if not compared:
         return f"{sum(cell['games'] for cell in cells)} games, none of them accelerated and comparable with real time"
@@ -85,7 +88,7 @@ def _command_verdict(cells: Sequence[SummaryCell]) -> str:
     error = or_dash(_extreme(max, fastest, "position_rmse_m"), _metres)
     return (
         f"{command_name(cells[0]['command'])} {likeness} (STLC above {SIMILAR_STLC:g}); at {clock_label(clocks[-1])} "
-        f"it is up to {error} m off and {_range(fastest, 'effective_speedup')} times as fast"
+        f"it is up to {error} m off (RMSE) and {_range(fastest, 'effective_speedup')} times as fast"
     )
 
 
