@@ -237,7 +237,7 @@ def test_progress_shows_each_game_and_the_mean_of_the_last_100(
     mean = points(labelled(returns)["mean of the last 100"])
     assert (mean[0], mean[9], mean[-1]) == ((1.0, 0.0), (10.0, 4.5), (150.0, 99.5))
     assert points(labelled(lengths)["mean of the last 100"])[-1] == (150.0, 199.0)
-    assert explored.lines[0].get_ydata()[-1] == 1 - 149 / 200
+    assert np.asarray(explored.lines[0].get_ydata())[-1] == 1 - 149 / 200
     ppo: list[Any] = [{**row, "exploration": None} for row in rows]
     plot_progress(ppo, tmp_path / "progress.png", "modelled")
     assert not drawn["progress"].axes[2].lines

@@ -165,7 +165,7 @@ def plot_progress(rows: Sequence[TrainRow], path: Path, source: str) -> Path:
     Points are single games, lines means of the last 100. Algorithms that explore otherwise have no share to show.
     """
     games = np.arange(1, len(rows) + 1)
-    panels = {
+    panels: dict[str, list[float]] = {
         "return": [row["return"] for row in rows],
         "game length, commands": [row["commands"] for row in rows],
     }
