@@ -106,8 +106,9 @@ def test_figure_3_shows_the_best_and_the_worst_replica(tmp_path: Path, drawn: di
         "ADSC at 1x: reference": 0.0,
         f"ADSC at 100x, best: STLC {best:.3f}": 0.03,
         f"ADSC at 100x, worst: STLC {worst:.3f}": 0.27,
+        f"TCSC at 10x, worst: STLC {1 + np.exp(-0.81):.3f}": 0.81,
     }
-    source = "modelled (virtual clock): 3 games · native profile · seed 0"
+    source = "modelled (virtual clock): 3 games · measured (wall clock): 1 game · native profile · seed 0"
     assert headline(drawn["three"]) == ("Trajectories, 1 round, T_move 1 s", source)
     assert picture.caption.startswith("Figure 3. ")
     assert source in picture.caption
@@ -210,7 +211,7 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
         assert image is not None
         assert np.mean(np.any(image != 255, axis=-1)) > 0.01
     markdown, html = ((run_dir / f"report.{suffix}").read_text() for suffix in ("md", "html"))
-    assert markdown.startswith("# DP1, native profile, seed 0\n\nGames: ")
+    assert markdown.startswith("# DP1, native profile, seed 0\n\nADSC flies as in real time up to 100x")
     places = [markdown.index(f"(figures/{name}.png)") for name in FIGURES]
     assert places == sorted(places)
     assert html.count("data:image/png;base64,") == len(FIGURES)

@@ -25,7 +25,12 @@ from uavaccel.rl.learner import Game
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import plot_evaluations, summarise
 from uavaccel.suites.training import rows as training_rows
-from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
+from uavaccel.suites.training.learning_curves import (
+    plot_over_games,
+    plot_over_time,
+    plot_progress,
+    recent_mean,
+)
 from uavaccel.suites.training.phases import phase_times, plot_stacked, plot_trainings, unit_of
 from uavaccel.suites.training.real_time import model_real_time
 from uavaccel.units import NS_PER_S
@@ -224,6 +229,28 @@ def curve_of(path: Path, won: list[bool], walls_s: list[float]) -> RunDirectory:
     return run_of(path, config, [{"is_success": each} for each in won], timings)
 
 
+def test_progress_shows_each_game_and_the_mean_of_the_last_100(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    rows: list[Any] = [
+        {"return": float(n), "commands": 2 * n, "exploration": 1 - n / 200} for n in range(150)
+    ]
+    plot_progress(rows, tmp_path / "progress.png", "modelled")
+    returns, lengths, explored = drawn["progress"].axes
+    assert points(labelled(returns)["a game"])[-1] == (150.0, 149.0)
+    mean = points(labelled(returns)["mean of the last 100"])
+    assert (mean[0], mean[9], mean[-1]) == ((1.0, 0.0), (10.0, 4.5), (150.0, 99.5))
+    assert points(labelled(lengths)["mean of the last 100"])[-1] == (150.0, 199.0)
+    assert np.asarray(explored.lines[0].get_ydata())[-1] == 1 - 149 / 200
+    ppo: list[Any] = [{**row, "exploration": None} for row in rows]
+    plot_progress(ppo, tmp_path / "progress.png", "modelled")
+    assert not drawn["progress"].axes[2].lines
+
+
+def test_a_moving_mean_has_a_value_for_every_game() -> None:
+    assert recent_mean([1.0, 3.0, 5.0]).tolist() == [1.0, 2.0, 3.0]
+
+
 def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     tmp_path: Path, drawn: dict[str, Figure]
 ) -> None:
@@ -239,6 +266,11 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(
     assert points(lines["long"]) == recent  # from the 100th game on
     assert axes.get_xscale() == "log"
     marks = [np.asarray(line.get_xdata()) for line in axes.lines]
+    assert [mark[0] for mark in marks if len(mark) == 2] == []  # the paper's 182 h would squeeze the curves
+    assert axes.get_xlim() == (5.0, 2 * 498.0)
+    days = curve_of(tmp_path / "days", won, [200.0 * game for game in range(250)])
+    plot_over_time([days], ["days"], tmp_path / "curves.png")
+    marks = [np.asarray(line.get_xdata()) for line in drawn["curves"].axes[0].lines]
     assert [mark[0] for mark in marks if len(mark) == 2] == [182 * 3600.0]
     with pytest.raises(UserError, match="is no training with a wall time"):
         plot_over_time([curve_of(tmp_path / "none", [True], [])], ["none"], tmp_path / "curves.png")

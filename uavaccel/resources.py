@@ -27,6 +27,11 @@ def experiment(name: str) -> Path:
     return _find("experiments", name)
 
 
+def experiment_names() -> list[str]:
+    """Return the names of the experiments that ship, as `uavaccel run` takes them."""
+    return sorted(path.stem for path in _folder("experiments").glob("*.yaml") if path.stem != "claims")
+
+
 def _find(folder: str, name: str) -> Path:
     root = _folder(folder)
     path = root / name

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from uavaccel.cli.completion import experiments
 from uavaccel.cli.options import (
     Clock,
     Commands,
@@ -31,7 +32,8 @@ def run(
     experiment: Annotated[
         str | None,
         typer.Argument(
-            help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file; --resume needs none."
+            help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file; --resume needs none.",
+            autocompletion=experiments,
         ),
     ] = None,
     clock: Clock = None,

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import get_origin
 
@@ -34,6 +34,7 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
 
+COLUMN_GAP = 2  # characters between the columns of a table, as wide as rich pads them
 TABLE_WIDTH = 170  # where the output is no terminal
 
 
@@ -281,8 +282,28 @@ def report_run(run: RunDirectory) -> Summary:
 
 
 def show_table(table: Table) -> None:
-    """Print a table as wide as the terminal; in a file, wide enough not to be wrapped."""
-    lines = rich_table.Table(*table.header, box=None, pad_edge=False)
+    """Print the columns of a table that fit into the terminal uncut, and say how many more the report has.
+
+    In a file there is room for all.
+    """
+    width = console.width if console.is_terminal else TABLE_WIDTH
+    fit = columns_within(table, width)
+    lines = rich_table.Table(*table.header[:fit], box=None, pad_edge=False)
     for row in table.rows:
-        lines.add_row(*row)
-    Console(highlight=False, width=None if console.is_terminal else TABLE_WIDTH).print(lines)
+        lines.add_row(*row[:fit])
+    Console(highlight=False, width=width).print(lines)
+    if left := len(table.header) - fit:
+        console.print(f"{left} more column{'s' if left > 1 else ''} in the report")
+
+
+def columns_within(table: Table, width: int) -> int:
+    """Return how many columns, from the left and at least one, fit into `width` characters.
+
+    A column is as wide as its widest cell, or the longest word of its header, which may be broken into lines.
+    """
+    widths = [
+        max(map(len, [*name.split(), *cells, ""])) + COLUMN_GAP
+        for name, *cells in zip(table.header, *table.rows, strict=True)
+    ]
+    fit = sum(end - COLUMN_GAP <= width for end in accumulate(widths))
+    return max(fit, 1)

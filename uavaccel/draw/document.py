@@ -29,7 +29,8 @@ dialog img { width: 100%; min-width: 60rem; max-width: none; display: block }
 dialog button { font: inherit; align-self: end; margin: .4rem; padding: .2rem .8rem }
 @media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
 @media print {
-  body { font-size: 10pt; max-width: none; margin: 0 } h2 { break-after: avoid } figure, tr { break-inside: avoid }
+  body { font-size: 10pt; max-width: none; margin: 0 } h2, thead { break-after: avoid }
+  figure, tr { break-inside: avoid } figure { margin: .8rem 0 } figure img { max-height: 45vh; width: auto }
   .scrolls, pre { overflow: visible } tbody td, tbody th, pre { white-space: pre-wrap }
   table { font-size: 8pt } th, td { padding: .1rem .3rem } tbody .long { min-width: 0 }
   details:not([open]) { display: none }

@@ -9,7 +9,17 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from uavaccel.draw.document import Block, Heading, Listing, Picture, Table, or_dash, to_html, to_markdown
+from uavaccel.draw.document import (
+    Block,
+    Heading,
+    Listing,
+    Paragraph,
+    Picture,
+    Table,
+    or_dash,
+    to_html,
+    to_markdown,
+)
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
@@ -61,7 +71,7 @@ class Report(ABC):
         """Return the blocks of the page; configuration and manifest are added below them."""
 
     def headline(self) -> str:
-        """Return the result in a sentence, which is printed when the run ends."""
+        """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
         return ""
 
     def pace(self) -> str:
@@ -84,7 +94,8 @@ class Report(ABC):
     def write(self) -> Summary:
         """Write summary.json, figures/, report.md and report.html. Raises UserError for damaged files."""
         self.write_summary()
-        blocks = [*self.blocks(self.figures()), Heading("Provenance"), *_provenance(self.run)]
+        verdict = [Paragraph(f"{said}.")] if (said := self.headline()) else []
+        blocks = [*verdict, *self.blocks(self.figures()), Heading("Provenance"), *_provenance(self.run)]
         self.run.write_text("report.md", to_markdown(self.title(), blocks, self.run.path))
         self.run.write_text("report.html", to_html(self.title(), blocks))
         return self.summary

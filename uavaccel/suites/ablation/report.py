@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.style import clock_label, command_at_clock, command_name
 from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC
 from uavaccel.suites.dp1.report import games_text
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.provenance import source_line
 from uavaccel.suites.report import Report, Summary, SummaryCell, Values, number
 
-SIMILAR_STLC = 1.8
 _LINES = {"adsc": "-", "tcsc": "--"}
 
 
@@ -137,6 +137,21 @@ class AblationReport(Report):
         figure = plot_variants(by_setting, self.config["axis"], self.title(), source)
         return [style.picture(figure, path, f"{self.title()}. {_READING}", source)]
 
+    def headline(self) -> str:
+        """Return the range of each command's accuracy over the variants, at the highest ClockSpeed."""
+        entries = [entry for entry in self.summary["entries"] if entry["stlc_quartiles"]]
+        if not entries:
+            return "no variant has games to compare"
+        fastest = max(entry["clock_speed"] for entry in entries)
+        said = []
+        for command in sorted({entry["command"] for entry in entries}):
+            own = [
+                entry for entry in entries if (entry["command"], entry["clock_speed"]) == (command, fastest)
+            ]
+            by_stlc = sorted(own, key=lambda entry: float(entry["stlc_quartiles"][1]))
+            said += [_between(by_stlc[0], by_stlc[-1])] if by_stlc else []
+        return "; ".join(said)
+
     def overview(self) -> Table:
         return table(self.summary)
 
@@ -199,6 +214,13 @@ def table(summary: Summary) -> Table:
         number("effective speed-up", "effective_speedup", "{:.2f}"),
         number("gaps beyond the goal timeout", "share_beyond_goal_timeout", "{:.0%}"),
     )
+
+
+def _between(least: SummaryCell, most: SummaryCell) -> str:
+    """Return the least and the most accurate of a command's variants in words."""
+    low, high = (f"{entry['stlc_quartiles'][1]:.3f} with {entry['variant']}" for entry in (least, most))
+    flown = command_at_clock(least)
+    return f"{flown}: STLC {low}" if least is most else f"{flown}: STLC from {low} to {high}"
 
 
 def _quartiles(stlc: Sequence[float]) -> str:

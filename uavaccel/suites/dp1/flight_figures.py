@@ -27,7 +27,12 @@ _GAP_COLOUR = "#D0D0D0"
 _VISIBLE_M_S = 0.05  # a component that never gets faster is left out
 
 FIGURE3_ROUNDS = 4  # enough laps to drift, few enough to tell them apart
-_COLOURS = (style.BLUE, style.GREEN, style.VERMILION)
+_LINES: tuple[style.LineStyle, ...] = (
+    {"color": style.BLUE},
+    {"color": style.GREEN},
+    {"color": style.VERMILION},
+    {"color": style.BLACK, "linestyle": (0, (2, 4))},  # where TCSC flies as the reference does, both are seen
+)
 _LEAST_SPAN_M = 0.2
 _LEAST_HEIGHT_SPAN_M = 0.5  # millimetres of altitude are not to look like a climb
 
@@ -109,9 +114,11 @@ class TrajectoryLine:
 
 
 def trajectory_figure(scores: Sequence[CellScores], load_arrays: LoadArrays, path: Path) -> Picture:
-    """Draw Figure 3 from the fastest ADSC cell of the longest T_move: best and worst replica by STLC."""
+    """Draw Figure 3: best and worst replica by STLC of the fastest ADSC cell of the longest T_move, and one of TCSC."""
     score = _fastest_cell(scores, FIGURE3_ROUNDS)
     flights = [] if score is None else _compared_flights(score)
+    if score is not None and score.cell.key.command == "adsc":
+        flights += _of_tcsc(scores, score)
     lines = [TrajectoryLine(label, load_arrays(row)["position_m"]) for row, label in flights]
     source = source_line([row for row, _ in flights])
     title = "Trajectories"
@@ -119,8 +126,8 @@ def trajectory_figure(scores: Sequence[CellScores], load_arrays: LoadArrays, pat
         key = score.cell.key
         title += f", {style.rounds_label(key.rounds)}, T_move {key.t_move_s:g} s"
     caption = (
-        "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC. Height is "
-        "up, −z of the NED frame."
+        "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC, and the "
+        "least accurate of TCSC's fastest cell, dotted. Height is up, −z of the NED frame."
     )
     return style.picture(plot_trajectories(lines, source, title), path, caption, source)
 
@@ -153,14 +160,26 @@ def _compared_flights(score: CellScores) -> list[tuple[Dp1Row, str]]:
     return flights
 
 
+def _of_tcsc(scores: Sequence[CellScores], beside: CellScores) -> list[tuple[Dp1Row, str]]:
+    """Return the replica of lowest STLC of the fastest TCSC cell that flew the same path, if there is one."""
+    path = beside.cell.key.t_move_s, beside.cell.key.rounds
+    own = [
+        score
+        for score in scores
+        if score.cell.key.command == "tcsc" and (score.cell.key.t_move_s, score.cell.key.rounds) == path
+    ]
+    fastest = _fastest_cell(own, beside.cell.key.rounds)
+    return [] if fastest is None else _compared_flights(fastest)[-1:]
+
+
 def plot_trajectories(lines: Sequence[TrajectoryLine], source: str, title: str) -> Figure:
-    """Plot up to three flights in three dimensions, height upwards."""
+    """Plot up to four flights in three dimensions, height upwards."""
     with style.project_style():
         figure = style.new_figure(7.2, 6.0, title, source)
         axes = figure.add_subplot(projection="3d")
-        for line, colour in zip(lines, _COLOURS, strict=False):
+        for line, drawn in zip(lines, _LINES, strict=False):
             north, east, down = line.position_m.T
-            axes.plot(north, east, -down, color=colour, label=line.label, linewidth=1.2)
+            axes.plot(north, east, -down, **drawn, label=line.label, linewidth=1.2)
         _scale_axes(axes, lines)
         if lines:
             axes.legend(loc="upper left", bbox_to_anchor=(-0.05, 0.98))

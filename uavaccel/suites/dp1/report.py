@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -11,7 +12,7 @@ import joblib
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.records import arrays_of
-from uavaccel.suites.dp1.cell_figures import accuracy_figure, speedup_figure
+from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC, accuracy_figure, speedup_figure
 from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
 from uavaccel.suites.dp1.summary import summarise
@@ -57,6 +58,37 @@ def overview(summary: Summary) -> Table:
         ("effective speed-up", lambda cells: _range(cells, "effective_speedup") + _mixed(cells[0])),
         ("real-time factor", lambda cells: _range(cells, "real_time_factor")),
         ("source", lambda cells: str(cells[0]["provenance"])),
+    )
+
+
+def verdict(summary: Summary) -> str:
+    """Return each command's likeness to real time, error and speed-up in a sentence.
+
+    Cells in lockstep are left out, unless there are no others.
+    """
+    cells = [cell for cell in summary["cells"] if cell["timing"] != "lockstep"] or summary["cells"]
+    compared = [cell for cell in cells if cell["clock_speed"] > 1 and cell["stlc_median"] is not None]
+    if not compared:
+        return f"{sum(cell['games'] for cell in cells)} games, none of them accelerated and comparable with real time"
+    commands = sorted({cell["command"] for cell in compared})
+    said = [_command_verdict([cell for cell in compared if cell["command"] == name]) for name in commands]
+    return f"{'; '.join(said)} ({' and '.join(sorted({cell['provenance'] for cell in compared}))})"
+
+
+def _command_verdict(cells: Sequence[SummaryCell]) -> str:
+    clocks = sorted({cell["clock_speed"] for cell in cells})
+    unlike = {cell["clock_speed"] for cell in cells if cell["stlc_median"] <= SIMILAR_STLC}
+    alike = [clock for clock in clocks if clock < min(unlike, default=math.inf)]
+    likeness = (
+        f"flies as in real time up to {clock_label(alike[-1])}"
+        if alike
+        else f"no longer flies as in real time at {clock_label(clocks[0])}"
+    )
+    fastest = [cell for cell in cells if cell["clock_speed"] == clocks[-1]]
+    error = or_dash(_extreme(max, fastest, "position_rmse_m"), _metres)
+    return (
+        f"{command_name(cells[0]['command'])} {likeness} (STLC above {SIMILAR_STLC:g}); at {clock_label(clocks[-1])} "
+        f"it is up to {error} m off (RMSE) and {_range(fastest, 'effective_speedup')} times as fast"
     )
 
 
@@ -141,6 +173,10 @@ class Dp1Report(Report):
             speedup_figure(scores, self.summary, folder / "figure6_speedup.png"),
         ]
 
+    def headline(self) -> str:
+        """Return up to which ClockSpeed each command flies as in real time, and what the highest one costs."""
+        return verdict(self.summary)
+
     def overview(self) -> Table:
         return overview(self.summary)
 
@@ -184,6 +220,10 @@ _READING = (
     "the same T_move and rounds; a reference is not compared with itself. Medians, quartiles and 95 % "
     "bootstrap intervals are over games. Effective speed-up is the ratio of mean wall times for the same "
     "commands. Measured: the machine's clock. Modelled: a simulated clock. Mixed: a measured game over a "
-    "modelled baseline. Native TCSC games of one cell are identical by construction, and ADSC games at 1x "
-    "nearly so."
+    "modelled baseline. The real-time factor is the simulated time of a game over its wall time: it stays at the "
+    "ClockSpeed as long as the simulation keeps up, since with ADSC the drone flies on while the client reacts, and "
+    "that time counts too. The effective speed-up compares wall times for the same commands: at T_move 0.1 s and a "
+    "ClockSpeed of 50 a command lasts 2 ms of wall time, to which its messages add what no ClockSpeed shortens. The "
+    "shorter the T_move, the further the speed-up falls short of the real-time factor. Native TCSC games of one cell "
+    "are identical by construction, and ADSC games at 1x nearly so."
 )

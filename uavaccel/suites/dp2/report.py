@@ -7,7 +7,7 @@ from functools import cached_property
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.style import clock_label, command_at_clock, command_name
 from uavaccel.suites.dp2 import guard as dp2_guard
 from uavaccel.suites.dp2.flights import Dp2Row
 from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
@@ -48,6 +48,15 @@ def _hit(cell: SummaryCell) -> str:
 def _against_lockstep(cell: SummaryCell) -> str:
     compared = (cell[key] for key in ("poses_equal_lockstep", "dvs_counts_equal_lockstep"))
     return ", ".join(or_dash(equal, {True: "equal", False: "differ"}.__getitem__) for equal in compared)
+
+
+def _verdict(cell: SummaryCell) -> str:
+    error_m = _exact_number(cell["position_error_m_max"], 3)
+    events = _exact_number(cell["dvs_ed_percent_max"], 2)
+    flown = command_at_clock(cell)
+    if not cell["position_error_m_max"] and not cell["dvs_ed_percent_max"]:
+        return f"{flown} takes the images of 1x, each at the same place with as many events"
+    return f"{flown} takes its images up to {error_m} m from those of 1x, with a DVS-ED of up to {events} %"
 
 
 def _pair(cell: SummaryCell, name: str, digits: int) -> str:
@@ -105,6 +114,16 @@ class Dp2Report(Report):
         )
         path = self.run.file("figures/figure7_images.png")
         return [style.picture(plot_images(clouds, source), path, caption, source)]
+
+    def headline(self) -> str:
+        """Return how far the images of each command's highest ClockSpeed lie from those at 1x."""
+        cells = [cell for cell in self.summary["cells"] if cell["position_error_m_max"] is not None]
+        flown = [cell for cell in cells if cell["clock_speed"] > 1 and cell["timing"] != "lockstep"]
+        fastest = {
+            cell["command"]: cell for cell in sorted(flown, key=lambda cell: float(cell["clock_speed"]))
+        }
+        said = [_verdict(cell) for _, cell in sorted(fastest.items())]
+        return "; ".join(said) or f"{len(self.rows)} games, none of them accelerated and comparable with 1x"
 
     def overview(self) -> Table:
         return table(self.summary)

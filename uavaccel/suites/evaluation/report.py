@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from uavaccel.config import validate
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
@@ -155,7 +155,28 @@ class EvaluationReport(Report):
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         beside = _beside_the_papers(self.summary)
-        return [Paragraph(self.headline() + "."), beside, *figures, summary_table(self.summary)]
+        return [beside, *figures, *_lost_lanes(self.rows), summary_table(self.summary)]
+
+
+def _lost_lanes(rows: Sequence[EvaluateRow]) -> list[Block]:
+    """Return the lanes that were not won with what ended them, the shortest flight on top."""
+    lost = sorted((row for row in rows if not row["is_success"]), key=lambda row: row["distance_m"])
+    if not lost:
+        return []
+    table = Table.of(
+        lost,
+        ("lane", lambda row: str(row["lane"])),
+        ("distance, m", lambda row: f"{row['distance_m']:.1f}"),
+        (
+            "ended by",
+            lambda row: f"hitting {row['collision']}" if row["collision"] else "running out of commands",
+        ),
+        ("commands", lambda row: str(row["commands"])),
+        ("seen with", lambda row: f"--case {row['case']}"),
+        folded=f"{len(lost)} lost lanes",
+    )
+    seen = "Each is flown again and filmed by `uavaccel view RUN` with the option in its line."
+    return [Heading("Lost lanes"), Paragraph(seen), table]
 
 
 def _beside_the_papers(summary: Summary) -> Table:

@@ -232,7 +232,6 @@ class PaperReport(Report):
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [
-            Paragraph(self.headline() + "."),
             Heading("Claims"),
             _claim_table(self.summary["claims"]),
             Paragraph(_READING),

@@ -95,7 +95,6 @@ class RealtimeReport(Report):
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         held = [ranking for ranking in self._rankings() if len(ranking["clock_speeds"]) > 1]
         return [
-            Paragraph(self.headline() + "."),
             *figures,
             Heading("How fast may one simulate before the ranking changes?"),
             *([_rankings_table(held)] if held else []),

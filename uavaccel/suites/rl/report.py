@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.style import clock_label, command_at_clock, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
@@ -29,11 +29,17 @@ class RlReport(Report):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self) -> str:
-        """Return the number and size of the trainings, and the lanes of their evaluations."""
+        """Return the most and the least successful training, and how many there were of which size."""
         cells, trained = self.summary["cells"], self.summary["training_games"]
         lanes = listed(sorted({cell["games"] for cell in cells}))
         clock = clock_label(self.summary["evaluation_clock_speed"])
+        by_success = sorted(self.summary["pooled"], key=lambda cell: float(cell["success_ratio"]))
+        worst, best = (
+            f"{command_at_clock(cell)} {cell['success_ratio']:.1%}"
+            for cell in (by_success[0], by_success[-1])
+        )
         return (
+            f"policies succeed on {worst} to {best} of their lanes: "
             f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} lanes at {clock}; all times are "
             "modelled but those of this machine"
         )
@@ -53,7 +59,6 @@ class RlReport(Report):
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         summary, pooled = self.summary, self.summary["pooled"]
         blocks: list[Block] = [
-            Paragraph(self.headline() + "."),
             Heading("Table I: success by training"),
             _success_table(pooled),
             Paragraph(_WHAT_N_TELLS),

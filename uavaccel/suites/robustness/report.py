@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.style import clock_label, command_at_clock, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.evaluation.parts import PolicyRow, agent_name
 from uavaccel.suites.experiment import CommandName
@@ -89,10 +89,16 @@ class RobustnessReport(Report):
         return f"Success of {agent_name(self.config['agent'])} over latency and ClockSpeed"
 
     def headline(self) -> str:
-        """Return the agent, and the number of games and conditions."""
+        """Return the agent, its best and worst cell, and the number of games and conditions."""
         cells, who = self.summary["cells"], agent_name(self.summary["agent"])
+        by_success = sorted(cells, key=lambda cell: float(cell["success_ratio"]))
+        worst, best = (
+            f"{cell['success_ratio']:.1%} with {command_at_clock(cell)} and latency ×{cell['latency_scale']:g}"
+            for cell in (by_success[0], by_success[-1])
+        )
         return (
-            f"{who} in {sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and "
+            f"{who} wins from {worst} to {best}: "
+            f"{sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and "
             f"ClockSpeed, all of it modelled under {self.summary['profile']}"
         )
 
@@ -110,7 +116,6 @@ class RobustnessReport(Report):
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         return [
-            Paragraph(self.headline() + "."),
             *figures,
             self.overview(),
             Heading("Where success collapses"),

@@ -95,7 +95,7 @@ class SweepReport(Report):
         return [style.picture(figure, self.run.file("figures/sweep.png"), caption, source)]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
-        return [Paragraph(self.headline() + "."), *figures, self.overview(), Paragraph(_READING)]
+        return [*figures, self.overview(), Paragraph(_READING)]
 
 
 class SweepRow(PolicyRow):

@@ -24,12 +24,15 @@ from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import cumulative_wall_s
 from uavaccel.suites.report import listed
 from uavaccel.suites.training.evaluations import evaluations
-from uavaccel.suites.training.rows import RECENT
+from uavaccel.suites.training.rows import RECENT, TrainRow
 
 PAPER_S = {
     "paper: 5 000 games in real time, 182 h": paper_results.REAL_TIME_S
 }  # section IV-D: a week, 14 hours
+FAR = 30.0  # times the longest training: marks beyond it would squeeze the curves
 TICKS_S = {
+    "10 ms": 0.01,
+    "100 ms": 0.1,
     "1 s": 1.0,
     "10 s": 10.0,
     "1 min": 60.0,
@@ -156,6 +159,42 @@ def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
         return figure
 
 
+def plot_progress(rows: Sequence[TrainRow], path: Path, source: str) -> Path:
+    """Plot return, game length and the share of random actions over the games of a training.
+
+    Points are single games, lines means of the last 100. Algorithms that explore otherwise have no share to show.
+    """
+    games = np.arange(1, len(rows) + 1)
+    panels: dict[str, list[float]] = {
+        "return": [row["return"] for row in rows],
+        "game length, commands": [row["commands"] for row in rows],
+    }
+    explored = [row["exploration"] for row in rows]
+    with style.project_style():
+        figure = style.new_figure(8.0, 6.4, "Progress of the training", source)
+        *upper, last = figure.subplots(len(panels) + 1, 1, sharex=True)
+        for axes, (name, values) in zip(upper, panels.items(), strict=True):
+            axes.plot(games, values, ".", color=style.SKY, markersize=2, label="a game")
+            axes.plot(games, recent_mean(values), color=style.BLUE, label=f"mean of the last {RECENT}")
+            axes.set_ylabel(name)
+        if None in explored:
+            style.note(last, "no share of random actions: the algorithm explores otherwise")
+        else:
+            last.plot(games, explored, color=style.BLUE)
+            last.set_ylim(-0.02, 1.02)
+        last.set(ylabel="random actions (ε)", xlabel="games")
+        figure.legend(*upper[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return style.save(figure, path)
+
+
+def recent_mean(values: Sequence[float]) -> NDArray[np.float64]:
+    """Return, after each of n games, the mean of a value (n,) over the last 100 of them, or all so far, (n,)."""
+    so_far = np.concatenate([[0.0], np.cumsum(values)])
+    games = np.arange(1, len(values) + 1)
+    before = np.maximum(games - RECENT, 0)
+    return np.asarray((so_far[games] - so_far[before]) / (games - before), np.float64)
+
+
 def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Mapping[str, float]) -> Figure:
     """Plot a line per training, coloured by label, and a vertical line at each of `marks`, seconds by name."""
     with style.project_style():
@@ -168,17 +207,20 @@ def plot_learning_curves(curves: Sequence[LearningCurve], source: str, marks: Ma
             axes.plot(curve.at, curve.success, color=colour, label=curve.label if first else None)
             if curve.evaluated is not None:
                 plot_evaluated(axes, [curve.evaluated], colour)
-        for name, wall_s in marks.items():
+        longest_s = max(curve.at[-1] for curve in curves)
+        near = {name: wall_s for name, wall_s in marks.items() if wall_s <= FAR * longest_s}
+        for name, wall_s in near.items():
             axes.axvline(wall_s, color=style.BLACK, linewidth=1.2, linestyle="--")
             axes.text(0.93 * wall_s, 0.5, name, rotation=90, ha="right", va="center")
         axes.set_xscale("log")
-        longest_s = max([*marks.values(), *(curve.at[-1] for curve in curves)])
-        axes.set_xlim(1.0, 2.0 * longest_s)
-        ticks = {name: wall_s for name, wall_s in TICKS_S.items() if wall_s <= 2.0 * longest_s}
+        longest_s = max([*near.values(), longest_s])
+        least_s, most_s = max(0.5 * min(curve.at[0] for curve in curves), 0.01), 2.0 * longest_s
+        axes.set_xlim(least_s, most_s)
+        ticks = {name: wall_s for name, wall_s in TICKS_S.items() if least_s <= wall_s <= most_s}
         axes.set_xticks(list(ticks.values()), list(ticks))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set(xlabel="wall clock since the first command", ylabel="games won, of the last 100")
-        axes.set_ylim(0.0, 1.0)
+        axes.set_ylim(-0.02, 1.02)  # what was never won is a line that is seen
         axes.yaxis.set_major_formatter("{x:.0%}")
         figure.legend(loc="outside upper right")
         return figure

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.document import Block, Picture, Table, or_dash
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import Proportion
+from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results
@@ -19,7 +20,7 @@ from uavaccel.suites.report import Report, Summary, Values, summary_table
 from uavaccel.suites.rows import Row, disturbed_games
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.evaluations import EvaluationLine, evaluations
-from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time
+from uavaccel.suites.training.learning_curves import plot_over_games, plot_over_time, plot_progress
 from uavaccel.suites.training.phases import plot_trainings, uniquely_labelled
 from uavaccel.suites.training.real_time import REAL_TIME, in_real_time
 from uavaccel.suites.training.rows import TrainRow
@@ -100,7 +101,6 @@ class TrainingReport(Report):
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         *curves, phases = figures
         return [
-            Paragraph(self.headline() + "."),
             _beside_the_papers(self.run, self.summary),
             *curves,
             *_evaluated(self.summary.get("evaluations", ())),
@@ -115,10 +115,15 @@ def _curves(run: RunDirectory) -> list[Picture]:
     pictures = [
         Picture(over_games, "Success over the games: the share won of the last 100, or of all so far.")
     ]
+    source = f"{timing_provenance(run.config()['task']['timing'])} · seed {run.config()['seed']}"
+    progress = plot_progress(run.rows(), run.file("figures/progress.png"), source)
+    caption = "Return, length and share of random actions of each game, with the means of the last 100."
+    pictures.append(Picture(progress, f"{caption} Source: {source}."))
     if wall_s(run):
         over_time = plot_over_time([run], [run.path.name], run.file("figures/learning_curve.png"))
         caption = (
-            "The same over the wall clock, measured; the dashed line is the paper's training in real time."
+            "The same over the wall clock, measured; a dashed line, unless it is far beyond, is the paper's training "
+            "in real time."
         )
         pictures.append(Picture(over_time, caption))
     return pictures

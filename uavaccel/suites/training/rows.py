@@ -109,6 +109,9 @@ class GameRows:
             "games/success_recent": sum(self._recent) / len(self._recent),
             "games/distance_m": row["distance_m"],
             "games/return": row["return"],
+            "games/commands": row["commands"],
             "games/real_time_factor": self._simulated_s / wall_s,
         }
+        if row["exploration"] is not None:
+            values["games/exploration"] = row["exploration"]
         self._curves.add(row["game"] + 1, values)
