@@ -386,9 +386,11 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
         pass
     rows.finished(Game(41, 0, info, 1.0, None), stopwatch)
     rows.close()
-    point = {"games/distance_m": 7.0, "games/return": -2.5, "games/real_time_factor": 8.0 / 4.0}
+    point = {
+        "games/distance_m": 7.0, "games/return": -2.5, "games/commands": 16, "games/real_time_factor": 8.0 / 4.0,
+    }  # fmt: skip
     assert drawn == [
-        (41, {"games/success_recent": 0.5, **point}),
+        (41, {"games/success_recent": 0.5, "games/exploration": 0.25, **point}),
         (
             42,
             {
