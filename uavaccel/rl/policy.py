@@ -166,8 +166,11 @@ def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping
 def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     try:
         manifest = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        why = f"no {MANIFEST} in it" if path.is_dir() else "no such folder"
+        raise UserError(f"{path}: holds no policy: {why}; name the folder of a training that ended") from None
     except OSError as error:
-        raise UserError(f"{path}: holds no policy: {error}") from error
+        raise UserError(f"{path}: holds no policy: {error.strerror}") from error
     except ValueError as error:
         raise UserError(
             f"{path / MANIFEST}: a damaged policy, not JSON: {error}; train or copy it anew"
