@@ -218,7 +218,7 @@ class KernelBatch(Batch):
         """Call `charge`, `get_state` or `set_state` of the environments `lanes`, by default all. Raises UserError."""
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
-            raise UserError(f"simulator = kernels: {name} is the exact simulator's; use simulator = mujoco")
+            raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
         which = range(self.num_envs) if lanes is None else lanes
         return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
