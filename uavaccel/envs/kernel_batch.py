@@ -152,7 +152,7 @@ class KernelBatch(Batch):
         return self._begin(np.arange(self.num_envs))
 
     def step_async(self, actions: Actions, lanes: Sequence[int] | None = None) -> None:
-        """Start a command in each of the environments `lanes`, by default all, and return at once. Raises UserError."""
+        """Start a command in each of the environments `lanes`, by default all, and return at once."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         which = np.arange(self.num_envs) if lanes is None else np.asarray(lanes)
@@ -188,19 +188,21 @@ class KernelBatch(Batch):
             infos = {
                 int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)
             }
-        if len(idle) and self._next_step:
-            infos |= dict(zip(idle.tolist(), self._renew(idle), strict=True))
-        elif len(idle):
-            infos |= {int(lane): {} for lane in idle}
-        ended = going[terminated[going] | truncated[going]]
+        self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
+        seen = self._observations[which]
+        return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
+
+    def _autoreset(self, idle: NDArray[np.int64], ended: NDArray[np.int64], infos: dict[int, Info]) -> None:
+        """Begin games as `autoreset_mode` says, in lanes that waited or have just ended, and update their infos."""
+        if len(idle):
+            renewed = self._renew(idle) if self._next_step else [{} for _ in idle]
+            infos.update(zip(idle.tolist(), renewed, strict=True))
         if self._same_step and len(ended):
             self._last[ended] = self._observations[ended]
             for lane, info in zip(ended.tolist(), self._renew(ended), strict=True):
                 infos[lane] = info | {"final_info": infos[lane], "final_obs": self._last[lane].copy()}
         else:
             self._over[ended] = True
-        seen = self._observations[which]
-        return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
     def charge(self, lane: int, duration_s: float, phase: str = "inference") -> None:
         """In timing `virtual`, charge a lane for its agent's work since the last command; with ADSC it flies on."""
@@ -281,6 +283,7 @@ class KernelBatch(Batch):
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
+        """Begin the games sampled for these lanes, and return the infos."""
         cpu.CPU.look_at_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
