@@ -552,9 +552,7 @@ class Kernels(NamedTuple):
 
 def compiled(nominal: Operand) -> Kernels:
     """Compile the kernels, or load them from numba's cache; `nominal` is a record of PARAMETERS_DTYPE."""
-    warnings.filterwarnings(
-        "ignore", message=".*under-utilization"
-    )  # few lanes cannot occupy a GPU; no fault
+    warnings.filterwarnings("ignore", message=".*under-utilization")  # expected with few lanes
     functions = (
         begin_lanes,
         command_lanes,

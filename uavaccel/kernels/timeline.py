@@ -430,6 +430,6 @@ def leave(row: Operand, scale: float, timing: Timing, touched: bool, suspect: bo
 @part
 def is_suspect(lane: int, brightness: float, clocks: Clocks) -> bool:
     """Return whether the guard requests an image again (vision/guard), and remember its brightness."""
-    reference = clocks.brightness[lane]  # NaN before the first image, which fails the comparison
+    reference = clocks.brightness[lane]  # NaN before the first image: the comparison is false
     clocks.brightness[lane] = brightness
     return brightness < DARKEST or abs(brightness - reference) > MOST_CHANGE * reference
