@@ -21,7 +21,7 @@ import uavaccel.envs
 import uavaccel.kernels
 from uavaccel.kernels import cpu, events, lane_clocks, lanes
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
-from uavaccel.kernels.spans import make_desk
+from uavaccel.kernels.spans import make_scratch
 
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
@@ -109,7 +109,7 @@ class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
     def __init__(self) -> None:
-        self._desk, self._picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+        self._scratch, self._picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
         self._levels: dict[int, Any] = {}  # sums of the picture that a lane has drawn last
 
     def __getattr__(self, name: str) -> Any:
@@ -133,8 +133,8 @@ class Kernels:
         self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any
     ) -> None:
         for lane in which:
-            cpu.draw_gray(lane, plan.looks, games, now, 1, self._desk, self._picture)
-            self._levels[lane] = self._desk.channels[0].sum()
+            cpu.draw_gray(lane, plan.looks, games, now, 1, self._scratch, self._picture)
+            self._levels[lane] = self._scratch.channels[0].sum()
             cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
     def run_see_noise(
@@ -147,8 +147,8 @@ class Kernels:
             if lanes.touched(lane, now):
                 continue
             game = now.game[lane]
-            cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._desk, self._picture)
-            self._levels[lane] = self._desk.channels[0].sum()
+            cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._scratch, self._picture)
+            self._levels[lane] = self._scratch.channels[0].sum()
             time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
@@ -163,10 +163,10 @@ class Kernels:
             if lanes.touched(lane, now):
                 continue
             if kind == COLOUR:
-                cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._desk, frames[lane])
-                self._levels[lane] = self._desk.channels.sum(axis=(1, 2))
+                cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._scratch, frames[lane])
+                self._levels[lane] = self._scratch.channels.sum(axis=(1, 2))
             else:
-                cpu.draw_depth(lane, plan.looks, games, now, self._desk, frames[lane])
+                cpu.draw_depth(lane, plan.looks, games, now, self._scratch, frames[lane])
 
     def run_add_grey(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
         for lane in which:
@@ -179,7 +179,7 @@ class Kernels:
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
 
-    run_project = run_find = run_note = run_see = run_nothing
+    run_project = run_find = run_finish = run_see = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:
@@ -217,7 +217,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
     module.__dict__.update(
-        functions, Plan=Plan, SideStream=AtOnce, Recorded=EachTime, compiled=lambda usual: Kernels()
+        functions, Plan=Plan, SideStream=AtOnce, Recorded=EachTime, compiled=lambda nominal: Kernels()
     )
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)

@@ -104,7 +104,7 @@ def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
     ("overrides", "message"),
     [
         ([KERNELS, "task.timing=wall"], "simulator = kernels: timing wall needs a server of its own"),
-        ([KERNELS, LOCKSTEP, "environments=2"], "environments is of simulator mujoco"),
+        ([KERNELS, LOCKSTEP, "environments=2"], "environments needs simulator mujoco"),
         ([KERNELS, LOCKSTEP, "task.difficulty.scenery=forest"], "simulator = kernels: difficulty.scenery"),
         (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),
         (["simulator=airsim"], "simulator.*mujoco.*kernels"),

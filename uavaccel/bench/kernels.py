@@ -24,7 +24,7 @@ from uavaccel.envs.simulators import KERNELS, check_simulator
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
-from uavaccel.kernels.spans import make_desk
+from uavaccel.kernels.spans import make_scratch
 from uavaccel.machine import usable_cores
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
@@ -115,10 +115,10 @@ def _tick_s() -> float:
 
 def _seen_s() -> float:
     """Return the seconds of rendering a frame and of its events."""
-    bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
 
     def look(number: int) -> None:
-        cpu.look_at_events(0, bare.view, bare.games, bare.now, bare.plan, desk, picture)
+        cpu.look_at_events(0, bare.view, bare.games, bare.now, bare.plan, scratch, picture)
 
     look(0)  # compiled
     return _each_s(look)
@@ -126,11 +126,11 @@ def _seen_s() -> float:
 
 def _picture_s() -> tuple[float, float]:
     """Return the seconds of rendering a gray image, and of the events of a given one."""
-    bare, desk, picture = one_lane(LaneTask()), make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
     camera = bare.games.cameras[0]
 
     def draw(number: int) -> None:
-        cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, desk, picture)
+        cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
 
     def see(number: int) -> None:
         cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)

@@ -1,6 +1,6 @@
-"""Many environments of one task on one GPU, as torch tensors: `simulator="kernels"`, `device="cuda"`.
+"""Many environments of one task on one GPU, as PyTorch tensors: `simulator="kernels"`, `device="cuda"`.
 
-Observations, rewards and ends stay on the device; the host draws games ahead, and tells how those that end came out.
+Observations, rewards and ends stay on the device; the host samples games ahead and reads the results of those that end.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ Steps = tuple[th.Tensor, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
 
 
 class CudaBatch(VectorEnv[Any, Any, Any]):
-    """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
+    """`num_envs` environments of `environment`, a subclass of FlightEnv, with its keywords.
 
-    A step takes actions as numpy or torch, and gives tensors of its own on the device: observations (N, ...), rewards
-    (N,) float64, ends and truncations (N,) bool. A game that ends gives way to the next one in the same step; infos
-    have `position_m` (N, 3) and `commands` (N,) as tensors, and for each game that ended `final_info` and `final_obs`.
-    Raises UserError for keywords that do not fit, and for what only the exact simulator flies.
+    `step` takes actions as a NumPy array or PyTorch tensor, and returns new tensors on the device: observations (N,
+    ...), rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is followed by the next one in
+    the same step. Infos have `position_m` (N, 3) and `commands` (N,) as tensors, and `final_info` and `final_obs` for
+    each game that ended. Raises UserError for keywords that do not fit, and for tasks that only the exact simulator
+    flies.
     """
 
     def __init__(
@@ -56,9 +57,9 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[th.Tensor, dict[str, Any]]:
-        """New games everywhere; environment i gets `seed` + i, or the i-th of several; without one games go on.
+        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds.
 
-        With `options` games that were drawn ahead are left out.
+        Without a seed the environments' random sequences continue. With `options`, games sampled ahead are discarded.
         """
         seeds = seeds_of(seed, self.num_envs)
         if not self._begun or any(each is not None for each in seeds):
@@ -78,19 +79,19 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self._lanes.games.draw_one_each([options] * self.num_envs)
 
     def step(self, actions: Any) -> Steps:
-        """One command each."""
+        """Fly one command in every environment. Raises UserError for invalid actions, or before `reset`."""
         if not self._begun:
             raise UserError("reset the environments before their first step")
         lanes = self._lanes
-        self._fly(self._taken(actions))
+        self._fly(self._to_tensor(actions))
         rewards, terminated, truncated = (
             each.clone() for each in (lanes.rewards, lanes.terminated, lanes.truncated)
         )
-        told = lanes.ended.tolist()  # the host waits for the device here
-        over = [lane for lane, row in enumerate(told) if row[AT.over]]
+        outcomes = lanes.ended.tolist()  # the host waits for the device here
+        over = [lane for lane, row in enumerate(outcomes) if row[AT.over]]
         ended = {
             lane: {
-                "final_info": lanes.info(lane, told[lane], lanes.course_of(lane)),
+                "final_info": lanes.info(lane, outcomes[lane], lanes.course_of(lane)),
                 "final_obs": lanes.observations[lane].clone(),
             }
             for lane in over
@@ -108,8 +109,8 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     def _infos(self) -> dict[str, Any]:
         return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}
 
-    def _taken(self, actions: Any) -> th.Tensor:
-        """Actions (N, ...) on the device. Raises UserError for those that are not in the space."""
+    def _to_tensor(self, actions: Any) -> th.Tensor:
+        """Return actions (N, ...) on the device. Raises UserError for actions outside the action space."""
         given = th.as_tensor(actions, device=self.device)
         space = self.single_action_space
         if given.shape == (self.num_envs, *(space.shape or ())):
@@ -119,7 +120,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             elif isinstance(space, spaces.Box):
                 low, high = (th.as_tensor(end, device=self.device) for end in (space.low, space.high))
                 clipped = given.to(low.dtype).clamp(low, high)
-                if bool(((clipped - given).abs() <= ROUNDING).all()):  # not so for NaN
+                if bool(((clipped - given).abs() <= ROUNDING).all()):  # which NaN fails
                     return clipped
         raise UserError(
             f"actions {tuple(given.shape)} of {given.dtype} are not in the action space: {self.action_space}"

@@ -1,6 +1,6 @@
-"""The simulated wall clocks of lanes on one GPU: which ticks of a command pass, and when it is seen, lane by lane.
+"""The simulated wall clocks of lanes on one GPU: which ticks pass in a command, and when its samples are taken.
 
-The clocks are kernels/timeline's, the same as of lanes on the CPU; here they are walked through sample by sample.
+The clocks are those of lanes on the CPU (kernels/timeline), advanced in all lanes from sample to sample.
 """
 
 from __future__ import annotations
@@ -21,21 +21,20 @@ from uavaccel.kernels.fields import STATE
 from uavaccel.units import NS_PER_S
 
 Advance = Callable[[th.Tensor, th.Tensor], None]
-"""Let lanes (L,) uint8 fly so many ticks (L,) int64."""
+"""Flies the lanes selected by a flag (L,) uint8 for ticks (L,) int64."""
 
 
 class DeviceClocks:
-    """Clocks of `count` lanes that fly a task's commands.
+    """The clocks of `count` lanes that fly a task's commands.
 
-    `ticks` (L, S) are those of the last command's samples, of which a lane has `taken` (L,); `guards` says whether
-    pictures are judged by their brightness.
+    `tensors` is a kernels/timeline.Clocks of tensors; `guards` says whether the guard checks images (vision/guard).
     """
 
     def __init__(
         self, task: Task, count: int, device: th.device, hull: Any, now: Any, view: LaneView, advance: Advance
     ) -> None:
         plan = plan_of(task, hull, view.kind != STATE)
-        self._timing_kept, self._timing = kernels.on_device(plan.timing, device)
+        self._timing_tensors, self._timing = kernels.on_device(plan.timing, device)
         clocks = timeline.clocks(count, task.frames_per_command)
         self.tensors, self._clocks = kernels.on_device(clocks, device)
         self._kernels, self._now, self._view, self._advance = clock_kernels.compiled(), now, view, advance
@@ -51,25 +50,25 @@ class DeviceClocks:
     # --- a game's start ---------------------------------------------------------------------------
 
     def begin(self, renewed: th.Tensor, rows: th.Tensor, scales: th.Tensor, games: Any) -> None:
-        """Let the clocks of lanes whose games begin stand at their start, up to the first picture."""
+        """Start the clocks of games in `rows` (L,), with these latency scales, up to their first image."""
         self._run(
             "begin", renewed, kernels.shared(rows), kernels.shared(scales), games, self._timing, self._clocks
         )
 
     def show_start(self, renewed: th.Tensor) -> None:
-        """The first picture is asked for, and the simulation runs."""
+        """Account for the first image, and prepare the simulation for the first command."""
         self._run("show_start", renewed, self._brightness(renewed), self._timing, self._clocks)
 
     # --- a command --------------------------------------------------------------------------------
 
     def issue(self, going: th.Tensor, directions: th.Tensor, games: Any) -> None:
-        """Fly on until the commands act, and let them."""
+        """Issue commands, fly until they take effect, and apply them."""
         self._run("issue", going, self._now, self._timing, self._clocks, kernels.shared(self._legs))
         self._fly(going)
         self._run("take", going, self._hold_ticks, kernels.shared(directions), games, self._now)
 
     def reach(self, going: th.Tensor, sample: int) -> th.Tensor:
-        """Fly to a command's next sample; which lanes (L,) uint8 have one, and are not over it already."""
+        """Fly to a command's next sample, and return which lanes (L,) uint8 have one."""
         reached = (
             self._now,
             self._timing,
@@ -82,41 +81,41 @@ class DeviceClocks:
         return self._looking
 
     def look(self, frames: th.Tensor) -> None:
-        """See the sample that `reach` flew to, as Unreal's frames show it."""
-        self._turn_to_shown()
+        """Observe the sample that `reach` flew to, at the pose of Unreal's latest frame."""
+        self._swap_displayed_pose()
         self._view.look(self._looking, frames)
-        self._turn_to_shown()
+        self._swap_displayed_pose()
 
     def leave(self, sample: int) -> None:
-        """Go on after it."""
+        """Continue after the sample."""
         brightness = self._brightness(self._looking)
         self._run("leave", self._looking, sample, brightness, self._now, self._timing, self._clocks)
 
-    # --- what they say ----------------------------------------------------------------------------
+    # --- times ----------------------------------------------------------------------------
 
     def charge(self, going: th.Tensor, duration_s: float, phase: str) -> None:
-        """Work of the agents' between two commands: ADSC flies on meanwhile."""
+        """Charge the lanes for their agents' work between two commands; with ADSC they fly on meanwhile."""
         spent = going.long() * round(duration_s * NS_PER_S)
         self.tensors.row[:, timeline.NOW] += spent
         self.tensors.row[:, timeline.FIRST_PHASE + PHASES.index(phase)] += spent
 
     @property
     def wall_ns(self) -> th.Tensor:
-        """Since the games began (L,)."""
+        """Wall time (L,) since the games began."""
         return self.tensors.row[:, timeline.NOW] - self.tensors.row[:, timeline.START]
 
     @property
     def phase_ns(self) -> th.Tensor:
-        """(L, phases)."""
+        """Wall time (L, phases) spent in each phase."""
         return self.tensors.row[:, timeline.FIRST_PHASE :]
 
     def present_ns(self, ticks: th.Tensor, free: th.Tensor) -> th.Tensor:
-        """Simulated time (L,) at which lanes at these ticks decide: ADSC flies on while pictures are worked on."""
+        """Return the simulated time (L,) of the next decision; ADSC flies on while images are processed."""
         since_ns = (self._since_ns * free.double() * self._speed).round().long()
         return ticks * self._tick_ns + since_ns
 
     def taken_ns(self, present_ns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Which samples (L, S) were seen before a touch, and of which simulated time the frames are."""
+        """Return which samples (L, S) precede a collision, and the simulated times of the frames."""
         places = th.arange(self.tensors.ticks.shape[1], device=present_ns.device)
         seen = places < self.tensors.taken[:, None]
         return seen, th.where(seen, self.tensors.ticks * self._tick_ns, present_ns[:, None])
@@ -124,7 +123,7 @@ class DeviceClocks:
     # --- inside -----------------------------------------------------------------------------------
 
     def _fly(self, which: th.Tensor) -> None:
-        """Fly the legs, on the way to the pose that pictures show until the next one of Unreal's frames."""
+        """Fly the legs, and on the way store the pose that images show until Unreal's next frame."""
         if self._stale:
             legs = kernels.shared(self._legs)
             to_shown = th.zeros_like(self._legs)
@@ -133,17 +132,17 @@ class DeviceClocks:
             self._run("keep", which, self._now, self._clocks, kernels.shared(to_shown))
         self._advance(which, self._legs)
 
-    def _turn_to_shown(self) -> None:
-        """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
+    def _swap_displayed_pose(self) -> None:
+        """Swap the lanes' poses with those that images show; a second call restores both."""
         if self._stale:
             self._run("turn", self._looking, self._now, self._clocks)
 
     def _brightness(self, which: th.Tensor) -> Any:
-        """What the guard judges pictures by: sums of levels (L, 3)."""
+        """Return the sums of levels (L, 3) by which the guard judges images."""
         if self.guards:
             self._view.add_levels(which, self._levels)
         return kernels.shared(self._levels)
 
     def _run(self, name: str, which: th.Tensor, *arguments: Any) -> None:
         grid = kernels.grid(self._count, kernels.FLYING_THREADS)
-        getattr(self._kernels, name)[(*grid, kernels.stream())](kernels.shared(which), *arguments)
+        getattr(self._kernels, name)[grid](kernels.shared(which), *arguments)

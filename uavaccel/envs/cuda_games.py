@@ -1,4 +1,4 @@
-"""Games of lanes on one GPU: drawn by the host ahead of time, and sent over, so that none of them has to wait."""
+"""Games of lanes on one GPU: sampled by the host ahead of time and transferred, so that lanes need not wait."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch as th
 from gymnasium.utils import seeding
 
-from uavaccel.envs.cuda_courses import fill, room, sent
+from uavaccel.envs.cuda_courses import allocate, to_device, write_rows
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker
 from uavaccel.envs.task import Task
@@ -18,22 +18,22 @@ from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.sim.saved import State
 
-AHEAD = 4  # games that a lane has at most: the one that it flies, and those drawn ahead
+AHEAD = 4  # games per lane: the one being flown, and those sampled ahead
 
 
 class GamesAhead:
-    """The next games of each of `count` lanes; lane i has the AHEAD rows from i * AHEAD on, and uses them in turn.
+    """The next games of each of `count` lanes; lane i cycles through the AHEAD rows from i * AHEAD on.
 
-    `rows` are tensors of kernels/lanes.Games and `there` the same memory for kernels. `starts` are the games' courses
-    and `scales` what their latencies are multiplied by, a row each. Of each lane `available` games (L,) have been
-    drawn so far, and `begun` were begun.
+    `rows` is a kernels/lanes.Games of tensors, and `arrays` the same memory for kernels. `starts` holds the games'
+    courses and `scales` the factors on their latencies, a row each. Each lane has had `available` games (L,) so far, of
+    which `begun` (L,) have begun.
     """
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         self.maker = GameMaker(task)
         self.count, self.device = count, device
         self._host = lanes.game_rows(count * AHEAD, self.maker.surroundings.most)
-        self.rows, self.there = kernels.on_device(self._host, device)
+        self.rows, self.arrays = kernels.on_device(self._host, device)
         self.scales = th.ones(count * AHEAD, dtype=th.float64, device=device)
         self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.available = th.zeros(count, dtype=th.int64, device=device)
@@ -41,16 +41,16 @@ class GamesAhead:
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
-        self._drawn_by: list[dict[int, Mapping[str, Any]]] = [{} for _ in range(count)]
+        self._generator_states: list[dict[int, Mapping[str, Any]]] = [{} for _ in range(count)]
         self._written = [0] * count
 
     @property
-    def any_drawn(self) -> bool:
-        """Whether there are games to begin."""
+    def has_games(self) -> bool:
+        """Whether any games have been sampled."""
         return bool(self._written[0])
 
     def seed(self, seeds: int | Sequence[int | None]) -> None:
-        """Draw all games anew, those of lane i from the i-th seed, or from the first one plus i."""
+        """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
         each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
         for lane, seed in enumerate(each):
             self._generators[lane], self._games[lane] = seeding.np_random(seed)[0], 0
@@ -59,12 +59,12 @@ class GamesAhead:
         self.begun.zero_()
 
     def draw_one_each(self, options: Sequence[Mapping[str, Any] | None] | None = None) -> None:
-        """Draw and send the next game of every lane, with options of its own."""
+        """Sample and transfer the next game of every lane, with the lane's options."""
         each = options or [None] * self.count
         self._send([self._draw(lane, each[lane]) for lane in range(self.count)])
 
     def refill(self, begun: Sequence[int]) -> None:
-        """Draw as many games ahead as there is room for, given how many each lane has begun; send them over."""
+        """Sample games until all rows are in use again, given how many games each lane has begun; transfer them."""
         rows = [
             self._draw(lane)
             for lane, count in enumerate(begun)
@@ -73,29 +73,29 @@ class GamesAhead:
         self._send(rows)
 
     def begin(self, idle: th.Tensor, rows: th.Tensor) -> th.Tensor:
-        """Which of the lanes that are `idle` (L,) have a game to begin, and count it; `rows` (L,) take where it is."""
+        """Return which `idle` lanes (L,) have a game to begin, count it as begun, and write its row to `rows` (L,)."""
         renewed = idle & (self.begun < self.available)
         rows.copy_(th.arange(self.count, device=self.device) * AHEAD + self.begun % AHEAD)
         self.begun += renewed
         return renewed
 
     def drawn(self, lane: int, number: int) -> Drawn:
-        """One of a lane's latest games, by its number."""
+        """Return one of a lane's latest AHEAD games by its number."""
         return self._drawn[lane][number]
 
     def get_state(self, lane: int) -> State:
-        """What a lane's running game and its next ones are drawn from."""
+        """Return what a lane's running game and its next ones are sampled from."""
         flown, written = int(self.begun[lane]) - 1, self._written[lane]
         games = self._games[lane] - (written - flown)
         return {
-            "drawn_by": json.dumps(self._drawn_by[lane][flown]),
+            "drawn_by": json.dumps(self._generator_states[lane][flown]),
             "flown": flown,
             "written": written,
             "games": games,
         }
 
     def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
-        """Draw them again."""
+        """Sample the games of a state that `get_state` returned again."""
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         flown, written = int(state["flown"]), int(state["written"])
@@ -104,48 +104,49 @@ class GamesAhead:
         self.begun[lane], self.available[lane] = flown + 1, written
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
-        """Draw a lane's next game into the host's rows; which row."""
+        """Sample a lane's next game into the host's rows, and return its row."""
         number = self._written[lane]
         before = self._generators[lane].bit_generator.state
         drawn = self.maker.draw(self._generators[lane], self._games[lane], options)
         self._games[lane] += 1
         row = lane * AHEAD + number % AHEAD
         self.maker.write(drawn, self._host, row)
-        for kept in (self._drawn[lane], self._drawn_by[lane]):
-            kept.pop(number - AHEAD, None)
-        self._drawn[lane][number], self._drawn_by[lane][number] = drawn, before
+        for latest in (self._drawn[lane], self._generator_states[lane]):
+            latest.pop(number - AHEAD, None)
+        self._drawn[lane][number], self._generator_states[lane][number] = drawn, before
         self._written[lane] = number + 1
         return row
 
     def _send(self, rows: Sequence[int]) -> None:
-        """Copy rows of games to the device."""
+        """Transfer rows of games to the device."""
         if not rows:
             return
         which = np.asarray(rows)
-        there = sent(which, self.device)
+        target = to_device(which, self.device)
         for host, tensor in zip(_leaves(self._host), _leaves(self.rows), strict=True):
             part = host[which]
             if part.dtype.names:
                 part = part.view(np.uint8).reshape(len(which), part.dtype.itemsize)
-            tensor[there] = sent(part, self.device)
-        self._send_courses([self._latest(row) for row in rows], there)
-        self.available.copy_(sent(np.asarray(self._written), self.device))
+            tensor[target] = to_device(part, self.device)
+        self._send_courses([self._latest(row) for row in rows], target)
+        self.available.copy_(to_device(np.asarray(self._written), self.device))
 
-    def _send_courses(self, games: Sequence[Drawn], there: th.Tensor) -> None:
-        """What is no array of the kernels': the games' courses, and how their latencies are scaled."""
+    def _send_courses(self, games: Sequence[Drawn], target: th.Tensor) -> None:
+        """Transfer what the kernels do not read: the games' courses and the scales of their latencies."""
         courses = [{name: each for name, each in game.course.items() if name != CONDITIONS} for game in games]
         for name in courses[0]:
             if name not in self.starts:
-                self.starts[name] = room(courses[0][name], self.count * AHEAD, self.device)
-            fill(self.starts[name], there, np.array([course[name] for course in courses]))
-        fill(self.scales, there, np.array([game.task.latency.scale for game in games]))
+                self.starts[name] = allocate(courses[0][name], self.count * AHEAD, self.device)
+            write_rows(self.starts[name], target, np.array([course[name] for course in courses]))
+        write_rows(self.scales, target, np.array([game.task.latency.scale for game in games]))
 
     def _latest(self, row: int) -> Drawn:
-        """The game that was written to a row last."""
+        """Return the game that was written to a row last."""
         lane, place = divmod(row, AHEAD)
         last = self._written[lane] - 1
         return self._drawn[lane][last - (last - place) % AHEAD]
 
 
 def _leaves(arrays: Any) -> list[Any]:
+    """Return the arrays of nested tuples, in order."""
     return [arrays] if not isinstance(arrays, tuple) else [leaf for each in arrays for leaf in _leaves(each)]

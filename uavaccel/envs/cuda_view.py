@@ -1,4 +1,4 @@
-"""What lanes on one GPU see: their scenes projected, and events, colours or depths of them."""
+"""The cameras of lanes on one GPU: projection of their scenes, then events, colour or depth."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from uavaccel.vision.dvs_sensor import draw_pixels
 
 
 class LaneView:
-    """The cameras of `count` lanes that fly the games `games` and are `now` there (numba's views of both).
+    """The cameras of `count` lanes; `games` and `now` are kernels/lanes.Games and Flights of numba arrays.
 
-    `which` (L,) uint8 says everywhere whose cameras are meant. `pixels` are tensors of kernels/events.Pixels.
+    In all methods, `which` (L,) uint8 selects lanes. `pixels` is a kernels/events.Pixels of tensors.
     """
 
     def __init__(
         self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
     ) -> None:
         self.kind, self._count, self._tick_ns = kind_of(task), count, tick_ns
-        self._kernels, self._games, self._now = kernels.compiled(maker.usual), games, now
+        self._kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
         parameters = task.dvs_parameters
         self.pixels, self._pixels = kernels.on_device(
             events.pixels_of(count if self.kind == DVS else 0, parameters), device
         )
-        looks, looks_there = kernels.on_device(maker.looks or NO_LOOKS, device)
-        sensor, sensor_there = kernels.on_device(
+        looks, looks_arrays = kernels.on_device(maker.looks or NO_LOOKS, device)
+        sensor, sensor_arrays = kernels.on_device(
             events.sensor_of(draw_pixels(parameters, (ROWS, COLUMNS), task.dvs_seed)), device
         )
         hull = th.tensor(maker.surroundings.hull, device=device)
         self.plan = kernels.Plan(
-            kernels.shared(hull), looks_there.texels, looks_there.textures, looks_there, sensor_there
+            kernels.shared(hull), looks_arrays.texels, looks_arrays.textures, looks_arrays, sensor_arrays
         )
-        self._kept = looks, sensor, hull  # the memory behind what numba sees
-        lookers = count if self.kind != STATE else 1
-        self._faces = th.zeros((lookers, kernels.SLOTS, FIELDS), device=device)
-        self._shown = th.zeros((lookers, ROWS, COLUMNS), dtype=th.int16, device=device)
+        self._memory = looks, sensor, hull  # keeps alive what the plan's numba arrays refer to
+        rendered = count if self.kind != STATE else 1
+        self._faces = th.zeros((rendered, kernels.SLOTS, FIELDS), device=device)
+        self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=device)
 
     def start(self, which: th.Tensor) -> None:
-        """The first pictures of event cameras, which make no events."""
+        """Initialise event cameras with their games' first images."""
         self._project(which, self._now)
         self._launch_quads("start")(*self._looked_at(which), self.plan, self._games, self._now, self._pixels)
 
     def look(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
-        """A sample (L, ...), of `now` or of the present; event cameras gather events until it is to `take` them."""
+        """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
         now = now or self._now
         self._project(which, now)
         if self.kind != DVS:
@@ -60,15 +60,15 @@ class LaneView:
         self._launch_quads("see")(going, int(take), *seen)
         self._launch_quads("see_noise")(going, self._tick_ns, int(take), *seen)
         per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.note[(*per_lane, kernels.stream())](going, self._tick_ns, now, self._pixels)
+        self._kernels.finish[per_lane](going, self._tick_ns, now, self._pixels)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
-        """The present moment (L, ...), in colour or of depth."""
+        """Render the present `frames` (L, ...), in colour or of depth."""
         self._project(which, self._now)
         self._show(which, frames, self._now)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
-        """Put the sums (L, 3) int64 of red, green and blue of the pictures looked at last, or of grey and -1 twice."""
+        """Write the sums (L, 3) int64 of red, green and blue over the latest images, or of grey, then -1 twice."""
         sums.zero_()
         pictures = (*self._looked_at(which), self.plan, kernels.shared(sums))
         if self.kind == DVS:
@@ -76,27 +76,25 @@ class LaneView:
             self._launch_quads("add_grey")(*pictures)
             return
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.add_colours[(*grid, kernels.stream())](*pictures)
+        self._kernels.add_colours[grid](*pictures)
 
     def _show(self, which: th.Tensor, frames: th.Tensor, now: Any) -> None:
         going, faces, shown = self._looked_at(which)
         grid = kernels.grid(self._count * kernels.BLOCKS, kernels.SEEING_THREADS)
         picture = (faces, shown, self.plan, self._games, now, kernels.shared(frames))
-        self._kernels.show[(*grid, kernels.stream())](going, self.kind, self._tick_ns, *picture)
+        self._kernels.show[grid](going, self.kind, self._tick_ns, *picture)
 
     def _project(self, which: th.Tensor, now: Any) -> None:
         grid = kernels.grid(self._count * kernels.WARP, kernels.SEEING_THREADS)
         going, faces, shown = self._looked_at(which)
-        self._kernels.project[(*grid, kernels.stream())](
-            going, self.kind != DEPTH, self.plan.looks, self._games, now, faces
-        )
+        self._kernels.project[grid](going, self.kind != DEPTH, self.plan.looks, self._games, now, faces)
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.find[(*grid, kernels.stream())](going, faces, shown)
+        self._kernels.find[grid](going, faces, shown)
 
     def _launch_quads(self, name: str) -> Any:
         grid = kernels.grid(self._count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
-        return getattr(self._kernels, name)[(*grid, kernels.stream())]
+        return getattr(self._kernels, name)[grid]
 
     def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
-        """Which lanes look, their faces, and the face that each pixel shows."""
+        """Return the selected lanes, their faces, and the face that each pixel shows, as numba arrays."""
         return kernels.shared(which), kernels.shared(self._faces), kernels.shared(self._shown)

@@ -12,9 +12,8 @@ from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 
-MOST_DIGITS = (
-    1_000_000  # largest numerator or denominator of a ClockSpeed: for hours products must fit 64 bits
-)
+# Largest numerator or denominator of a ClockSpeed: products with hours of nanoseconds must fit in 64 bits.
+MOST_DIGITS = 1_000_000
 
 KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
 
@@ -49,16 +48,16 @@ def _why_not(task: Task) -> str:
     if task.timing == "wall":
         return "timing wall needs a server of its own"
     if task.list_events:
-        return "list_events keeps no events one by one there"
+        return "list_events needs single events, which the kernels do not keep"
     if task.action != "velocity":
         return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != "plain":
-        return f"difficulty.scenery = {task.scenery}: meshes are not drawn there"
+        return f"difficulty.scenery = {task.scenery}: the kernels render no meshes"
     if task.scene != "lane" and task.observation != "state":
-        return f"observation {task.observation} is drawn in the lane alone"
+        return f"observation = {task.observation} is rendered in scene = lane only"
     for name in ("goal", "velocity_goal", "features"):
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
-            return f"{type(task).__name__}.{name} is one's own, and flown for one game at a time"
+            return f"{type(task).__name__}.{name} is your own, and may take one game at a time only"
     return ""
 
 
@@ -66,9 +65,9 @@ def _why_not_on_gpu(task: Task) -> str:
     if passes_together(task):
         return ""
     if task.dvs_ticks:
-        return "dvs_rate_hz is flown by TCSC in lockstep there"
+        return "dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native"
     if kind_of(task) == DEPTH and task.timing == "virtual":
-        return "the guard of depth pictures is the CPU's in virtual"
+        return "in timing = virtual depth images need the guard, which runs on the CPU only"
     return ""
 
 

@@ -1,6 +1,6 @@
-"""Many environments of one task flown over arrays, in threads of this process: `simulator="kernels"`, `device="cpu"`.
+"""Many environments of one task over arrays, in threads of this process: `simulator="kernels"`, `device="cpu"`.
 
-Each flies as it would in the exact simulator, and sees what the kernels draw in place of OpenGL (docs/kernels.md).
+They fly as in the exact simulator, and observe images of the kernels instead of OpenGL's (docs/kernels.md).
 """
 
 from __future__ import annotations
@@ -25,8 +25,11 @@ from uavaccel.envs.kernel_games import (
     Drawn,
     GameMaker,
     StepResult,
+    game_info,
+    kinematics_of,
     one_course,
     put_course,
+    select,
     stacked,
     step_result,
 )
@@ -39,7 +42,6 @@ from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
-from uavaccel.kinematics import Kinematics
 from uavaccel.machine import usable_cores
 from uavaccel.sim.saved import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import NEVER
@@ -48,10 +50,10 @@ from uavaccel.vision.dvs_sensor import draw_pixels
 
 
 class KernelBatch(Batch):
-    """`num_envs` environments of `environment`, a class of FlightEnv's kind, with the keywords that it takes.
+    """`num_envs` environments of `environment`, a subclass of FlightEnv, with its keywords.
 
-    They fly in `threads` threads (as many as there are cores). Raises UserError for keywords that do not fit, and for
-    what only the exact simulator flies.
+    They fly in `threads` threads, by default one per core. Raises UserError for keywords that do not fit, and for tasks
+    that only the exact simulator flies.
     """
 
     def __init__(
@@ -82,9 +84,8 @@ class KernelBatch(Batch):
         self._generators: dict[int, np.random.Generator] = {}
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
-        self._drawn_by: list[Mapping[str, object] | None] = [
-            None
-        ] * num_envs  # states of the generators before the running games
+        # States of the generators before the running games were sampled.
+        self._generator_states: list[Mapping[str, object] | None] = [None] * num_envs
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
@@ -99,12 +100,12 @@ class KernelBatch(Batch):
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
         drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
-        self._pictures = drawn  # of one type whatever is observed: machine code is made for types
+        self._pictures = drawn  # always uint8: machine code is compiled for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
         self._observations = np.zeros((count, *(space.shape or ())), space.dtype)
         self._last = np.zeros_like(self._observations)
         self._directions = np.zeros((count, 3))
-        self._place = [np.zeros(count) for _ in range(3)]  # north, east, down
+        self._position = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)
         self._commands = np.zeros(count, np.int64)
         self._taken_ns = np.zeros((count, samples * task.history), np.int64)
@@ -112,21 +113,21 @@ class KernelBatch(Batch):
         self._clocks = timeline.clocks(count, samples)
         self._host_s = np.zeros(count)
         self._over = np.zeros(count, bool)
-        self._told = task.context_planes()
+        self._context = task.context_planes()
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
     ) -> tuple[Frame, Info]:
-        """New games everywhere; environment i gets `seed` + i, or the i-th of several."""
+        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
         infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
     def step(
         self, actions: Actions
     ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """One command each."""
+        """Fly one command in every environment."""
         self.step_async(actions)
         observations, rewards, terminated, truncated, infos = self.step_wait()
         return observations, rewards, terminated, truncated, self._merged(infos)
@@ -141,7 +142,7 @@ class KernelBatch(Batch):
     def reset_each(
         self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
     ) -> list[Info]:
-        """A new game everywhere, each with its own seed and options; the infos."""
+        """Begin a game in every environment, with its own seed and options, and return the infos."""
         for lane, seed in enumerate(seeds):
             if seed is not None or lane not in self._generators:
                 self._generators[lane] = seeding.np_random(seed)[0]
@@ -151,12 +152,12 @@ class KernelBatch(Batch):
         return self._begin(np.arange(self.num_envs))
 
     def step_async(self, actions: Actions, lanes: Sequence[int] | None = None) -> None:
-        """Send a command each to some environments (all), and come back at once: they fly meanwhile."""
+        """Start a command in each of the environments `lanes`, by default all, and return at once."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         which = np.arange(self.num_envs) if lanes is None else np.asarray(lanes)
         for lane, action in zip(which, actions, strict=True):
-            self._take(int(lane), within(self.single_action_space, action))
+            self._set_direction(int(lane), within(self.single_action_space, action))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
         going = which[~self._over[which]]
@@ -164,9 +165,9 @@ class KernelBatch(Batch):
         self._flying[int(which[0])] = [self._pool.submit(self._fly, part) for part in parts]
 
     def step_wait(self, lanes: Sequence[int] | None = None) -> Steps:
-        """Observations, rewards, ends, truncations and infos of the environments that `step_async` sent off.
+        """Wait for commands that `step_async` started; return observations, rewards, ends, truncations and infos.
 
-        With autoreset SAME_STEP the info of a game's end is in `final_info` and its observation in `final_obs`.
+        With autoreset SAME_STEP, `final_info` and `final_obs` in the infos are those of the game that ended.
         """
         which = np.arange(self.num_envs) if lanes is None else np.asarray(lanes)
         for part in self._flying.pop(int(which[0])):
@@ -178,7 +179,7 @@ class KernelBatch(Batch):
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, Info] = {}
         if len(going):
-            judged = self._land(going)
+            judged = self._finish_commands(going)
             rewards[going], terminated[going], truncated[going] = (
                 judged.reward,
                 judged.terminated,
@@ -187,51 +188,53 @@ class KernelBatch(Batch):
             infos = {
                 int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)
             }
-        if len(idle) and self._next_step:
-            infos |= dict(zip(idle.tolist(), self._renew(idle), strict=True))
-        elif len(idle):
-            infos |= {int(lane): {} for lane in idle}
-        ended = going[terminated[going] | truncated[going]]
+        self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
+        seen = self._observations[which]
+        return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
+
+    def _autoreset(self, idle: NDArray[np.int64], ended: NDArray[np.int64], infos: dict[int, Info]) -> None:
+        """Begin games as `autoreset_mode` says, in lanes that waited or have just ended, and update their infos."""
+        if len(idle):
+            renewed = self._renew(idle) if self._next_step else [{} for _ in idle]
+            infos.update(zip(idle.tolist(), renewed, strict=True))
         if self._same_step and len(ended):
             self._last[ended] = self._observations[ended]
             for lane, info in zip(ended.tolist(), self._renew(ended), strict=True):
                 infos[lane] = info | {"final_info": infos[lane], "final_obs": self._last[lane].copy()}
         else:
             self._over[ended] = True
-        seen = self._observations[which]
-        return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
     def charge(self, lane: int, duration_s: float, phase: str = "inference") -> None:
-        """Work of an agent's since its last command: in `virtual` ADSC flies on meanwhile. Nothing elsewhere."""
+        """In timing `virtual`, charge a lane for its agent's work since the last command; with ADSC it flies on."""
         if self.task.timing == "virtual" and self._drawn:
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
     def observations(self) -> Frame:
-        """The present observation of every environment."""
+        """Return the present observation of every environment."""
         return self._observations.copy()
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
     ) -> list[Answer]:
-        """`charge`, `get_state`, or `set_state` with a state each, of some environments (all)."""
+        """Call `charge`, `get_state` or `set_state` of the environments `lanes`, by default all. Raises UserError."""
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
-            raise UserError(f"simulator = kernels: {name} is the exact simulator's; use simulator = mujoco")
+            raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
         which = range(self.num_envs) if lanes is None else lanes
         return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
 
     def _get_state(self, lane: int) -> State:
-        """A lane's running game, all of it, for np.savez: another batch of this task goes on to the same bytes."""
+        """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
         state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
-        state |= {"drawn_by": json.dumps(self._drawn_by[lane]), "games": self._games[lane]}
+        state |= {"drawn_by": json.dumps(self._generator_states[lane]), "games": self._games[lane]}
         state["course"] = json.dumps(one_course(self._course, lane))
-        return state | {name: array[lane].copy() for name, array in self._rows_of_lanes().items()}
+        return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
     def _set_state(self, lane: int, state: SavedState) -> Frame:
-        """Go on with what `_get_state` gave; the last observation."""
+        """Restore a state that `_get_state` returned, and return the lane's observation."""
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         self._games[lane] = int(state["games"])
@@ -241,18 +244,18 @@ class KernelBatch(Batch):
         self._drawn[lane] = self._draw(lane)
         generator.bit_generator.state = json.loads(str(state["generator"]))
         put_course(self._course, lane, json.loads(str(state["course"])))
-        for name, array in self._rows_of_lanes().items():
+        for name, array in self._state_arrays().items():
             array[lane] = state[name]
-        self._find(np.array([lane]))
+        self._update_positions(np.array([lane]))
         observation: Frame = self._observations[lane].copy()
         return observation
 
     def _draw_anything(self) -> Drawn:
-        """A game that nobody flies, for the shape of its course."""
+        """Sample a game that is not flown, for the shape of its course."""
         return self._maker.draw(np.random.default_rng(0), 0)
 
-    def _rows_of_lanes(self) -> dict[str, NDArray[np.generic]]:
-        """All that changes while games are flown: arrays (L, ...)."""
+    def _state_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return all arrays (L, ...) that change in a game."""
         arrays = {
             f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
         }
@@ -265,13 +268,13 @@ class KernelBatch(Batch):
     # --- inside -----------------------------------------------------------------------------------
 
     def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
-        self._drawn_by[lane] = self._generators[lane].bit_generator.state
+        self._generator_states[lane] = self._generators[lane].bit_generator.state
         drawn = self._maker.draw(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn
 
     def _renew(self, lanes: NDArray[np.int64]) -> list[Info]:
-        """New games where one is over."""
+        """Begin the next games of these lanes, and return the infos."""
         for lane in lanes.tolist():
             self._games[lane] += 1
             self._drawn[lane] = self._draw(lane)
@@ -280,6 +283,7 @@ class KernelBatch(Batch):
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
+        """Begin the games sampled for these lanes, and return the infos."""
         cpu.CPU.look_at_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
@@ -292,14 +296,14 @@ class KernelBatch(Batch):
             part.result()
         self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
         self._host_s[lanes], self._taken_ns[lanes], self._present_ns[lanes] = 0.0, 0, 0
-        self._find(lanes)
+        self._update_positions(lanes)
         first = self._first_frames(lanes)
         frames = self._taken_ns.shape[1]
-        self._show(lanes, np.concatenate([first] * frames, axis=1))
+        self._observe(lanes, np.concatenate([first] * frames, axis=1))
         return [self._info(int(lane), False) for lane in lanes]
 
     def _first_frames(self, lanes: NDArray[np.int64]) -> Frame:
-        """What the frames of a first observation show (n, ...)."""
+        """Return the first frames (n, ...) of games that begin."""
         blank = np.repeat(self._blank[None], len(lanes), axis=0)
         if not self.task.sees_start or self.task.blank_images:
             return blank
@@ -312,8 +316,8 @@ class KernelBatch(Batch):
         drawn: Frame = frames[lanes, 0]
         return drawn
 
-    def _take(self, lane: int, action: Action) -> None:
-        """An action as a direction."""
+    def _set_direction(self, lane: int, action: Action) -> None:
+        """Set a lane's direction from an action."""
         directions = self.task.directions
         if directions is None:
             self._directions[lane] = action
@@ -334,82 +338,81 @@ class KernelBatch(Batch):
             self._samples,
         )
 
-    def _land(self, lanes: NDArray[np.int64]) -> StepResult:
-        """What became of a command, and what is seen of it."""
+    def _finish_commands(self, lanes: NDArray[np.int64]) -> StepResult:
+        """Judge the commands of these lanes and update their observations."""
         before = Moments(
-            None, [axis[lanes].copy() for axis in self._place], None, None, self._course_of(lanes)
+            None, [axis[lanes].copy() for axis in self._position], None, None, self._course_of(lanes)
         )
         self._commands[lanes] += 1
-        self._find(lanes)
+        self._update_positions(lanes)
         flown = self._moments(lanes)
         judged = step_result(self.task, before, flown)
         if self.task.observation == "state" and not self.task.blank_images:
             self._put_features(lanes)
         for name, value in judged.course.items():
-            _assign(self._course[name], lanes, value)
+            put_course(self._course[name], lanes, value)
         self._note_times(lanes)
         shape = (len(lanes), -1, *self._blank.shape[1:])
         fresh = self._frames[lanes].reshape(shape)
-        kept = self._observations[lanes][:, fresh.shape[1] : fresh.shape[1] * self.task.history]
-        self._show(lanes, np.concatenate([kept, fresh], axis=1))
+        earlier = self._observations[lanes][:, fresh.shape[1] : fresh.shape[1] * self.task.history]
+        self._observe(lanes, np.concatenate([earlier, fresh], axis=1))
         return judged
 
     def _note_times(self, lanes: NDArray[np.int64]) -> None:
-        """What time it is after a command, and of which time its frames are (envs/context_planes)."""
+        """Update the present time and the frames' times, from which their ages follow (envs/context_planes)."""
         tick_ns, clocks = self._plan.tick_ns, self._clocks
         seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
         now_ns = self._now.state["tick"][lanes] * tick_ns
-        if self.task.command == "adsc":  # TCSC's clock stands
+        if self.task.command == "adsc":  # TCSC has paused the clock
             since_ns = self._plan.timing.rules[timeline.PROCESSING_NS] * self._moments(lanes).free
             now_ns = now_ns + np.rint(since_ns * float(self.task.clock_speed)).astype(np.int64)
         taken_ns = np.where(seen, clocks.ticks[lanes] * tick_ns, now_ns[:, None])
         self._present_ns[lanes] = now_ns
         self._taken_ns[lanes] = np.concatenate([self._taken_ns[lanes], taken_ns], axis=1)[:, seen.shape[1] :]
 
-    def _show(self, lanes: NDArray[np.int64], frames: Frame) -> None:
-        """An observation of frames, oldest first, and of what the agent is told."""
+    def _observe(self, lanes: NDArray[np.int64], frames: Frame) -> None:
+        """Update the observations: frames, oldest first, then context planes."""
         self._observations[lanes, : frames.shape[1]] = frames
-        if self._told is None:
+        if self._context is None:
             return
         ages = age_levels(self._present_ns[lanes, None] - self._taken_ns[lanes])
-        for plane, what in enumerate(self._told.knows, frames.shape[1]):
+        for plane, what in enumerate(self._context.knows, frames.shape[1]):
             if what == "last_action":
-                self._observations[lanes, plane] = self._told.actions_shown()[self._actions[lanes]]
+                self._observations[lanes, plane] = self._context.actions_shown()[self._actions[lanes]]
             else:
-                self._observations[lanes, plane] = ages[:, self._told.rows_frames()][:, :, None]
+                self._observations[lanes, plane] = ages[:, self._context.rows_frames()][:, :, None]
 
-    def _find(self, lanes: NDArray[np.int64]) -> None:
-        """Note where vehicles are, or where they touched something; others may be flying."""
+    def _update_positions(self, lanes: NDArray[np.int64]) -> None:
+        """Store the positions, or first contacts, of these lanes' vehicles; the other lanes may be flying."""
         state = self._now.state[lanes]
         touched = state["collision_tick"] != NEVER
         places = np.where(touched[:, None], state["contact_position"], state["position"])
         for axis in range(3):
-            self._place[axis][lanes] = places[:, axis]
+            self._position[axis][lanes] = places[:, axis]
 
     def _moments(self, lanes: NDArray[np.int64]) -> Moments:
         touched = self._now.state["collision_tick"][lanes] != NEVER
-        place = [axis[lanes] for axis in self._place]
+        place = [axis[lanes] for axis in self._position]
         return Moments(None, place, touched, self._commands[lanes], self._course_of(lanes))
 
     def _course_of(self, lanes: NDArray[np.int64]) -> dict[str, Number]:
-        return {name: _pick(value, lanes) for name, value in self._course.items()}
+        return {name: select(value, lanes) for name, value in self._course.items()}
 
     def _state_fields(self, lanes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The present states (n, SAMPLE_FIELDS)."""
+        """Return the present states (n, SAMPLE_FIELDS)."""
         state = self._now.state[lanes]
         return np.concatenate(
             [state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1
         )
 
     def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
-        """The frames (n, ...) of samples (n, SAMPLE_FIELDS)."""
-        columns = list(samples.T)
-        state = Kinematics(0, columns[:3], columns[3:7], columns[7:10], columns[10:13])  # type: ignore[arg-type]
+        """Return the frames (n, ...) of observation "state" for samples (n, SAMPLE_FIELDS)."""
+        state = kinematics_of(samples)
         numbers = self.task.fields(state, self._course_of(lanes))
         return np.stack(numbers, axis=1).astype(np.float32).reshape(len(lanes), *self._blank.shape)
 
     def _put_features(self, lanes: NDArray[np.int64]) -> None:
-        """Frames of observation "state", but for what comes after a touch."""
+        """Write the frames of observation "state" before a collision."""
         for sample in range(self._frames.shape[1]):
             seen = lanes[sample < self._clocks.taken[lanes]]
             if len(seen):
@@ -420,41 +423,21 @@ class KernelBatch(Batch):
         hit = None
         if state["collision_tick"] != NEVER:
             hit = self._maker.name_of(int(self._now.watch[lane, TOUCHED]), drawn.layout)
-        place = tuple(float(axis[lane]) for axis in self._place)
+        position = tuple(float(axis[lane]) for axis in self._position)
         course = one_course(self._course, lane)
         if CONDITIONS in drawn.course:
             course[CONDITIONS] = drawn.course[CONDITIONS]
-        moment = Moment(None, place, hit, int(self._commands[lane]), course)  # type: ignore[arg-type]
+        moment = Moment(None, position, hit, int(self._commands[lane]), course)  # type: ignore[arg-type]
         clock = self._clocks.row[lane].tolist()
-        spent_s = [spent_ns / NS_PER_S for spent_ns in clock[timeline.FIRST_PHASE :]]
-        info = {
-            "is_success": bool(won),
-            "position_m": list(place),
-            "collision": hit,
-            "commands": moment.commands,
-            "wall_s": (clock[timeline.NOW] - clock[timeline.START]) / NS_PER_S,
-            "phase_s": dict(zip(PHASES, spent_s, strict=True)),
-            **self.task.info(moment),
-        }
+        wall_ns = clock[timeline.NOW] - clock[timeline.START]
+        info = game_info(self.task, moment, bool(won), wall_ns, clock[timeline.FIRST_PHASE :])
         if self.task.report_host_times:
             info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
         return info
 
     def _merged(self, infos: Sequence[Info]) -> Info:
-        """Infos as Gymnasium's own vectors have them: an array a key, and one that says whose it is."""
+        """Merge infos as Gymnasium's VectorEnv does: for each key an array of values, and a mask."""
         merged: Info = {}
         for lane, info in enumerate(infos):
             merged = self._add_info(merged, info, lane)
         return merged
-
-
-def _pick(value: Number, lanes: NDArray[np.int64]) -> Number:
-    return [_pick(each, lanes) for each in value] if isinstance(value, list) else value[lanes]
-
-
-def _assign(whole: Number, lanes: NDArray[np.int64], part: Number) -> None:
-    if isinstance(whole, list):
-        for each, new in zip(whole, part, strict=True):
-            _assign(each, lanes, new)
-    else:
-        whole[lanes] = part

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import profile_of
-from uavaccel.envs.task import Moments, Task
-from uavaccel.envs.values import Course, Number
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.envs.task import Moment, Moments, Task
+from uavaccel.envs.values import Course, Info, Number
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row
 from uavaccel.kernels.fields import Looks
 from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.looks import fill_scene, read_looks
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.world import World
+from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import noise_seed
 
 
@@ -42,7 +45,7 @@ class GameMaker:
         self._world = World(task.scene, profile_of(task))
         self.surroundings: Surroundings = read_surroundings(self._world.model)
         self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
-        self.usual = self._world.lead.parameters.copy()
+        self.nominal = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
     def draw(
@@ -112,6 +115,26 @@ def stacked(courses: Sequence[Course]) -> dict[str, Number]:
     return {name: _components(np.array([course[name] for course in courses])) for name in names}
 
 
+def game_info(task: Task, moment: Moment, success: bool, wall_ns: float, phases_ns: Sequence[float]) -> Info:
+    """Return the info of a game, with the items that `FlightEnv` gives it."""
+    phases_s = [spent_ns / NS_PER_S for spent_ns in phases_ns]
+    return {
+        "is_success": success,
+        "position_m": list(moment.position_m),
+        "collision": moment.collision,
+        "commands": moment.commands,
+        "wall_s": wall_ns / NS_PER_S,
+        "phase_s": dict(zip(PHASES, phases_s, strict=True)),
+        **task.info(moment),
+    }
+
+
+def kinematics_of(samples: Number) -> Kinematics:
+    """Return the kinematics of n states (n, 13), as arrays or tensors (n,)."""
+    columns = list(samples.T)
+    return Kinematics(0, columns[:3], columns[3:7], columns[7:10], columns[10:13])  # type: ignore[arg-type]
+
+
 def _components(values: NDArray[np.generic]) -> Number:
     """Turn an array (n, a, b) into a list of a lists of b arrays (n,)."""
     if values.ndim == 1:
@@ -119,8 +142,8 @@ def _components(values: NDArray[np.generic]) -> Number:
     return [_components(values[:, each]) for each in range(values.shape[1])]
 
 
-def put_course(course: Number, lane: int, value: Number) -> None:
-    """Write a game's course into a lane's place of a stacked course."""
+def put_course(course: Number, lane: int | NDArray[np.int64], value: Number) -> None:
+    """Write a game's course into a lane's place of a stacked course, or stacked courses into those of several lanes."""
     if isinstance(course, Mapping):
         for name in course:
             put_course(course[name], lane, value[name])
@@ -129,6 +152,11 @@ def put_course(course: Number, lane: int, value: Number) -> None:
             put_course(part, lane, each)
     else:
         course[lane] = value
+
+
+def select(course: Number, lanes: Number) -> Number:
+    """Return the elements `lanes` (m,) of an array or tensor (n,), or of each in a list."""
+    return [select(each, lanes) for each in course] if isinstance(course, list) else course[lanes]
 
 
 def one_course(course: Number, lane: int) -> Number:

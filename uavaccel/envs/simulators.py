@@ -33,10 +33,10 @@ def make_batch(
     for name in OF_LANES:
         if keys.pop(name, None) is not None:
             raise UserError(
-                f"{name}: is of simulator = mujoco; the kernels fly in one process, without OpenGL"
+                f"{name}: needs simulator = mujoco; the kernels fly in one process, without OpenGL"
             )
     if keys.pop("render_mode", None) is not None:
-        raise UserError("render_mode: is of simulator = mujoco; the kernels show observations alone")
+        raise UserError("render_mode: needs simulator = mujoco; the kernels render observations only")
     if device == CUDA:
         from uavaccel.envs.cuda_batch import CudaBatch
 

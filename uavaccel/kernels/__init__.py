@@ -1,4 +1,4 @@
-"""Lanes over arrays: flight, pictures and events of many drones at once, on the CPU's cores or on one GPU.
+"""Lanes over arrays: flight, images and events of many drones at once, on CPU cores or on one GPU.
 
-Every function here is written once, for numba: as machine code of the CPU and, of the same source, as CUDA kernels.
+Every function is written once and compiled twice by numba, for the CPU and as part of CUDA kernels.
 """

@@ -1,4 +1,4 @@
-"""What lanes fly and what stands around them, read from the scene's MuJoCo model: a hull, and solids to be touched."""
+"""Collision geometry read from a scene's MuJoCo model: the vehicle's hull and the solids around it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.kernels.touching import BOX, CYLINDER, PLANE, SOLID_FIELDS
+from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
+from uavaccel.kernels.touching import SOLID_FIELDS
 from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, object_name, obstacle_geoms
 from uavaccel.sim.vehicle.vehicle import BODY
@@ -23,24 +24,27 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Surroundings(NamedTuple):
-    """A scene without its layout: fixed solids (n, SOLID_FIELDS), their names, those of obstacles; the hull (3,)."""
+    """The collision geometry of a scene, without a lane's layout."""
 
     fixed: NDArray[np.float64]
+    """(n, SOLID_FIELDS): solids that every lane has."""
     names: tuple[str, ...]
+    """Their names."""
     obstacle_names: tuple[str, ...]
     hull: NDArray[np.float64]
+    """(3,): radius, half height, and distance from the body's origin to the hull's farthest point, metres."""
 
     @property
     def most(self) -> int:
-        """Solids that a lane can have."""
+        """Largest number of solids in a lane."""
         return len(self.fixed) + len(self.obstacle_names)
 
     def name_of(self, solid: int, obstacles: int) -> str:
-        """What a solid of a lane with so many obstacles is called."""
+        """Return the name of a solid of a lane with this number of obstacles."""
         return self.obstacle_names[solid] if solid < obstacles else self.names[solid - obstacles]
 
     def put(self, layout: LaneLayout | None, solids: NDArray[np.float64]) -> int:
-        """Fill the solids (most, SOLID_FIELDS) of a lane, obstacles first; how many there are."""
+        """Fill the solids (most, SOLID_FIELDS) of a lane, obstacles first, and return their number."""
         count = 0 if layout is None else len(layout)
         if layout is not None:
             half, tall = layout.half_width_m, OBSTACLE_HALF_HEIGHT_M
@@ -52,7 +56,7 @@ class Surroundings(NamedTuple):
 
 
 def read_surroundings(model: mujoco.MjModel) -> Surroundings:
-    """Of a scene. Raises UserError where something can be touched that is none of the kinds known here."""
+    """Read a scene's collision geometry. Raises UserError for shapes that the kernels do not know, or moving bodies."""
     touching = (model.geom_contype | model.geom_conaffinity) > 0
     vehicle = model.body(BODY).id
     obstacles = obstacle_geoms(model)

@@ -1,4 +1,4 @@
-"""Lanes on the CPU: commands flown and seen lane by lane, in threads that share nothing but what they read."""
+"""Lanes on the CPU: each is flown and observed through a whole command, in threads that share read-only data alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,13 @@ from uavaccel.kernels.lanes import (
 )
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk
+from uavaccel.kernels.spans import (
+    draw_channels,
+    draw_depths,
+    make_scratch,
+    transpose_colour,
+    transpose_gray,
+)
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
@@ -34,19 +40,19 @@ from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 from uavaccel.vision.observation import BLOCK_SIDE
 
-SAMPLE_FIELDS = 13  # place, attitude, velocity, body rate: a flight's record from `position` on
+SAMPLE_FIELDS = 13  # position, quaternion, velocity, body rate: as in FLIGHT_DTYPE from `position` on
 
 
 @part
 def _look_at_starts(games: Games, rows: Operand) -> None:
-    """Finish the starts of games: the accelerations in their wind."""
+    """Complete the initial states of games with their accelerations in the wind."""
     for game in rows:
         look(games.parameters[game], games.start[game], games.body[game])
 
 
 @part
-def spread(nominal: float, sigma: float, normal: Operand, out: Operand) -> None:
-    """Thresholds (144, 256) of a lane's pixels."""
+def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand) -> None:
+    """Write the thresholds (144, 256) of a lane's pixels."""
     for y in range(ROWS):
         for x in range(COLUMNS):
             out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
@@ -54,7 +60,7 @@ def spread(nominal: float, sigma: float, normal: Operand, out: Operand) -> None:
 
 @part(error_model="numpy")
 def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) -> None:
-    """Make a picture (values,) of grey levels noisy, in place (vision/image_noise)."""
+    """Add read noise to an image (values,) of 8-bit levels, in place (vision/image_noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
     fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
     for value in range(len(picture)):
@@ -65,7 +71,7 @@ def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) ->
 def leak(
     base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float
 ) -> Any:
-    """The memorised intensities (144, 256) after heat and leak over a frame."""
+    """Return the memorised intensities (144, 256) after a frame's hot-pixel drift and leak."""
     if camera[events.HOT] > 0.0:
         base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
     if camera[events.LEAK] > 0.0:
@@ -78,7 +84,7 @@ def leak(
 
 @part(error_model="numpy")
 def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s: float, time_s: float) -> Any:
-    """Signed counts without those within the refractory period."""
+    """Return the signed counts without the events within the refractory period."""
     most = max(1, signed.max(), -signed.min())
     if camera[events.REFRACTORY] <= (time_s - before_s) / most:
         return signed
@@ -91,15 +97,15 @@ def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s:
 
 
 @part(error_model="numpy")
-def gather(signed: Operand, gathered: Operand) -> None:
-    """Add signed counts (144, 256) to their blocks' (36, 64)."""
+def add_to_blocks(signed: Operand, gathered: Operand) -> None:
+    """Add signed counts (144, 256) to those of their blocks (36, 64)."""
     for y in range(ROWS):
         for x in range(COLUMNS):
             gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
 
 
 @part(error_model="numpy")
-def shoot(
+def add_shot_noise(
     picture: Operand,
     camera: Operand,
     sensor: Operand,
@@ -109,7 +115,7 @@ def shoot(
     gathered: Operand,
     noise: Operand,
 ) -> None:
-    """Add a frame's shot noise; `maps` are the thresholds, `noise` seed, frame and its time in s."""
+    """Add a frame's shot noise; `maps` are the thresholds, `noise` is seed, frame index and duration in s."""
     seed, index, dt_s = noise
     draws = np.empty((ROWS, COLUMNS), np.float32)
     fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
@@ -125,7 +131,7 @@ def shoot(
 
 @part(error_model="numpy")
 def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, camera: Operand) -> None:
-    """A game's first frame makes no events; none are gathered."""
+    """Initialise a lane's event camera with a game's first frame, which causes no events."""
     for y in range(ROWS):
         for x in range(COLUMNS):
             log = sensor.logs[picture[y, x]]
@@ -138,11 +144,11 @@ def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, c
 
 
 def logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
-    """A frame's logarithms, float32, or float64 after the low-pass of which `filtered` (144, 256) are the last."""
+    """Return a frame's log intensities: float32, or float64 after the low-pass filter with last output `filtered`."""
 
 
 def counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    """Signed counts in the precision of the logarithms."""
+    """Return the signed counts in the precision of the log intensities."""
 
 
 @overload(logs_of)
@@ -154,8 +160,8 @@ def _logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def
 
 @overload(counts_of)
 def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    of_type = dvs.count_single if log.dtype == types.float32 else dvs.count_double
-    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+    function = dvs.count_single if log.dtype == types.float32 else dvs.count_double
+    return lambda log, base, positive, negative: function(log, base, positive, negative)
 
 
 @part(error_model="numpy")
@@ -168,12 +174,12 @@ def see(
     camera: Operand,
     seed: int,
 ) -> None:
-    """A lane's event camera sees a frame (144, 256)."""
+    """Update a lane's event camera for a frame (144, 256) at `time_s`."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
     base, low_passed, dt_s = pixels.base[lane], pixels.filtered.size > 0, time_s - before_s
     positive, negative = np.empty_like(base), np.empty_like(base)
-    spread(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    spread(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
+    fill_thresholds(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
+    fill_thresholds(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
     weights = np.minimum(sensor.weights * (dt_s / camera[events.TAU]), 1.0)
     log = logs_of(picture, pixels.filtered[lane] if low_passed else base, sensor, weights)
     base = leak(base, positive, camera, sensor, seed, index, dt_s)
@@ -181,10 +187,10 @@ def see(
     if pixels.last_s.size:
         signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
     base = dvs.advance_base(signed, base, positive, negative)
-    gather(signed, pixels.gathered[lane])
+    add_to_blocks(signed, pixels.gathered[lane])
     if camera[events.SHOT] > 0.0:
         noise = seed, index, dt_s
-        shoot(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
+        add_shot_noise(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
     pixels.base[lane] = base
     if low_passed:
         pixels.filtered[lane] = log
@@ -193,43 +199,47 @@ def see(
 
 @part(error_model="numpy")
 def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
-    """Simulated time since the game's start."""
+    """Return the simulated time since the game's start, ns."""
     return now.state[lane].tick * tick_ns
 
 
 @part(error_model="numpy")
-def draw_gray(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Operand, picture: Operand
-) -> None:
-    """What a lane's front camera sees, grey (144, 256), with the camera's noise."""
-    state, game = now.state[lane], now.game[lane]
-    project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
-    draw_channels(looks, desk, False)
-    channels = desk.channels
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            picture[y, x] = channels[0, x, y]
+def project_lane(lane: int, looks: Looks, games: Games, now: Flights, sky: bool, scratch: Operand) -> None:
+    """Project what a lane's front camera sees to `scratch.faces`."""
+    state = now.state[lane]
+    project(looks, games.scenes, now.game[lane], state.position, state.quaternion, sky, scratch.faces)
+
+
+@part(error_model="numpy")
+def add_camera_noise(lane: int, games: Games, now: Flights, tick_ns: int, picture: Operand) -> None:
+    """Add the read noise of a lane's camera to an image, in place."""
+    game = now.game[lane]
     if games.cameras[game, events.READ] > 0.0:
         seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
 
 
 @part(error_model="numpy")
-def draw_colour(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, desk: Operand, frame: Operand
+def draw_gray(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
 ) -> None:
-    """Red, green and blue (3, 36, 64): means of blocks of 4 x 4 pixels."""
-    state, game = now.state[lane], now.game[lane]
-    project(looks, games.scenes, game, state.position, state.quaternion, True, desk.faces)
-    draw_channels(looks, desk, True)
-    picture, channels = np.empty((ROWS, COLUMNS, 3), np.uint8), desk.channels
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            for channel in range(3):
-                picture[y, x, channel] = channels[channel, x, y]
-    if games.cameras[game, events.READ] > 0.0:
-        seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
-        add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
+    """Render a lane's front camera in grey levels (144, 256), with the camera's noise."""
+    project_lane(lane, looks, games, now, True, scratch)
+    draw_channels(looks, scratch, False)
+    transpose_gray(scratch.channels, picture)
+    add_camera_noise(lane, games, now, tick_ns, picture)
+
+
+@part(error_model="numpy")
+def draw_colour(
+    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, scratch: Operand, frame: Operand
+) -> None:
+    """Render red, green and blue (3, 36, 64): means over blocks of 4 x 4 pixels."""
+    project_lane(lane, looks, games, now, True, scratch)
+    draw_channels(looks, scratch, True)
+    picture = np.empty((ROWS, COLUMNS, 3), np.uint8)
+    transpose_colour(scratch.channels, picture)
+    add_camera_noise(lane, games, now, tick_ns, picture)
     for channel in range(3):
         for y in range(frame.shape[1]):
             for x in range(frame.shape[2]):
@@ -241,12 +251,11 @@ def draw_colour(
 
 
 @part(error_model="numpy")
-def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Operand, frame: Operand) -> None:
-    """Depth (1, 36, 64): means of blocks of 4 x 4 pixels, 0 to SEEN_FAR_M as 0 to 255."""
-    state, game = now.state[lane], now.game[lane]
-    project(looks, games.scenes, game, state.position, state.quaternion, False, desk.faces)
+def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, scratch: Operand, frame: Operand) -> None:
+    """Render depth (1, 36, 64): means over blocks of 4 x 4 pixels, with 0 to SEEN_FAR_M encoded as 0 to 255."""
+    project_lane(lane, looks, games, now, False, scratch)
     depths = np.empty((ROWS, COLUMNS), np.float32)
-    draw_depths(desk, depths)
+    draw_depths(scratch, depths)
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
             total = np.float32(0.0)
@@ -257,7 +266,7 @@ def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, desk: Operan
 
 
 class View(NamedTuple):
-    """What lanes are seen with."""
+    """The cameras of all lanes: kind of observation, appearance, event sensor and its state."""
 
     kind: int
     looks: Operand
@@ -267,11 +276,11 @@ class View(NamedTuple):
 
 @part(error_model="numpy")
 def look_at_events(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Operand, picture: Operand
+    lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, picture: Operand
 ) -> None:
-    """A lane's event camera sees what is in front of it."""
+    """Render a lane's front camera and update its event camera."""
     game = now.game[lane]
-    draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
+    draw_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
     time_s = moment_ns(lane, now, plan.tick_ns) * events.NS
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
@@ -280,8 +289,8 @@ def look_at_events(
 def _begin_lanes(
     lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
 ) -> None:
-    """Let lanes begin the games of these rows."""
-    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    """Begin the games of `rows` in `lanes`."""
+    scratch, picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
     frame, timing = np.empty((3, ROWS // BLOCK_SIDE, COLUMNS // BLOCK_SIDE), np.uint8), plan.timing
     for place in range(len(lanes)):
         lane, game = lanes[place], rows[place]
@@ -290,37 +299,37 @@ def _begin_lanes(
         timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
         clocks.brightness[lane] = np.nan
         if view.kind == DVS:
-            draw_gray(lane, view.looks, games, now, plan.tick_ns, desk, picture)
+            draw_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
         elif timing.rules[timeline.GUARDED]:
-            draw_frame(lane, view, games, now, plan, desk, frame)
-        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, desk)
+            draw_frame(lane, view, games, now, plan, scratch, frame)
+        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, scratch)
         timeline.show_start(row, scale, timing, suspect)
 
 
 @part(error_model="numpy")
 def draw_frame(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, desk: Operand, frame: Operand
+    lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, frame: Operand
 ) -> None:
-    """What a lane sees now, in colour or of depth."""
+    """Render a lane's present frame, in colour or of depth; other kinds have none."""
     if view.kind == COLOUR:
-        draw_colour(lane, view.looks, games, now, plan.tick_ns, desk, frame)
+        draw_colour(lane, view.looks, games, now, plan.tick_ns, scratch, frame)
     elif view.kind == DEPTH:
-        draw_depth(lane, view.looks, games, now, desk, frame)
+        draw_depth(lane, view.looks, games, now, scratch, frame)
 
 
 @part(error_model="numpy")
-def guard(lane: int, view: View, clocks: Clocks, desk: Operand) -> bool:
-    """Whether the guard asks for the picture on a lane's desk again (vision/guard), and note it for the next one."""
+def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
+    """Return whether the guard requests the image in `scratch` again (vision/guard), and remember its brightness."""
     bright = 0.0
     if view.kind == DVS:
-        bright = desk.channels[0].mean()
+        bright = scratch.channels[0].mean()
     elif view.kind == COLOUR:
         for channel in range(3):
-            bright += LUMA_WEIGHTS[channel] * desk.channels[channel].mean()
+            bright += LUMA_WEIGHTS[channel] * scratch.channels[channel].mean()
     else:
         depths = np.empty((ROWS, COLUMNS), np.float32)
-        draw_depths(desk, depths)
+        draw_depths(scratch, depths)
         bright = depths.mean()
     return timeline.is_suspect(lane, bright, clocks)
 
@@ -333,19 +342,19 @@ def fly_sample(
     games: Games,
     now: Flights,
     plan: Command,
-    desk: Operand,
+    scratch: Operand,
     picture: Operand,
 ) -> bool:
-    """Fly to a sample, the event camera looking on; whether it has seen the sample's own moment."""
+    """Fly to a sample with the event camera recording; return whether it has a frame of the sample's own tick."""
     left = ticks
     while plan.event_ticks > 0 and view.kind == DVS:
-        due = plan.event_ticks - now.state[lane].tick % plan.event_ticks
-        if due > left or touched(lane, now):
+        to_frame = plan.event_ticks - now.state[lane].tick % plan.event_ticks
+        if to_frame > left or touched(lane, now):
             break
-        fly(lane, due, games, now, plan.hull)
-        left -= due
+        fly(lane, to_frame, games, now, plan.hull)
+        left -= to_frame
         if not touched(lane, now):
-            look_at_events(lane, view, games, now, plan, desk, picture)
+            look_at_events(lane, view, games, now, plan, scratch, picture)
     fly(lane, left, games, now, plan.hull)
     return plan.event_ticks > 0 and now.state[lane].tick % plan.event_ticks == 0
 
@@ -359,20 +368,20 @@ def fly_to(
     now: Flights,
     plan: Command,
     clocks: Clocks,
-    desk: Operand,
+    scratch: Operand,
     picture: Operand,
 ) -> bool:
-    """The same up to a tick, remembering the pose that pictures show until the next one of Unreal's frames."""
+    """Do as `fly_sample` up to a tick, and store the pose that images show until Unreal's next frame."""
     shown = clocks.row[lane, timeline.SHOWN]
     if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
-        fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, desk, picture)
+        fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, scratch, picture)
         keep_shown(lane, now, clocks)
-    return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, desk, picture)
+    return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, scratch, picture)
 
 
 @part
 def take_state(lane: int, now: Flights, sample: Operand) -> None:
-    """A lane's place, attitude, velocity and body rate (SAMPLE_FIELDS,)."""
+    """Copy a lane's position, quaternion, velocity and body rate to `sample` (SAMPLE_FIELDS,)."""
     state = now.state[lane]
     for axis in range(3):
         sample[axis] = state.position[axis]
@@ -394,27 +403,30 @@ def _fly_lanes(
     frames: Operand,
     samples: Operand,
 ) -> None:
-    """Fly a command each: frames (L, S, ...) of the samples before a touch, states (L, S, SAMPLE_FIELDS) of all."""
-    desk, picture = make_desk(), np.empty((ROWS, COLUMNS), np.uint8)
+    """Fly one command in each of `lanes`.
+
+    Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, SAMPLE_FIELDS).
+    """
+    scratch, picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
     for lane in lanes:
         row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
         tick = timeline.issue(row, scale, timing)
-        fly_to(lane, tick, view, games, now, plan, clocks, desk, picture)
+        fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
         command(lane, directions, games, now)
         now.state[lane].hover_tick = tick + plan.hold_ticks
         sample = 0
         while row[timeline.LAST] == 0:
             tick = timeline.reach(row, scale, timing, sample)
-            seen = fly_to(lane, tick, view, games, now, plan, clocks, desk, picture)
+            seen = fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
             take_state(lane, now, samples[lane, sample])
             hit, suspect = touched(lane, now), False
             if not hit:
                 clocks.ticks[lane, sample] = tick
                 if view.kind != STATE:
                     frame = frames[lane, sample]
-                    look_at_sample(lane, seen, view, games, now, plan, clocks, desk, picture, frame)
+                    look_at_sample(lane, seen, view, games, now, plan, clocks, scratch, picture, frame)
                     if timing.rules[timeline.GUARDED]:
-                        suspect = guard(lane, view, clocks, desk)
+                        suspect = guard(lane, view, clocks, scratch)
             timeline.leave(row, scale, timing, hit, suspect)
             sample += 1
         clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
@@ -430,18 +442,18 @@ def look_at_sample(
     now: Flights,
     plan: Command,
     clocks: Clocks,
-    desk: Operand,
+    scratch: Operand,
     picture: Operand,
     frame: Operand,
 ) -> None:
-    """The frame of a sample; the event camera may have seen its moment."""
+    """Write the frame of a sample; `seen` says that the event camera has recorded its tick already."""
     if not seen:
         if plan.timing.rules[timeline.STALE_POSE]:
             turn_to_shown(lane, now, clocks)
         if view.kind == DVS:
-            look_at_events(lane, view, games, now, plan, desk, picture)
+            look_at_events(lane, view, games, now, plan, scratch, picture)
         else:
-            draw_frame(lane, view, games, now, plan, desk, frame)
+            draw_frame(lane, view, games, now, plan, scratch, frame)
         if plan.timing.rules[timeline.STALE_POSE]:
             turn_to_shown(lane, now, clocks)
     if view.kind == DVS:
@@ -450,7 +462,7 @@ def look_at_sample(
 
 @part
 def take_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
-    """The events since they were last taken, as a frame (1, 36, 64)."""
+    """Move the events since the last call to a frame (1, 36, 64)."""
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
             frame[0, y, x] = events.level_of(pixels.gathered[lane, y, x])
@@ -461,14 +473,14 @@ def take_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
 def _show_lanes(
     lanes: Operand, view: View, games: Games, now: Flights, plan: Command, frames: Operand
 ) -> None:
-    """Frames (L, 1, ...) of the present moment, in colour or of depth."""
-    desk = make_desk()
+    """Render the present frames (L, 1, ...) of `lanes`, in colour or of depth."""
+    scratch = make_scratch()
     for lane in lanes:
-        draw_frame(lane, view, games, now, plan, desk, frames[lane, 0])
+        draw_frame(lane, view, games, now, plan, scratch, frames[lane, 0])
 
 
 class EntryPoints(NamedTuple):
-    """Machine code, called without the GIL."""
+    """The compiled functions, which release the GIL."""
 
     look_at_starts: Launchable
     begin: Launchable
@@ -477,10 +489,7 @@ class EntryPoints(NamedTuple):
 
 
 def _compile(stamp: int) -> EntryPoints:
-    """The entry points, from numba's cache if they are there.
-
-    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
-    """
+    """Compile the entry points, or load them from numba's cache; `stamp` as in kernels/pictures."""
     entry_point = njit(nogil=True, cache=True)
 
     @entry_point

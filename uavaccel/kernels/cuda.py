@@ -1,9 +1,9 @@
-"""Lanes on one GPU: the same functions as CUDA kernels, through numba-cuda.
+"""Lanes on one GPU: the functions of the CPU, compiled as CUDA kernels by numba-cuda.
 
-A thread flies a lane, a thread settles what a column of its picture shows, and a thread draws and sees 4 x 2 pixels.
-Everything stays on the device; kernels are launched on PyTorch's stream, so that a round of them can be recorded as a
-CUDA graph. numba-cuda has no switch for fused multiply-adds: flights differ from the CPU's in their last bits, events
-do not (vision/rounding).
+One to 32 threads fly a lane, one thread resolves visibility in a column of an image, and one thread shades 4 x 2 pixels
+and computes their events. All data stays on the device, and kernels are launched on PyTorch's current stream, so that a
+round of them can be recorded as a CUDA graph. numba-cuda cannot disable fused multiply-adds: flights differ from the
+CPU's in their last bits, events do not (vision/rounding).
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from uavaccel.vision.rounding import times
 BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
-FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # of a block of CUDA's
+FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # per thread block
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
-FLYING_WARPS = 2  # of a multiprocessor: a quarter of its registers, and room for who learns meanwhile
-EAGER = 2  # times before work is recorded: what is compiled and chosen at first use
-BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # faces of a solid, at most (kernels/project)
+FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
+EAGER = 2  # runs before recording, in which kernels are compiled and libraries choose their algorithms
+BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
 PARAMETERS, FLIGHT = RECORDS[PARAMETERS_DTYPE], RECORDS[FLIGHT_DTYPE]
@@ -59,14 +59,14 @@ def _times(a, b):  # type: ignore[no-untyped-def]
     return lambda a, b: libdevice.dmul_rn(a, b)
 
 
-def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    of_type = quick_count if log == types.float32 else count_double_pixel
-    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    function = quick_count if log == types.float32 else count_double_pixel
+    return lambda log, base, positive, negative: function(log, base, positive, negative)
 
 
 @cuda.jit(device=True)
 def mask_of(threads):  # type: ignore[no-untyped-def]
-    """The threads of a warp that fly this one's lane, as bits."""
+    """Return the bit mask of the threads in this warp that fly the same lane."""
     return (WHOLE_WARP >> (WARP - threads)) << (cuda.laneid // threads * threads)
 
 
@@ -81,19 +81,19 @@ def _deepest_of_all(found, depth_m, threads):  # type: ignore[no-untyped-def]
 
 
 def _shuffled_least(distance_m, threads):  # type: ignore[no-untyped-def]
-    those, distance = mask_of(threads), threads // 2
+    mask, distance = mask_of(threads), threads // 2
     while distance > 0:
-        distance_m = min(distance_m, cuda.shfl_xor_sync(those, distance_m, distance))
+        distance_m = min(distance_m, cuda.shfl_xor_sync(mask, distance_m, distance))
         distance //= 2
     return distance_m
 
 
 def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
-    those, distance = mask_of(threads), threads // 2
+    mask, distance = mask_of(threads), threads // 2
     while distance > 0:
         other, depth = (
-            cuda.shfl_xor_sync(those, found, distance),
-            cuda.shfl_xor_sync(those, depth_m, distance),
+            cuda.shfl_xor_sync(mask, found, distance),
+            cuda.shfl_xor_sync(mask, depth_m, distance),
         )
         if depth < depth_m or (depth == depth_m and other > found):
             found, depth_m = other, depth
@@ -102,11 +102,11 @@ def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
 
 
 for _function, _chosen in events.BY_TYPE:
-    overload(_function)(_due if _function is events.due else _chosen)
+    overload(_function)(_signed_count if _function is events.signed_count else _chosen)
 
 
 class Plan(NamedTuple):
-    """What all lanes have in common: a command's, and what they are seen with."""
+    """Arrays that all lanes share: the hull, and what images and events are computed from."""
 
     hull: Operand
     texels: Operand
@@ -116,7 +116,7 @@ class Plan(NamedTuple):
 
 
 def begin_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
-    """Let each lane that is `renewed` (L,) begin the game of its row."""
+    """Begin the game in row `rows` (L,) of every lane whose flag in `renewed` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(renewed) and renewed[lane] != 0:
         game = rows[lane]
@@ -125,25 +125,28 @@ def begin_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
 
 
 def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
-    """Let each lane that is `going` (L,) take its direction (L, 3)."""
+    """Apply the velocity command `directions` (L, 3) to every lane whose flag in `going` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0:
         lanes.command(lane, directions, games, now)
 
 
 @cuda.jit(device=True, inline="always")
-def put_down(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-def]
-    """Where a lane has flown to, out of registers; forces and accelerations are each tick's own (flight.short_step)."""
+def store_flight(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-def]
+    """Write a lane's state, pose and velocity from registers back to memory.
+
+    Forces and accelerations are recomputed in each tick and not stored (flight.short_step).
+    """
     now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED] = watch[NEXT_LOOK], watch[TOUCHED]
-    there, body = now.state[lane], now.body[lane]
-    for field in range(9):  # not used here, and read again so that no register keeps them from tick to tick
+    stored, body = now.state[lane], now.body[lane]
+    for field in range(9):  # unused by the kernel: reread here, so that they occupy no registers in between
         state[0].pid_integral[field], state[0].pid_error[field] = (
-            there.pid_integral[field],
-            there.pid_error[field],
+            stored.pid_integral[field],
+            stored.pid_error[field],
         )
     for field in range(4):
-        state[0].pid_mode[field] = there.pid_mode[field]
-    state[0].contacts, state[0].contacts_changed = there.contacts, there.contacts_changed
+        state[0].pid_mode[field] = stored.pid_mode[field]
+    state[0].contacts, state[0].contacts_changed = stored.contacts, stored.contacts_changed
     now.state[lane] = state[0]
     for field in range(7):
         body[lanes.POSE + field] = pose[field]
@@ -151,36 +154,37 @@ def put_down(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-
         body[lanes.MOTION + field] = motion[field]
 
 
-def flying(usual: Operand) -> Any:
-    """The kernel that flies, for vehicles whose parameters are the `usual` ones but for mass, inertia and thrust.
+def flying(nominal: Operand) -> Any:
+    """Return the flight kernel for vehicles of `nominal` parameters, except for mass, inertia and thrust.
 
-    What is known when it is compiled needs no registers, of which a flight takes all that a thread can have.
+    Compile-time constants need no registers, and a flight uses as many as a thread can have.
     """
     tick_s, gravity, arm, keep = (
-        float(usual[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep")
+        float(nominal[name]) for name in ("tick_s", "gravity_m_s2", "rotor_arm_m", "rotor_keep")
     )
-    drag, slow = tuple(map(float, usual["drag_factor_m2"])), float(usual["drag_min_velocity_m_s"])
-    ground, sea = float(usual["ground_altitude_m"]), float(usual["sea_density_kg_m3"])
+    drag, drag_floor = tuple(map(float, nominal["drag_factor_m2"])), float(nominal["drag_min_velocity_m_s"])
+    ground, sea = float(nominal["ground_altitude_m"]), float(nominal["sea_density_kg_m3"])
     place_gain, speed_gain = (
-        tuple(map(float, usual["position_gain"])),
-        tuple(map(float, usual["velocity_gain"])),
+        tuple(map(float, nominal["position_gain"])),
+        tuple(map(float, nominal["velocity_gain"])),
     )
-    angle_gain, rate_gain = tuple(map(float, usual["angle_gain"])), tuple(map(float, usual["rate_gain"]))
-    gather, remember = float(usual["z_integral_gain"]), float(usual["z_integral_keep"])
-    fastest, steepest = float(usual["velocity_limit_m_s"]), float(usual["tilt_limit_rad"])
-    turning, least, least_mixed = (
-        float(usual[name]) for name in ("rate_limit_rad_s", "min_throttle", "min_mixed_throttle")
+    angle_gain, rate_gain = tuple(map(float, nominal["angle_gain"])), tuple(map(float, nominal["rate_gain"]))
+    z_gain, z_keep = float(nominal["z_integral_gain"]), float(nominal["z_integral_keep"])
+    velocity_limit, tilt_limit = float(nominal["velocity_limit_m_s"]), float(nominal["tilt_limit_rad"])
+    rate_limit, min_throttle, min_mixed = (
+        float(nominal[name]) for name in ("rate_limit_rad_s", "min_throttle", "min_mixed_throttle")
     )
 
     def fly_lanes(going, ticks, games, now, hull, threads):  # type: ignore[no-untyped-def]
-        """Fly so many ticks, (L,), from copies in registers: a lane's ticks wait for nothing but one another.
+        """Fly every lane that is `going` for `ticks` (L,), on copies in registers, so that no tick waits for memory.
 
-        So many `threads` of a warp fly a lane, all of them the same; they share in looking at what stands around it.
+        Each lane is flown by `threads` threads of a warp. They all compute the same flight, but share the solids of
+        the collision test among them.
         """
         lane, mine = cuda.grid(1) // threads, cuda.laneid % threads
         if lane >= len(going) or going[lane] == 0 or ticks[lane] == 0:
             return
-        game, those = now.game[lane], mask_of(threads)
+        game, mask = now.game[lane], mask_of(threads)
         watch = cuda.local.array(2, types.int64)
         own, state = cuda.local.array(1, PARAMETERS), cuda.local.array(1, FLIGHT)
         pose, motion = cuda.local.array(7, types.float64), cuda.local.array(6, types.float64)
@@ -188,10 +192,18 @@ def flying(usual: Operand) -> Any:
         own[0], state[0] = games.parameters[game], now.state[lane]
         own[0].full_pid = 0
         own[0].tick_s, own[0].gravity_m_s2, own[0].rotor_arm_m, own[0].rotor_keep = tick_s, gravity, arm, keep
-        own[0].drag_min_velocity_m_s, own[0].ground_altitude_m, own[0].sea_density_kg_m3 = slow, ground, sea
-        own[0].z_integral_gain, own[0].z_integral_keep = gather, remember
-        own[0].velocity_limit_m_s, own[0].tilt_limit_rad = fastest, steepest
-        own[0].rate_limit_rad_s, own[0].min_throttle, own[0].min_mixed_throttle = turning, least, least_mixed
+        own[0].drag_min_velocity_m_s, own[0].ground_altitude_m, own[0].sea_density_kg_m3 = (
+            drag_floor,
+            ground,
+            sea,
+        )
+        own[0].z_integral_gain, own[0].z_integral_keep = z_gain, z_keep
+        own[0].velocity_limit_m_s, own[0].tilt_limit_rad = velocity_limit, tilt_limit
+        own[0].rate_limit_rad_s, own[0].min_throttle, own[0].min_mixed_throttle = (
+            rate_limit,
+            min_throttle,
+            min_mixed,
+        )
         for axis in range(3):
             own[0].drag_factor_m2[axis], own[0].position_gain[axis] = drag[axis], place_gain[axis]
             own[0].velocity_gain[axis], own[0].angle_gain[axis] = speed_gain[axis], angle_gain[axis]
@@ -204,18 +216,18 @@ def flying(usual: Operand) -> Any:
         watch[NEXT_LOOK], watch[TOUCHED] = now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED]
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
-        cuda.syncwarp(those)  # read before one of them writes
+        cuda.syncwarp(mask)  # all have read before any writes
         fly_ticks(own[0], state[0], parts, solids, count, hull, watch, ticks[lane], False, (mine, threads))
-        cuda.syncwarp(those)
+        cuda.syncwarp(mask)
         if mine != 0:
             return
-        put_down(lane, watch, state, pose, motion, now)
+        store_flight(lane, watch, state, pose, motion, now)
 
     return fly_lanes
 
 
 def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-untyped-def]
-    """Project what each lane that is `going` sees: faces (L, SLOTS, FIELDS), a thread and slots of its own a solid."""
+    """Project the scene of every lane that is `going` to `faces` (L, SLOTS, FIELDS): one thread per solid."""
     thread = cuda.grid(1)
     lane, solid = thread // WARP, thread % WARP
     if lane >= len(going) or going[lane] == 0:
@@ -236,7 +248,7 @@ def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-unty
 
 @cuda.jit(device=True)
 def first_slot(solids, solid):  # type: ignore[no-untyped-def]
-    """Where a solid's faces begin: as many before as the solids before it have at most."""
+    """Return the first slot of a solid: each solid before it reserves as many as its shape can fill."""
     slot = 1
     for before in range(solid):
         slot += CYLINDER_SLOTS if solids[before, at.KIND] == at.CYLINDER else BOX_SLOTS
@@ -244,13 +256,13 @@ def first_slot(solids, solid):  # type: ignore[no-untyped-def]
 
 
 def find_shown(going, faces, shown):  # type: ignore[no-untyped-def]
-    """The face of each pixel, (L, 144, 256) int16, of the lanes that are `going`: a thread a column.
+    """Find the visible face of each pixel, `shown` (L, 144, 256) int16, in the lanes that are `going`.
 
-    The threads of a warp have columns beside each other: each looks at other faces for all of them.
+    One thread per column. The 32 threads of a warp have adjacent columns and test 32 faces at a time for all of them.
     """
     thread, thread_place = cuda.grid(1), np.uintp(cuda.threadIdx.x)
     lane, column = thread // at.COLUMNS, np.int32(thread % at.COLUMNS)
-    room = Column(
+    scratch = Column(
         cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.int32),
         cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.float32),
         cuda.shared.array((MOST_INTERVALS, COLUMN_THREADS), types.float32),
@@ -265,18 +277,18 @@ def find_shown(going, faces, shown):  # type: ignore[no-untyped-def]
         face = np.int32(first + mine)
         found = face < total and own[face, at.NEAREST_W] > np.float32(0.0)
         found = found and own[face, at.FIRST_COLUMN] <= right and own[face, at.LAST_COLUMN] >= left
-        those = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
-        while those != 0:
-            face = np.int32(first + cuda.ffs(those) - 1)
-            those &= those - 1
-            count = add_interval(own, face, column, room, thread_place, count)
-    settle(own[0, at.FAR_W], room, thread_place, count)
-    fill_column(room, thread_place, shown[lane], np.uintp(column))
+        mask = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
+        while mask != 0:
+            face = np.int32(first + cuda.ffs(mask) - 1)
+            mask &= mask - 1
+            count = add_interval(own, face, column, scratch, thread_place, count)
+    settle(own[0, at.FAR_W], scratch, thread_place, count)
+    fill_column(scratch, thread_place, shown[lane], np.uintp(column))
 
 
 @cuda.jit(device=True)
 def noisy_at(level, camera, seeds, moment_ns, value):  # type: ignore[no-untyped-def]
-    """A grey level as a noisy camera reads it; `value` is its number in the picture."""
+    """Return a level with read noise; `value` is the index of the value in the image."""
     seed, moment = np.uint64(seeds[PICTURE_SEED]), np.uint64(moment_ns)
     drawn = normal_block(seed, moment, READ_NOISE, value // BLOCK_SIDE)
     return events.noisy(level, np.float32(camera[events.READ]), drawn[value % BLOCK_SIDE])
@@ -284,17 +296,17 @@ def noisy_at(level, camera, seeds, moment_ns, value):  # type: ignore[no-untyped
 
 @cuda.jit(device=True)
 def camera_of(games, game):  # type: ignore[no-untyped-def]
-    """A game's camera, in registers."""
+    """Return a game's camera parameters as scalars, which the compiler keeps in registers."""
     row = games.cameras[game]
     return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
 
 
 @cuda.jit(device=True)
 def pixels_of_thread():  # type: ignore[no-untyped-def]
-    """Lane, and the first row and column of the 4 x 2 pixels of a thread.
+    """Return this thread's lane, and the first row and column of its 4 x 2 pixels.
 
-    A warp has 16 x 16 pixels, so that few of its threads see other faces than the rest; two threads beside each other
-    have a block.
+    A warp covers 16 x 16 pixels, so that most of its threads see the same faces; two adjacent threads cover a block of
+    4 x 4.
     """
     thread, threads = np.uint32(cuda.grid(1)), np.uint32(SEEING_THREADS_A_LANE)
     lane, place = np.uint32(thread // threads), np.uint32(thread % threads)
@@ -306,19 +318,19 @@ def pixels_of_thread():  # type: ignore[no-untyped-def]
 
 @cuda.jit(device=True)
 def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
-    """Luma of a quad's pixels, the first of which is that of all lanes' (quads.see_plainly)."""
-    those = (
+    """Return the luma of a quad; `first` is its first pixel's index over all lanes (quads.see_plainly)."""
+    quad = (
         np.int32(shown[0, 0, first]),
         np.int32(shown[0, 0, first + RIGHT]),
         np.int32(shown[0, 0, first + BELOW]),
         np.int32(shown[0, 0, first + BELOW + RIGHT]),
     )
-    return quad_lumas(faces, those, plan.texels, plan.textures, y, x)
+    return quad_lumas(faces, quad, plan.texels, plan.textures, y, x)
 
 
 @cuda.jit(device=True)
 def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyped-def]
-    """A quad's levels as a noisy camera reads them."""
+    """Return a quad's levels with read noise."""
     value = y * at.COLUMNS + x
     return (
         np.int32(noisy_at(levels[0], camera, seeds, moment_ns, value)),
@@ -329,7 +341,7 @@ def noisy_quad(levels, camera, seeds, moment_ns, y, x):  # type: ignore[no-untyp
 
 
 def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore[no-untyped-def]
-    """Show each lane that is `going` its first picture, which makes no events."""
+    """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
@@ -353,7 +365,7 @@ def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore
 
 @cuda.jit(device=True)
 def begin_pixel(level, camera, sensor, pixels, lane, row, column):  # type: ignore[no-untyped-def]
-    """What a pixel knows after its first picture."""
+    """Initialise a pixel with its first grey level."""
     log = sensor.logs[np.uint32(level)]
     pixels.base[lane, row, column] = log
     if pixels.filtered.size:
@@ -364,8 +376,8 @@ def begin_pixel(level, camera, sensor, pixels, lane, row, column):  # type: igno
 
 @cuda.jit(device=True)
 def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # type: ignore[no-untyped-def]
-    """Two pixels beside each other, of a camera with noise or a low-pass."""
-    normals, draws = events.drawn(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
+    """Return ON minus OFF events of two adjacent pixels of a camera with noise or a low-pass filter."""
+    normals, draws = events.block_draws(camera, noise[0], noise[1], (y * at.COLUMNS + x) // BLOCK_SIDE)
     later = x % BLOCK_SIDE != 0
     first = (normals[2], draws[2]) if later else (normals[0], draws[0])
     second = (normals[3], draws[3]) if later else (normals[1], draws[1])
@@ -375,14 +387,14 @@ def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # ty
 
 @cuda.jit(device=True)
 def is_plain(camera, pixels):  # type: ignore[no-untyped-def]
-    """Whether a camera has neither noise nor a low-pass."""
+    """Return whether a camera has neither noise nor a low-pass filter."""
     quiet = camera[events.LEAK] <= 0.0 and camera[events.SHOT] <= 0.0 and camera[events.HOT] <= 0.0
     return quiet and camera[events.READ] <= 0.0 and pixels.filtered.size == 0
 
 
 @cuda.jit(device=True)
-def gather(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
-    """Add the events of a thread, and of the one beside it, to their block; where `take`, they are a frame's."""
+def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
+    """Add the events of this thread and its neighbour to their block; if `take`, move its sum to `frames`."""
     total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
     if x % BLOCK_SIDE == 0:
         across, down = np.uintp(x // BLOCK_SIDE), np.uintp(y // BLOCK_SIDE)
@@ -393,7 +405,7 @@ def gather(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-
 
 
 def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """Let plain event cameras see a picture; where `take`, events since the last time are a frame (L, 36, 64)."""
+    """Compute the events of cameras without noise; if `take`, move the blocks' sums to `frames` (L, 36, 64)."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
@@ -413,11 +425,11 @@ def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # 
         under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
         levels = grey_quad(own, shown, first, plan, top, x)
         total = np.int32(total + see_plainly(levels, before + under, camera, plan.sensor, base, first, place))
-    gather(total, take, lane, y, x, pixels, frames)
+    add_to_block(total, take, lane, y, x, pixels, frames)
 
 
 def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """`see_events` for the cameras that have noise or a low-pass: a kernel of its own, as it takes more registers."""
+    """Do as `see_events` for cameras with noise or a low-pass filter: a separate kernel, as it needs more registers."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0 or now.watch[lane, TOUCHED] != NOTHING:
         return
@@ -436,11 +448,11 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
             levels = noisy_quad(levels, camera, seeds, moment_ns, top, x)
         total += noisy_pair(levels[0:2], camera, plan.sensor, base, filtered, noise, top, x, dt_s)
         total += noisy_pair(levels[2:4], camera, plan.sensor, base, filtered, noise, top + 1, x, dt_s)
-    gather(np.int32(total), take, lane, y, x, pixels, frames)
+    add_to_block(np.int32(total), take, lane, y, x, pixels, frames)
 
 
-def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
-    """After `see_events`, once all blocks are done: the clock of each lane's camera."""
+def finish_frames(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
+    """Advance the clocks of the lanes' event cameras, after `see_events` has finished in all blocks."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
         pixels.clock[lane] += 1
@@ -448,7 +460,7 @@ def note_seen(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
 
 
 def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  # type: ignore[no-untyped-def]
-    """Frames (L, channels, 36, 64) in colour or of depth: means of blocks of 4 x 4 pixels; blank after a touch."""
+    """Write colour or depth frames (L, channels, 36, 64), means over blocks of 4 x 4 pixels; 0 after a collision."""
     thread = cuda.grid(1)
     lane, block = thread // BLOCKS, thread % BLOCKS
     if lane >= len(going) or going[lane] == 0:
@@ -485,7 +497,7 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
 
 
 def add_grey(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
-    """Add the grey levels of each lane's picture to its first sum (L, 3) int64."""
+    """Add the grey levels of each lane's image to column 0 of `sums` (L, 3) int64."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
@@ -502,7 +514,7 @@ def add_grey(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
 
 
 def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def]
-    """Add red, green and blue of each lane's picture to its sums (L, 3) int64: a thread a column."""
+    """Add red, green and blue of each lane's image to `sums` (L, 3) int64: one thread per column."""
     thread = cuda.grid(1)
     lane, column = thread // at.COLUMNS, thread % at.COLUMNS
     if lane >= len(going) or going[lane] == 0:
@@ -518,11 +530,11 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
 
 
 LIMITS: dict[Any, int] = {see_events: 72}
-"""Registers a thread, so that enough of them wait for memory at the same time."""
+"""Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
 class Kernels(NamedTuple):
-    """What can be launched: each takes the arrays that its function has, one thread a lane or a block of pixels."""
+    """The compiled kernels, each with the arguments of its function."""
 
     begin: Launchable
     command: Launchable
@@ -532,25 +544,25 @@ class Kernels(NamedTuple):
     start: Launchable
     see: Launchable
     see_noise: Launchable
-    note: Launchable
+    finish: Launchable
     show: Launchable
     add_grey: Launchable
     add_colours: Launchable
 
 
-def compiled(usual: Operand) -> Kernels:
-    """The kernels, from numba's cache if they are there, for vehicles of `usual` parameters, a record."""
-    warnings.filterwarnings("ignore", message=".*under-utilization")  # few lanes leave a GPU idle: so be it
+def compiled(nominal: Operand) -> Kernels:
+    """Compile the kernels, or load them from numba's cache; `nominal` is a record of PARAMETERS_DTYPE."""
+    warnings.filterwarnings("ignore", message=".*under-utilization")  # expected with few lanes
     functions = (
         begin_lanes,
         command_lanes,
-        flying(usual),
+        flying(nominal),
         project_lanes,
         find_shown,
         start_events,
         see_events,
         see_noise,
-        note_seen,
+        finish_frames,
         show_lanes,
         add_grey,
         add_colours,
@@ -561,46 +573,44 @@ def compiled(usual: Operand) -> Kernels:
 
 
 def threads_a_lane(lanes: int, device: th.device) -> int:
-    """How many threads fly a lane: as many as the GPU has room for, but no more than a warp."""
-    room, threads = th.cuda.get_device_properties(device).multi_processor_count * FLYING_WARPS * WARP, WARP
-    while threads > 1 and lanes * threads > room:
+    """Return the number of threads that fly one lane: as many as the GPU has capacity for, at most a warp."""
+    capacity, threads = (
+        th.cuda.get_device_properties(device).multi_processor_count * FLYING_WARPS * WARP,
+        WARP,
+    )
+    while threads > 1 and lanes * threads > capacity:
         threads //= 2
     return threads
 
 
-def grid(threads: int, per_block: int) -> tuple[int, int]:
-    """Blocks, and threads of each."""
-    return -(-threads // per_block), per_block
-
-
-def stream() -> Any:
-    """PyTorch's present stream, as numba launches on it."""
-    return cuda.external_stream(th.cuda.current_stream().cuda_stream)
+def grid(threads: int, per_block: int) -> tuple[int, int, Any]:
+    """Return a launch configuration on PyTorch's current stream: blocks, threads per block, stream."""
+    return -(-threads // per_block), per_block, cuda.external_stream(th.cuda.current_stream().cuda_stream)
 
 
 class SideStream:
-    """A stream beside PyTorch's present one, for work that nothing there waits for until it is joined."""
+    """A CUDA stream beside PyTorch's current one, for work that runs concurrently until it is joined."""
 
     def __init__(self, priority: int = 0) -> None:
         self._stream, self._follows = th.cuda.Stream(priority=priority), False
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Launch within: it begins when what was launched before is done."""
+        """Launch what is called within on this stream, after all earlier work of the current one."""
         self._stream.wait_stream(th.cuda.current_stream())
         self._follows = True
         with th.cuda.stream(self._stream):
             yield
 
     def join(self) -> None:
-        """What is launched next begins when it is done; a stream that followed nothing is no part of a recording."""
+        """Let the current stream wait for this one, if it was used: a recording may not refer to an unused stream."""
         if self._follows:
             th.cuda.current_stream().wait_stream(self._stream)
         self._follows = False
 
 
 class Recorded:
-    """Work that is the same calls on the same memory each time: done as it is at first, then as one CUDA graph."""
+    """Work that makes the same calls on the same memory each time: run directly at first, then as one CUDA graph."""
 
     def __init__(self, work: Callable[[], None]) -> None:
         self._work, self._eager = work, EAGER
@@ -619,13 +629,13 @@ class Recorded:
 
 
 def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:
-    """A tensor's memory as an array of numba's; rows (n, bytes) of uint8 as n records of `dtype`."""
+    """Return a tensor's memory as a numba array; with `dtype`, rows (n, bytes) of uint8 become n records."""
     array = cuda.as_cuda_array(tensor, sync=False)
     return array if dtype is None else array.view(dtype).reshape(tensor.shape[0])
 
 
 def on_device(arrays: Operand, device: th.device) -> tuple[Any, Any]:
-    """A NamedTuple of arrays, nested ones too, copied to the device: of tensors, and of the same memory for numba."""
+    """Copy a NamedTuple of arrays, nested or not, to the device; return it as tensors, and as numba arrays on them."""
     if not isinstance(arrays, np.ndarray):
         pairs = [on_device(each, device) for each in arrays]
         return type(arrays)(*(pair[0] for pair in pairs)), type(arrays)(*(pair[1] for pair in pairs))

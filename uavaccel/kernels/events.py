@@ -1,7 +1,7 @@
-"""What many event cameras see: the pixels of vision/dvs_kernels over lanes.
+"""The event cameras of many lanes, pixel by pixel, on the functions of vision/dvs_kernels.
 
-A lane's camera differs from the next one's in its parameters alone; what is drawn once per pixel is the sensor's, and
-one for all lanes. Events are summed over blocks of 4 x 4 pixels (vision/observation) until they are taken.
+The cameras of different lanes differ only in their parameters: the per-pixel random numbers of the sensor are shared.
+Events are summed over blocks of 4 x 4 pixels (vision/observation) until an observation takes them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from uavaccel.vision.noise import LEAK_JITTER, SHOT_NOISE, normal_block, uniform
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 
-# A lane's camera, float64 (CAMERA_FIELDS,): its parameters, and the deviation of its pictures' own noise.
+# A lane's camera, float64 (CAMERA_FIELDS,): DVS parameters, and the standard deviation of its images' read noise.
 POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
 CAMERA_FIELDS = 10
 
@@ -36,10 +36,11 @@ Four = tuple[Any, Any, Any, Any]
 
 
 class Pixels(NamedTuple):
-    """What the event cameras of L lanes know, (L, 144, 256): float32, or float64 after a low-pass.
+    """The state of L event cameras, arrays (L, 144, 256): float32, or float64 with a low-pass filter.
 
-    `filtered` is empty without a low-pass, `last_s` without a refractory period. `gathered` (L, 36, 64) int32 are ON
-    minus OFF events since they were last taken; `clock` (L,) int64 counts frames, `time_s` (L,) is of the last one.
+    `base` is the memorised log intensity. `filtered`, the filter's output, is empty without a low-pass filter, and
+    `last_s`, the time of a pixel's last event, without a refractory period. `gathered` (L, 36, 64) int32 counts ON
+    minus OFF events since it was last read; `clock` (L,) int64 counts frames, `time_s` (L,) is the last one's time.
     """
 
     base: Operand
@@ -51,7 +52,7 @@ class Pixels(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """What all lanes have in common: draws once per pixel (144, 256), and tables by intensity (256,)."""
+    """What all lanes share: random numbers of each pixel (144, 256), and tables by grey level (256,)."""
 
     up: Operand
     down: Operand
@@ -63,13 +64,13 @@ class Sensor(NamedTuple):
 
 
 def sensor_of(draws: Draws) -> Sensor:
-    """The sensor of these draws."""
+    """Return the sensor with these random numbers."""
     dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
     return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, LIN_LOG, RELATIVE_INTENSITY, dimming)
 
 
 def pixels_of(lanes: int, parameters: DvsParameters) -> Pixels:
-    """What so many lanes' cameras of one kind know, before they have seen anything."""
+    """Allocate the state of the event cameras of `lanes` lanes."""
     wide = parameters.cutoff_hz > 0
     shape, none = (lanes, HEIGHT, WIDTH), (0, HEIGHT, WIDTH)
     kind = np.float64 if wide else np.float32
@@ -84,7 +85,7 @@ def pixels_of(lanes: int, parameters: DvsParameters) -> Pixels:
 
 
 def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float64]:
-    """A lane's camera (CAMERA_FIELDS,)."""
+    """Return a lane's camera (CAMERA_FIELDS,)."""
     tau_s = 1 / (np.pi * 2 * parameters.cutoff_hz) if parameters.cutoff_hz > 0 else 0.0
     return np.array(
         [
@@ -104,14 +105,14 @@ def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float
 
 @part
 def noisy(level: int, deviation: np.float32, normal: np.float32) -> int:
-    """A grey level with noise, rounded and clipped to 0..255."""
+    """Return a grey level with noise, rounded and clipped to 0..255."""
     value = np.float32(level) + times(deviation, normal)
     return min(max(round(value), 0), 255)
 
 
 @part
 def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.float32:
-    """A pixel's threshold, float32."""
+    """Return a pixel's threshold in single precision."""
     if sigma == 0.0:
         return np.float32(nominal)
     return max(np.float32(nominal) + times(np.float32(sigma), normal), MIN_THRESHOLD)
@@ -119,7 +120,7 @@ def single_threshold(nominal: float, sigma: float, normal: np.float32) -> np.flo
 
 @part
 def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
-    """A pixel's threshold after a low-pass: a plain number stays as precise as it is."""
+    """Return a pixel's threshold for a low-pass filter: without a sigma the nominal one, in double precision."""
     return nominal if sigma == 0.0 else np.float64(single_threshold(nominal, sigma, normal))
 
 
@@ -134,7 +135,7 @@ def leaked(
     dt_s: float,
     normal: np.float32,
 ) -> Any:
-    """The memorised intensity of a pixel after its heat and its leak over a frame."""
+    """Return a pixel's memorised intensity after a frame's hot-pixel drift and leak."""
     if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
         base = pixel.heated(base, positive, np.float32(dt_s * HOT_RATE_HZ))
     if camera[LEAK] > 0.0:
@@ -154,15 +155,15 @@ def shot(
     negative: Operand,
     draw: np.float32,
 ) -> int:
-    """Noise events of a pixel in a frame, as `pixel.shot`."""
+    """Return a pixel's shot noise events in a frame, as `vision.dvs_kernels.shot` does."""
     chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
     chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
     return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
 
 
 @part
-def drawn(camera: Operand, seed: int, index: int, block: int) -> tuple[Four, Four]:
-    """A block's draws for a frame: for the leak, and for shot noise; zeros where there is none."""
+def block_draws(camera: Operand, seed: int, index: int, block: int) -> tuple[Four, Four]:
+    """Return random numbers of four pixels for a frame: normal for the leak, uniform for shot noise; 0 without them."""
     normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
     if camera[LEAK] > 0.0:
         normals = normal_block(np.uint64(seed), np.uint64(index), LEAK_JITTER, block)
@@ -172,53 +173,53 @@ def drawn(camera: Operand, seed: int, index: int, block: int) -> tuple[Four, Fou
 
 
 def threshold(like: Operand, nominal: float, sigma: float, normal: np.float32) -> Any:
-    """A pixel's threshold in the precision of `like`."""
-    of_type = single_threshold if isinstance(like, np.float32) else double_threshold
-    return of_type(nominal, sigma, normal)
+    """Return a pixel's threshold in the precision of `like`."""
+    function = single_threshold if isinstance(like, np.float32) else double_threshold
+    return function(nominal, sigma, normal)
 
 
-def due(log: Operand, base: Operand, positive: Operand, negative: Operand) -> np.int32:
-    """A pixel's signed count in the precision of its logarithms."""
-    of_type = pixel.count_single_pixel if isinstance(log, np.float32) else pixel.count_double_pixel
-    return of_type(log, base, positive, negative)
+def signed_count(log: Operand, base: Operand, positive: Operand, negative: Operand) -> np.int32:
+    """Return a pixel's signed event count in the precision of its log intensity."""
+    function = pixel.count_single_pixel if isinstance(log, np.float32) else pixel.count_double_pixel
+    return function(log, base, positive, negative)
 
 
 def log_of(like: Operand, level: int, before: Operand, camera: Operand, sensor: Operand, dt_s: float) -> Any:
-    """A pixel's logarithm: float32, or float64 after a low-pass, of which `before` is the last one."""
-    of_type = single_log if isinstance(like, np.float32) else double_log
-    return of_type(level, before, camera, sensor, dt_s)
+    """Return a pixel's log intensity: float32, or float64 after the low-pass filter, whose last output is `before`."""
+    function = single_log if isinstance(like, np.float32) else double_log
+    return function(level, before, camera, sensor, dt_s)
 
 
 @part
 def single_log(level: int, before: np.float32, camera: Operand, sensor: Operand, dt_s: float) -> np.float32:
-    """Without a low-pass."""
+    """Return the log intensity without a low-pass filter."""
     return sensor.logs[level]
 
 
 @part(error_model="numpy")
 def double_log(level: int, before: float, camera: Operand, sensor: Operand, dt_s: float) -> float:
-    """After a low-pass."""
+    """Return the log intensity after the low-pass filter."""
     weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
     return pixel.low_passed(before, np.float64(sensor.logs[level]), weight)
 
 
 def _threshold(like, nominal, sigma, normal):  # type: ignore[no-untyped-def]
-    of_type = single_threshold if like == types.float32 else double_threshold
-    return lambda like, nominal, sigma, normal: of_type(nominal, sigma, normal)
+    function = single_threshold if like == types.float32 else double_threshold
+    return lambda like, nominal, sigma, normal: function(nominal, sigma, normal)
 
 
-def _due(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    of_type = pixel.count_single_pixel if log == types.float32 else pixel.count_double_pixel
-    return lambda log, base, positive, negative: of_type(log, base, positive, negative)
+def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    function = pixel.count_single_pixel if log == types.float32 else pixel.count_double_pixel
+    return lambda log, base, positive, negative: function(log, base, positive, negative)
 
 
 def _log_of(like, level, before, camera, sensor, dt_s):  # type: ignore[no-untyped-def]
-    of_type = single_log if like == types.float32 else double_log
-    return lambda like, level, before, camera, sensor, dt_s: of_type(level, before, camera, sensor, dt_s)
+    function = single_log if like == types.float32 else double_log
+    return lambda like, level, before, camera, sensor, dt_s: function(level, before, camera, sensor, dt_s)
 
 
-BY_TYPE = ((threshold, _threshold), (due, _due), (log_of, _log_of))
-"""Functions whose machine code follows the precision, and what chooses it: for numba's `overload` of each target."""
+BY_TYPE = ((threshold, _threshold), (signed_count, _signed_count), (log_of, _log_of))
+"""Functions whose implementation depends on the precision, with what chooses it by type, for numba's `overload`."""
 
 for _function, _chosen in BY_TYPE:
     overload(_function)(_chosen)
@@ -236,16 +237,16 @@ def see_pixel(
     x: int,
     dt_s: float,
 ) -> Any:
-    """A pixel sees a grey level: ON minus OFF events.
+    """Update a pixel for a new grey level and return its ON minus OFF events.
 
-    `base` (144, 256), and after a low-pass `filtered`, else empty, go on. `draw` are the pixel's numbers of this frame,
-    for the leak and for shot noise.
+    Updates `base` (144, 256) and, unless it is empty, `filtered`. `draw` has the pixel's random numbers for this frame:
+    for the leak, and for shot noise.
     """
     positive = threshold(base[y, x], camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
     negative = threshold(base[y, x], camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
     log = new_log(level, base, filtered, y, x, camera, sensor, dt_s)
     before = leaked(base[y, x], positive, camera, sensor, y, x, dt_s, draw[0])
-    signed = due(log, before, positive, negative)
+    signed = signed_count(log, before, positive, negative)
     base[y, x] = pixel.advanced(before, signed, positive, negative)
     if camera[SHOT] > 0.0:
         return signed + add_shot(level, camera, sensor, base, log, y, x, dt_s, positive, negative, draw[1])
@@ -263,7 +264,7 @@ def new_log(
     sensor: Operand,
     dt_s: float,
 ) -> Any:
-    """A pixel's logarithm, kept for the next low-pass."""
+    """Return a pixel's log intensity, and store it as the low-pass filter's output."""
     if filtered.size == 0:
         return log_of(base[y, x], level, base[y, x], camera, sensor, dt_s)
     log = log_of(base[y, x], level, filtered[y, x], camera, sensor, dt_s)
@@ -285,7 +286,7 @@ def add_shot(
     negative: Operand,
     draw: np.float32,
 ) -> Any:
-    """Shot noise of a pixel, which then memorises the present intensity: ON minus OFF events."""
+    """Return a pixel's shot noise, ON minus OFF events; a pixel that fires memorises the present intensity."""
     noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
     if noise != 0:
         base[y, x] = log
@@ -294,7 +295,7 @@ def add_shot(
 
 @part
 def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32:
-    """One of vision/dvs.time_stamps."""
+    """Return the number-th of `count` time stamps (vision/dvs.time_stamps)."""
     start = np.float32(before_s + (time_s - before_s) / count)
     if count == 1:
         return start
@@ -307,5 +308,5 @@ def stamp(before_s: float, time_s: float, count: int, number: int) -> np.float32
 
 @part
 def level_of(events: int) -> int:
-    """What an observation shows for so many ON minus OFF events of a block."""
+    """Return an observation's level for a block's ON minus OFF events."""
     return min(max(NEUTRAL_LEVEL + events, 0), 255)

@@ -1,10 +1,10 @@
-"""Projects what a drone's camera can see of its lane to faces: functions that are linear in column and row.
+"""Projection of a lane's surfaces into the camera's image, as faces: functions that are linear in column and row.
 
-A ray is d(column, row) = forward + right * x + up * y, one metre of depth long. It meets the plane N . (P - eye) = h,
-N pointing out and h < 0, at depth 1/w with w = N . d / h; along a tangent T of the plane, T . (P - eye) = T . d / w.
-So w, and the distance from each edge times w, is the product of d with a constant vector.
+A ray is d(column, row) = forward + right * x + up * y, of unit depth. It meets the plane N . (P - eye) = h, with N
+pointing outwards and h < 0, at depth 1/w with w = N . d / h; along a tangent T of the plane, T . (P - eye) = T . d / w.
+Therefore w, and the distance from each edge times w, are dot products of d with constant vectors.
 
-Worked out in float64, kept as float32. Scalar functions, as in `kernels.rays`.
+Computed in float64, stored as float32. Scalar functions, as in `kernels.rays`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Span = tuple[float, float]
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 APOTHEM, HALF_SIDE = math.cos(math.pi / at.SLICES), math.sin(math.pi / at.SLICES)  # of a prism of radius 1
-SKY_SHARE = 0.70  # of the far plane's distance, at which MuJoCo's renderer hangs the sky
+SKY_SHARE = 0.70  # distance of the sky in MuJoCo's renderer, as a share of the far plane's
 
 
 @part(error_model="numpy")
@@ -36,13 +36,13 @@ def dot(a: Vector, b: Vector) -> float:
 
 @part(error_model="numpy")
 def plus(a: Vector, b: Vector, times: float) -> Vector:
-    """a + b * times."""
+    """Return a + b * times."""
     return a[0] + b[0] * times, a[1] + b[1] * times, a[2] + b[2] * times
 
 
 @part(error_model="numpy")
 def turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
-    """A vector of the body in the world, for a unit quaternion wxyz."""
+    """Rotate a vector by a unit quaternion wxyz."""
     w, x, y, z = quaternion
     across = (2.0 * (y * v[2] - z * v[1]), 2.0 * (z * v[0] - x * v[2]), 2.0 * (x * v[1] - y * v[0]))
     return (
@@ -54,7 +54,7 @@ def turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
 
 @part(error_model="numpy")
 def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
-    """Eye and rays, MuJoCo's axes, for a drone's pose: NED, metres, and wxyz, FRD to NED."""
+    """Return eye and rays in MuJoCo's axes for a drone's pose: NED in metres, and wxyz, FRD to NED."""
     w, x, y, z = quaternion[0], quaternion[1], -quaternion[2], -quaternion[3]
     length = math.sqrt(w * w + x * x + y * y + z * z)
     q = (w / length, x / length, y / length, z / length)
@@ -73,14 +73,14 @@ def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
 
 @part(error_model="numpy")
 def put(faces: Faces, row: int, field: int, view: View, vector: Vector) -> None:
-    """The product of the ray with a constant vector, as a linear function."""
+    """Write the dot product of the ray with a constant vector, as a linear function of column and row."""
     for place in range(3):
         faces[row, field + place] = np.float32(dot(view[place + 1], vector))
 
 
 @part(error_model="numpy")
 def begin(camera: Floats, view: View, faces: Faces) -> int:
-    """Row 0: the picture's rays. Returns the number of rows in use."""
+    """Write row 0, the image's rays, and return the number of rows in use."""
     for place, axis in enumerate((X, Y, Z)):
         put(faces, 0, at.RAYS + 3 * place, view, axis)
     faces[0, at.FAR_W] = np.float32(1.0 / camera[at.FAR_M])
@@ -91,7 +91,7 @@ def begin(camera: Floats, view: View, faces: Faces) -> int:
 
 @part(error_model="numpy")
 def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vector) -> None:
-    """Columns in which a rectangle may be seen, and its largest w; t and s: from its middle to its edges."""
+    """Write the columns that a rectangle may cover, and its largest w; t and s lead from its centre to its edges."""
     per_column, per_row, corner = view[1], view[2], view[3]
     middle_column = 0.5 * (at.COLUMNS - 1)
     forward = plus(plus(corner, per_column, middle_column), per_row, 0.5 * (at.ROWS - 1))
@@ -104,7 +104,7 @@ def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vect
             if depth > 0.0:
                 column = dot(corner_of_it, per_column) / (dot(per_column, per_column) * depth)
                 left, right = min(left, column), max(right, column)
-    whole = nearest < 0.01  # some of it beside or behind the eye
+    whole = nearest < 0.01  # part of it is beside or behind the eye
     first, last = math.floor(left + middle_column - 0.01), math.ceil(right + middle_column + 0.01)
     faces[row, at.FIRST_COLUMN] = np.float32(0.0 if whole else max(first, 0.0))
     faces[row, at.LAST_COLUMN] = np.float32(at.COLUMNS - 1.0 if whole else min(last, at.COLUMNS - 1.0))
@@ -115,7 +115,10 @@ def bound(faces: Faces, row: int, view: View, middle: Vector, t: Vector, s: Vect
 def put_face(
     faces: Faces, row: int, view: View, normal: Vector, h: float, t: Vector, ts: Span, s: Vector, ss: Span
 ) -> bool:
-    """A rectangle's geometry: its plane, and spans along the tangents t and s, from the eye. False: out of sight."""
+    """Write a rectangle's plane and edges, and return whether it may be visible.
+
+    `ts` and `ss` are its extents along the tangents t and s, relative to the eye, metres.
+    """
     per_w = plus((0.0, 0.0, 0.0), normal, 1.0 / h)
     none = (0.0, 0.0, 0.0)
     put(faces, row, at.W, view, per_w)
@@ -135,7 +138,7 @@ def put_face(
 
 @part(error_model="numpy", inline=False)
 def put_prism(faces: Faces, row: int, view: View, per_w: Vector, centre: Vector, radius: float) -> None:
-    """Eight more edges in a row of their own: those of an upright prism on a face whose w is d . per_w."""
+    """Write eight more edges, an upright prism's, in a row of their own, on a face whose w is d . per_w."""
     for side in range(at.SLICES):
         angle = (side + 0.5) * 2.0 * math.pi / at.SLICES
         out = (math.cos(angle), math.sin(angle), 0.0)
@@ -156,7 +159,7 @@ def put_light(
     high: Vector,
     width: float,
 ) -> None:
-    """The light that a face throws back: vertex normals at its low and high end, which are `width` metres apart."""
+    """Write a face's shading, from the vertex normals at its low and high end, which are `width` metres apart."""
     sun = (
         scenes.lights[lane, at.TOWARDS],
         scenes.lights[lane, at.TOWARDS + 1],
@@ -185,9 +188,9 @@ def put_texture(
     across: Span,
     down: Span,
 ) -> None:
-    """How texels lie on a face: texture coordinates at its edge and per metre, across and down.
+    """Write a face's texture mapping; `across` and `down` are texture coordinates at its edge and per metre.
 
-    `sizes`: half sizes of the solid, by which a uniform texture repeats.
+    `sizes` are the half sizes of the solid, with which a uniform texture repeats.
     """
     texture = int(looks.materials[material, at.TEXTURE_ID])
     faces[row, at.TEXTURE] = np.float32(texture)

@@ -1,7 +1,7 @@
-"""One lane's flight over ticks: what the hot loop does for one vehicle, without MuJoCo.
+"""One lane's flight, tick by tick: what the hot loop does for one vehicle, without MuJoCo.
 
-Autopilot, rotors, forces and the step of a free body are the simulation's own functions. A lane's flight ends at the
-first touch, as in the lane's scene, so what is touched never pushes back.
+Autopilot, rotors, forces and the step of a free body are the exact simulator's own functions. A flight ends at the
+first contact, as in the lane's scene, so contact forces are never needed.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from uavaccel.sim.vehicle.free_body import free_step, move, normalised
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
 from uavaccel.sim.vehicle.quadrotor import NEVER, Record, accelerate, turn_rotors
 
-HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; the reach is that of a ball around the hull
-NEXT_LOOK, TOUCHED = range(2)  # tick of the next look at the surroundings; the solid that ended the flight
+HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(
+    3
+)  # metres; HULL_REACH is the radius of the bounding sphere
+NEXT_LOOK, TOUCHED = range(2)  # tick of the next collision test; the solid that ended the flight, or NOTHING
 BODY_FIELDS = 25  # MuJoCo's qpos (7,), qvel (6,), qfrc_applied (6,) and qacc (6,), in its axes
 
 Floats = NDArray[np.float64]
@@ -35,7 +37,10 @@ def look_around(
     watch: NDArray[np.int64],
     share: Share,
 ) -> None:
-    """Note what the hull touches at this tick, if anything, else when to look again."""
+    """Test the hull for a collision at this tick, and schedule the next test.
+
+    On contact, record the solid in `watch`, and tick and position in `state`.
+    """
     free = free_ticks(parameters, state, pose, solids, count, hull[HULL_REACH], share)
     watch[NEXT_LOOK] = state.tick + max(free, 1)
     if free > 0:
@@ -50,7 +55,7 @@ def look_around(
 
 @part
 def step(parameters: Record, state: Record, body: Body) -> None:
-    """A tick as the exact simulator flies it, to the last bit."""
+    """Advance by a tick exactly as the exact simulator does, to the last bit."""
     pose, motion, force, acceleration = body
     free_step(parameters, pose, motion, force, acceleration)
     kick(parameters, state, motion, force)
@@ -62,9 +67,9 @@ def step(parameters: Record, state: Record, body: Body) -> None:
 
 @part
 def short_step(parameters: Record, state: Record, body: Body) -> None:
-    """The same but for rounding, in two thirds of the operations.
+    """Advance by a tick as `step` does but for rounding, with two thirds of the operations.
 
-    `kick` makes forces of the accelerations, and MuJoCo accelerations of the forces: here they go to it as they are.
+    `kick` turns accelerations into forces, and MuJoCo turns these into accelerations again; here both are left out.
     """
     pose, motion, _, acceleration = body
     for axis in range(3):
@@ -98,10 +103,10 @@ def fly_ticks(
     exact: bool,
     share: Share,
 ) -> None:
-    """Fly so many ticks; from the one after a touch on the vehicle stands still while time passes.
+    """Fly for `ticks`; after a collision the vehicle stands still while time passes.
 
-    `body`: pose (7,), velocity (6,), force (6,) and acceleration (6,) as `free_step` takes them. Where not `exact`,
-    ticks are `short_step`s.
+    `body` has pose (7,), velocity (6,), force (6,) and acceleration (6,), as `free_step` takes them. A tick is a `step`
+    if `exact`, else a `short_step`.
     """
     for left in range(ticks, 0, -1):
         if state.collision_tick != NEVER:

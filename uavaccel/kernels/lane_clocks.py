@@ -1,6 +1,7 @@
-"""A lane's clock through a command, step by step, between which all lanes fly: the CPU flies a lane at once instead.
+"""A lane's clock through a command, in steps between which a GPU flies all lanes together.
 
-Scalar functions for a GPU's threads; kernels/timeline has the clock itself. `lane` has its row in all arrays.
+The CPU flies each lane through a whole command instead. The functions are scalar; `lane` is the row in all arrays. The
+clock itself is in kernels/timeline.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ PIXELS = ROWS * COLUMNS
 
 @part
 def begin(lane: int, game: int, scale: float, games: Games, timing: Timing, clocks: Clocks) -> None:
-    """The clock of a game that begins, up to its first picture."""
+    """Start the clock of a game and run it up to its first image."""
     clocks.scale[lane], clocks.brightness[lane] = scale, np.nan
     timeline.start(clocks.row[lane], scale, timing, games.seeds[game, PICTURE_SEED])
 
 
 @part
 def show_start(lane: int, levels: Operand, timing: Timing, clocks: Clocks) -> None:
-    """The game's first picture."""
+    """Account for a game's first image; `levels` are those of `guard`."""
     suspect = guard(lane, levels, timing, clocks)
     timeline.show_start(clocks.row[lane], clocks.scale[lane], timing, suspect)
 
 
 @part
 def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Operand) -> None:
-    """A command begins; `legs` (L,) take the ticks until it acts."""
+    """Issue a command, and write the ticks until it takes effect to `legs` (L,)."""
     tick = timeline.issue(clocks.row[lane], clocks.scale[lane], timing)
     legs[lane] = tick - now.state[lane].tick
 
 
 @part
 def take(lane: int, hold_ticks: int, directions: Operand, games: Games, now: Flights) -> None:
-    """It acts, and position hold sets in after so many ticks unless another one comes."""
+    """Apply the command; position hold takes over after `hold_ticks` unless another one follows."""
     command(lane, directions, games, now)
     now.state[lane].hover_tick = now.state[lane].tick + hold_ticks
 
@@ -51,7 +52,7 @@ def take(lane: int, hold_ticks: int, directions: Operand, games: Games, now: Fli
 def reach(
     lane: int, sample: int, now: Flights, timing: Timing, clocks: Clocks, looking: Operand, legs: Operand
 ) -> None:
-    """Wait for a sample: `legs` take the ticks until then, `looking` (L,) whether there is one."""
+    """Wait for a sample: write the ticks until then to `legs`, and whether there is one to `looking` (L,)."""
     row = clocks.row[lane]
     looking[lane] = 1 if row[timeline.LAST] == 0 else 0
     if looking[lane] == 0:
@@ -63,7 +64,7 @@ def reach(
 
 @part
 def leave(lane: int, sample: int, levels: Operand, now: Flights, timing: Timing, clocks: Clocks) -> None:
-    """Go on after a sample; of one after a touch there is nothing to see."""
+    """Continue after a sample; after a collision there is no image."""
     row, hit, suspect = clocks.row[lane], touched(lane, now), False
     if not hit:
         clocks.ticks[lane, sample], clocks.taken[lane] = now.state[lane].tick, sample + 1
@@ -75,7 +76,7 @@ def leave(lane: int, sample: int, levels: Operand, now: Flights, timing: Timing,
 
 @part
 def split(lane: int, now: Flights, clocks: Clocks, legs: Operand, to_shown: Operand) -> None:
-    """The ticks to the pose that pictures will show, -1 where that is kept already; `legs` are what follows."""
+    """Split `legs` at the pose that images will show: ticks `to_shown` until then, or -1 if it is stored already."""
     shown = clocks.row[lane, timeline.SHOWN]
     to_shown[lane] = shown - now.state[lane].tick if shown >= now.state[lane].tick else -1
     legs[lane] -= max(to_shown[lane], 0)
@@ -83,7 +84,7 @@ def split(lane: int, now: Flights, clocks: Clocks, legs: Operand, to_shown: Oper
 
 @part
 def keep_shown(lane: int, now: Flights, clocks: Clocks) -> None:
-    """The present pose is what pictures show until the next one of Unreal's frames."""
+    """Store the present pose, which images show until Unreal's next frame."""
     for axis in range(3):
         clocks.shown[lane, axis] = now.state[lane].position[axis]
     for number in range(4):
@@ -92,7 +93,7 @@ def keep_shown(lane: int, now: Flights, clocks: Clocks) -> None:
 
 @part
 def turn_to_shown(lane: int, now: Flights, clocks: Clocks) -> None:
-    """Put a lane's pose and the one that pictures show in each other's place; done twice, nothing has changed."""
+    """Swap a lane's pose with the one that images show; a second call restores both."""
     if clocks.row[lane, timeline.SHOWN] < 0:
         return
     state, shown = now.state[lane], clocks.shown[lane]
@@ -104,9 +105,9 @@ def turn_to_shown(lane: int, now: Flights, clocks: Clocks) -> None:
 
 @part
 def guard(lane: int, levels: Operand, timing: Timing, clocks: Clocks) -> bool:
-    """Whether the guard asks for the picture again (vision/guard), noted for the next one.
+    """Return whether the guard requests the image again (vision/guard), and remember its brightness.
 
-    `levels` (L, 3) are sums over its pixels: of grey, or of red, green and blue.
+    `levels` (L, 3) are sums over its pixels: grey, -1, -1, or red, green and blue.
     """
     if timing.rules[timeline.GUARDED] == 0:
         return False

@@ -1,4 +1,4 @@
-"""Latencies of a simulated wall clock, drawn from wire/latency's tables by number: the same on the CPU and on a GPU."""
+"""Latencies of a simulated wall clock, sampled from the tables of wire/latency by a counter-based generator."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from uavaccel.vision.noise import LATENCY, words
 
 MOVE, PAUSE, CONTINUE, CONTINUE_FOR, STATE, IMAGE, CALL = range(7)  # channels
 CHANNELS = ("move", "pause", "continue", "continue_for", "state", "image", "call")
-WAITS = 6  # none yet, and one for each of wire/latency's WAITS_MS
-REQUEST, REPLY = 0, len(CHANNELS) * WAITS  # first tables of each direction
+WAITS = 6  # no wait yet, and one for each of wire/latency's WAITS_MS
+REQUEST, REPLY = 0, len(CHANNELS) * WAITS  # first table of each direction
 ISSUE = 2 * REPLY
 TIMER, FRAME = ISSUE + 1, ISSUE + 2
 TABLES = ISSUE + 3
@@ -21,23 +21,23 @@ _STEP_53 = 2.0**-53
 
 
 class Latencies(NamedTuple):
-    """What latencies are drawn from, the same for all lanes."""
+    """The distributions of latencies, the same for all lanes."""
 
     quantiles: Operand
-    """(Q,) float64 from 0 to 1."""
+    """(Q,) float64: cumulative probabilities from 0 to 1."""
     tables_us: Operand
-    """(TABLES, Q) float64: requests by channel and wait, replies likewise, ISSUE, TIMER, FRAME."""
+    """(TABLES, Q) float64: quantiles of requests by channel and wait, of replies likewise, of ISSUE, TIMER, FRAME."""
     between_ns: Operand
-    """(WAITS - 2,) float64: bounds of the waits."""
+    """(WAITS - 2,) float64: bounds between classes of waits."""
     faults: Operand
-    """(3,) float64: shares of the messages held up by `delays_ns`, summed up; all 0 without faults."""
+    """(3,) float64: cumulative probabilities of the delays; all 0 without faults."""
     delays_ns: Operand
-    """(4,) int64, the last one 0."""
+    """(4,) int64: delays of faulty messages; the last is 0, of all others."""
 
 
 @part
 def uniform(seed: int, number: int) -> float:
-    """The number-th of a seed's numbers of [0, 1)."""
+    """Return the number-th random number of a seed, uniform in [0, 1)."""
     a, b, _, _ = words(seed, number, LATENCY, 0)
     high, low = np.int64(a) >> 5, np.int64(b) >> 6
     return (high * 67108864.0 + low) * _STEP_53
@@ -45,7 +45,7 @@ def uniform(seed: int, number: int) -> float:
 
 @part
 def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
-    """The latency at a share of a table's distribution, to the nanosecond."""
+    """Return the quantile of a table at a cumulative probability `share`, rounded to nanoseconds."""
     at, us = latencies.quantiles, latencies.tables_us
     last = at.shape[0] - 1
     if us[table, last] == 0.0:
@@ -59,7 +59,7 @@ def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
 
 @part
 def fault_ns(latencies: Latencies, share: float) -> int:
-    """What a message is held up by."""
+    """Return the delay of a message by faults, at a cumulative probability `share`."""
     place = 0
     while place < 3 and share >= latencies.faults[place]:
         place += 1
@@ -68,7 +68,7 @@ def fault_ns(latencies: Latencies, share: float) -> int:
 
 @part
 def wait_class(latencies: Latencies, wait_ns: int) -> int:
-    """Which tables hold after a command, or a continue-for, that was waited for so long."""
+    """Return the class of tables to use after a command or continue-for that took `wait_ns`."""
     place = 0
     while place < WAITS - 2 and latencies.between_ns[place] < wait_ns:
         place += 1

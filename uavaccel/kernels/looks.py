@@ -1,7 +1,7 @@
-"""Reads from a MuJoCo model what its lane looks like, as OpenGL is given it, and lays lanes out for drawing.
+"""The appearance of a lane, read from its MuJoCo model as OpenGL receives it, and the visible geometry of layouts.
 
-Textures with the mipmaps that glGenerateMipmap makes, materials, camera, sky, walls and ground are the model's;
-where obstacles stand, what they wear and how the sun shines is the layout's, as sim/lane/scene.py puts it there.
+Textures, materials, camera, sky, walls and ground come from the model, mipmaps are computed as glGenerateMipmap does.
+The layout determines obstacles, their textures and the sunlight, as in sim/lane/scene.py.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.bodies import KINDS
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
@@ -22,16 +23,11 @@ from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunl
 from uavaccel.sim.scene.model import DRONE_GROUP
 
 Levels = list[NDArray[np.uint8]]
-KINDS = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): at.BOX,
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): at.CYLINDER,
-    int(mujoco.mjtGeom.mjGEOM_PLANE): at.PLANE,
-}
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 
 
 def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
-    """What every lane of this model looks like. Raises UserError, one line, where it cannot be drawn here."""
+    """Read the appearance of a model's lanes. Raises UserError if the kernels cannot render it as OpenGL would."""
     obstacles = obstacle_geoms(model)
     if not len(obstacles):
         raise UserError(
@@ -50,18 +46,18 @@ def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
 
 
 def empty_scenes(lanes: int) -> Scenes:
-    """Room for as many lanes; of each, `fill_scenes` has to be called before it is drawn."""
+    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
     solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
     return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
 
 
 def fill_scene(looks: Looks, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
-    """Lay out one lane. Raises UserError for a scenery other than the plain one."""
+    """Write the geometry and light of one lane. Raises UserError for a scenery other than the plain one."""
     fill_scenes(looks, scenes, [lane], [layout])
 
 
 def fill_scenes(looks: Looks, scenes: Scenes, lanes: Sequence[int], layouts: Sequence[LaneLayout]) -> None:
-    """Lay out several lanes. Raises UserError for a scenery other than the plain one."""
+    """Write the geometry and light of several lanes. Raises UserError for a scenery other than the plain one."""
     for lane, layout in zip(lanes, layouts, strict=True):
         if layout.scenery != PLAIN:
             raise UserError(
@@ -85,12 +81,12 @@ def fill_scenes(looks: Looks, scenes: Scenes, lanes: Sequence[int], layouts: Seq
 
 
 def _visible(model: mujoco.MjModel) -> list[int]:
-    """Geoms that the drone's camera may see."""
+    """Return the geoms that the drone's camera may see."""
     return [geom for geom in range(model.ngeom) if model.geom_group[geom] not in (DRONE_GROUP, 3)]
 
 
 def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
-    """Raise UserError for the first thing in a model that this does not draw as OpenGL would."""
+    """Raise UserError for the first part of a model that is not rendered here as OpenGL would."""
     for geom in _visible(model):
         name, kind = model.geom(geom).name, int(model.geom_type[geom])
         turned = not np.allclose(model.geom_quat[geom], (1, 0, 0, 0)) or model.geom_bodyid[geom] != 0
@@ -145,7 +141,7 @@ def _camera(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
 
 
 def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:
-    """Texels, the rows of Looks.textures, and the row of each 2d texture."""
+    """Return texels, the rows of Looks.textures, and the row of each 2d texture."""
     texels: list[NDArray[np.uint32]] = []
     rows: list[tuple[int, int]] = []
     of_texture: dict[int, int] = {}
@@ -174,7 +170,7 @@ def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int
 
 
 def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
-    """A texture as it is uploaded, (height, width, 3)."""
+    """Return a texture as uploaded to OpenGL, (height, width, 3). Raises UserError for unsupported formats."""
     height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
     address, name = int(model.tex_adr[texture]), model.texture(texture).name
     sky = model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
@@ -190,7 +186,10 @@ def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
 
 
 def mipmaps(data: NDArray[np.uint8]) -> Levels:
-    """All levels of a texture (height, width, 3) of powers of two: neighbours averaged across, then down."""
+    """Return all mipmap levels of a texture (height, width, 3) whose sides are powers of two.
+
+    Neighbours are averaged across, then down, each time rounding halves up, as llvmpipe's glGenerateMipmap does.
+    """
     levels = [data]
     while max(levels[-1].shape[:2]) > 1:
         level: Operand = levels[-1].astype(np.uint16)

@@ -1,10 +1,10 @@
-"""What kernels work on, by name: numba finds the types when it compiles them, and none is written down twice."""
+"""Names for the arguments of compiled functions, whose types numba infers when it compiles them."""
 
 from __future__ import annotations
 
 from typing import Any, TypeAlias
 
 Operand: TypeAlias = Any
-"""An array, of NumPy on the CPU and a tensor's memory on a GPU, a tuple of those, or a number of either precision."""
+"""A NumPy array or, on a GPU, a numba array on a tensor's memory; a tuple of those; or a float32 or float64."""
 Launchable: TypeAlias = Any
-"""A compiled function, or a kernel that takes a grid in brackets first."""
+"""A compiled function, or a CUDA kernel, which takes its launch configuration in brackets first."""

@@ -1,13 +1,11 @@
-"""Draws pictures of many lanes on the CPU: what `sim.camera.Camera` draws with OpenGL, for a drone in each of them.
+"""Images of many lanes, rendered on the CPU: those that `sim.camera.Camera` renders with OpenGL.
 
-Without the GIL and with arrays of its own, so that threads may draw at the same time. Poses are those of
-`sim.quadrotor.FLIGHT_DTYPE`: position NED in metres, (D, 3), and quaternion wxyz, FRD to NED, (D, 4), both float64.
-`lanes`, (D,) int32: the row of `Scenes` that each drone is in. The top row of a picture comes first.
+The functions hold no GIL and share no memory, so threads may call them concurrently. Poses are those of
+`sim.vehicle.quadrotor.FLIGHT_DTYPE`: positions NED in metres (D, 3), and quaternions wxyz, FRD to NED, (D, 4), both
+float64. `lanes` (D,) int32 has the row of `Scenes` that each drone is in. Row 0 of an image is its top.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -15,9 +13,9 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.operands import Launchable
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import draw_channels, draw_depths, make_desk, turn_colour, turn_gray
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_scratch, transpose_colour, transpose_gray
 from uavaccel.sim.vehicle.hotloop import sources
 
 Poses = NDArray[np.float64]
@@ -32,7 +30,7 @@ def draw_gray(
     quaternions: Poses,
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Luma, (D, ROWS, COLUMNS) uint8, as OpenCV makes it of the colours; into `out` where there is one."""
+    """Render luma (D, ROWS, COLUMNS) uint8, which OpenCV would compute from the colours; into `out` if given."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.uint8) if out is None else out
     _gray(looks, scenes, lanes, positions, quaternions, out)
     return out
@@ -46,7 +44,7 @@ def draw_colour(
     quaternions: Poses,
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Red, green, blue, (D, ROWS, COLUMNS, 3) uint8; into `out` where there is one."""
+    """Render red, green and blue (D, ROWS, COLUMNS, 3) uint8; into `out` if given."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS, 3), np.uint8) if out is None else out
     _colour(looks, scenes, lanes, positions, quaternions, out)
     return out
@@ -60,62 +58,42 @@ def draw_depth(
     quaternions: Poses,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Metres along the optical axis, the far plane's for the sky, (D, ROWS, COLUMNS) float32; into `out` if given."""
+    """Render depth (D, ROWS, COLUMNS) float32, metres along the optical axis; the sky is at the far plane."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32) if out is None else out
     _depth(looks, scenes, lanes, positions, quaternions, out)
     return out
 
 
-def _compile(stamp: int) -> tuple[Any, Any, Any]:
-    """The loops over drones, from numba's cache if they are there.
+def _compile(stamp: int) -> tuple[Launchable, Launchable, Launchable]:
+    """Compile the loops over drones, or load them from numba's cache.
 
-    numba looks for changes in this file alone; that they close over `stamp` makes it see those in the others.
+    numba checks this file alone for changes. The loops close over `stamp`, a digest of the other sources, so that a
+    change there makes it compile anew.
     """
     entry_point = njit(cache=True, nogil=True, error_model="numpy")
 
     @entry_point
-    def gray(
-        looks: Operand,
-        scenes: Operand,
-        lanes: Operand,
-        positions: Operand,
-        quaternions: Operand,
-        out: Operand,
-    ) -> None:
-        desk = make_desk()
+    def gray(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+        scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
-            draw_channels(looks, desk, False)
-            turn_gray(desk.channels, out[drone])
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
+            draw_channels(looks, scratch, False)
+            transpose_gray(scratch.channels, out[drone])
 
     @entry_point
-    def colour(
-        looks: Operand,
-        scenes: Operand,
-        lanes: Operand,
-        positions: Operand,
-        quaternions: Operand,
-        out: Operand,
-    ) -> None:
-        desk = make_desk()
+    def colour(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+        scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, desk.faces)
-            draw_channels(looks, desk, True)
-            turn_colour(desk.channels, out[drone])
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
+            draw_channels(looks, scratch, True)
+            transpose_colour(scratch.channels, out[drone])
 
     @entry_point
-    def depth(
-        looks: Operand,
-        scenes: Operand,
-        lanes: Operand,
-        positions: Operand,
-        quaternions: Operand,
-        out: Operand,
-    ) -> None:
-        desk = make_desk()
+    def depth(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+        scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, desk.faces)
-            draw_depths(desk, out[drone])
+            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, scratch.faces)
+            draw_depths(scratch, out[drone])
 
     return gray, colour, depth
 

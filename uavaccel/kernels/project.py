@@ -1,6 +1,6 @@
-"""The faces of a lane's boxes, cylinders and planes that turn towards the camera, with their textures and their light.
+"""Projection of a lane's boxes, cylinders and planes: the faces turned towards the camera, textured and lit.
 
-`project` is the whole of it; on a GPU a thread per solid may call `project_solid`, each with rows of its own.
+`project` processes a whole scene; on a GPU one thread per solid calls `project_solid`, each with rows of its own.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ def project(
     sky: bool,
     faces: Faces,
 ) -> int:
-    """Fill the faces of one picture, (FACES, FIELDS), from a pose: NED in metres, wxyz. Returns the rows in use.
+    """Project a scene for a pose, NED in metres and wxyz, to `faces` (FACES, FIELDS), and return the rows in use.
 
-    `sky`: whether there is one, behind which the ground ends; there is none in pictures of depth.
+    With `sky` the ground ends at the sky, as in OpenGL's colour images; depth images have none.
     """
     view = view_of(looks.camera, position, quaternion)
     row = begin(looks.camera, view, faces)
@@ -67,7 +67,7 @@ def project_solid(
     faces: Faces,
     row: int,
 ) -> int:
-    """Write the faces of one solid from a row on. Returns how many rows: at most 3 for a box, 6 for a cylinder."""
+    """Write a solid's faces from `row` on, and return the rows written: at most 3 for a box, 6 for a cylinder."""
     eye = view[0]
     middle = (
         scenes.solids[lane, solid, 0] - eye[0],
@@ -84,7 +84,7 @@ def project_solid(
         return put_cylinder(faces, row, view, middle, half, looks, scenes, lane, material)
     written = 0
     for axis in range(2 if kind == at.PLANE else 0, 3):
-        towards = 1.0 if middle[axis] < 0.0 else -1.0  # the face that looks at the eye
+        towards = 1.0 if middle[axis] < 0.0 else -1.0  # the side that faces the eye
         height = half[axis] if kind != at.PLANE else 0.0
         h = towards * middle[axis] + height
         if h < 0.0 and (kind != at.PLANE or towards > 0.0):
@@ -120,7 +120,7 @@ def put_side(
     lane: int,
     material: int,
 ) -> int:
-    """The side of a box, or a plane, that is square to an axis. Returns 1, or 0 where it is out of sight."""
+    """Write a box's side perpendicular to an axis, or a plane, and return the rows written: 0 if it is invisible."""
     normal = (
         towards if axis == 0 else 0.0,
         towards if axis == 1 else 0.0,
@@ -150,7 +150,7 @@ def put_cylinder(
     lane: int,
     material: int,
 ) -> int:
-    """The sides and the top of the prism that OpenGL draws for an upright cylinder. Returns the rows written."""
+    """Write the prism that OpenGL draws for an upright cylinder, and return the rows written."""
     written, radius, tall = 0, half[0], half[2]
     ss = (middle[2] - tall, middle[2] + tall)
     for side in range(at.SLICES):
@@ -167,18 +167,18 @@ def put_cylinder(
             down = (0.0, 0.5 / tall)
             put_texture(faces, row + written, looks, material, (half[0], half[1]), across, down)
             written += 1
-    return written + put_lid(faces, row + written, view, middle, half, looks, scenes, lane, material)
+    return written + put_cap(faces, row + written, view, middle, half, looks, scenes, lane, material)
 
 
 @part(error_model="numpy")
 def corner_of(side: int) -> Vector:
-    """Normal at a corner of a cylinder's prism."""
+    """Return the vertex normal at a corner of a cylinder's prism."""
     angle = side * 2.0 * math.pi / at.SLICES
     return math.cos(angle), math.sin(angle), 0.0
 
 
 @part(error_model="numpy")
-def put_lid(
+def put_cap(
     faces: Faces,
     row: int,
     view: View,
@@ -189,7 +189,7 @@ def put_lid(
     lane: int,
     material: int,
 ) -> int:
-    """A cylinder's top or bottom, whichever is seen: a face, and a row with its eight edges. Returns 2, or 0."""
+    """Write a cylinder's visible cap: a face, and a row with its eight edges. Return the rows written, 2 or 0."""
     radius, tall = half[0], half[2]
     towards = 1.0 if middle[2] < 0.0 else -1.0
     h = towards * middle[2] + tall
@@ -200,6 +200,6 @@ def put_lid(
     faces[row, at.EXTRA] = np.float32(row + 1)
     put_prism(faces, row + 1, view, plus((0.0, 0.0, 0.0), normal, 1.0 / h), middle, radius)
     put_light(faces, row, looks, scenes, lane, material, normal, normal, 1.0)
-    half_turn = (1.0, -0.5 / radius)  # a disk's texture counts from below
+    half_turn = (1.0, -0.5 / radius)  # a cap's texture runs upwards
     put_texture(faces, row, looks, material, (half[0], half[1]), (0.0, 0.5 / radius), half_turn)
     return 2

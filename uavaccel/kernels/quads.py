@@ -1,8 +1,8 @@
-"""The pixels of a quad, two by two, of which it is known what they show: luma, and what an event camera makes of it.
+"""Luma and events of a quad, 2 x 2 pixels whose visible faces are known.
 
-Scalar functions, for loops on the CPU and for CUDA threads. What a quad's pixels have in common is read and worked out
-once: a face's coefficients, and its mipmap level, from the texels of three of the quad's own pixels. The arithmetic is
-that of `kernels.spans` and `kernels.events`.
+Scalar functions, for loops on the CPU and for CUDA threads. What the pixels share is computed once: a face's
+coefficients, and its mipmap level, from the texel positions of three of the pixels. The arithmetic is that of
+`kernels.spans` and `kernels.events`.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
 from uavaccel.vision.rounding import times
 
 Four = tuple[Integer, Integer, Integer, Integer]
-RIGHT, BELOW = np.uintp(1), np.uintp(at.COLUMNS)  # from a pixel to the next
+RIGHT, BELOW = np.uintp(1), np.uintp(at.COLUMNS)  # index offsets to neighbouring pixels
 
 Place = tuple[Float, Float]
 Patch = tuple[np.uint32, Float, Float, Float, Float, np.uint32, Integer, np.uint32]
-"""Of a texture: its level's first texel; texels per metre and at the edge, across and down; size, last, level."""
+"""A mipmap level: base index; texels per metre and at the edge, across, then down; log2 size, mask, level."""
 Light = tuple[Float, Float, Float, Float, Float, Float]
 
 
 @njit(error_model="numpy")
 def on_face(faces: Faces, face: Integer, x: Float, y: Float) -> tuple[Float, Float]:
-    """Metres across and down a face to a pixel."""
+    """Return a pixel's position on a face, metres across and down."""
     depth = ONE / max(linear(faces, face, at.W, x, y), SHORTEST_W)
     return linear(faces, face, at.ACROSS, x, y) * depth, linear(faces, face, at.DOWN, x, y) * depth
 
 
 @njit(error_model="numpy")
 def texel_on(patch: Patch, place: Place) -> np.uint32:
-    """Where the texel of a pixel lies, as `texel_index` has it."""
+    """Return the index of a pixel's texel, as `texel_index` does."""
     u, v = place[0] * patch[1] + patch[2], place[1] * patch[3] + patch[4]
     column = np.uint32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & patch[6])
     row = np.uint32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & patch[6])
@@ -74,7 +74,7 @@ def texel_on(patch: Patch, place: Place) -> np.uint32:
 
 @njit(error_model="numpy")
 def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
-    """Luma of a texel, metres from where a face's light begins."""
+    """Return the luma of a texel lit at `along` metres from a face's low edge."""
     red, green, blue = lit(
         texel, light[0] + light[3] * along, light[1] + light[4] * along, light[2] + light[5] * along
     )
@@ -85,7 +85,7 @@ def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
 def face_lumas(
     faces: Faces, face: Operand, texels: Texels, textures: Textures, row: Integer, column: Integer
 ) -> Four:
-    """Luma of a quad's pixels on a face; of those that it does not cover, any number."""
+    """Return the luma of a quad's pixels on a face; values of pixels that it does not cover are meaningless."""
     x, y, texture = np.float32(column), np.float32(row), np.uint32(faces[face, at.TEXTURE])
     base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
     p00, p01 = on_face(faces, face, x, y), on_face(faces, face, x + ONE, y)
@@ -117,7 +117,7 @@ def face_lumas(
 
 @njit(error_model="numpy")
 def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) -> Integer:
-    """Where the texel of a pixel lies in the sky."""
+    """Return the index of a pixel's texel in the sky."""
     return sky_index(
         linear(faces, I0, at.RAYS, x, y),
         linear(faces, I0, at.RAYS + 3, x, y),
@@ -129,14 +129,14 @@ def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) ->
 
 @njit(error_model="numpy")
 def plain_luma(texel: Integer) -> Integer:
-    """Luma of a texel in no light but its own."""
+    """Return the luma of an unlit texel."""
     red, green = np.int32(texel & BYTE), np.int32(np.int32(texel >> I8) & BYTE)
     return luma(red, green, np.int32(np.int32(texel >> I16) & BYTE))
 
 
 @njit(error_model="numpy")
 def sky_lumas(faces: Faces, texels: Texels, textures: Textures, row: Integer, column: Integer) -> Four:
-    """Luma of a quad's pixels in the sky."""
+    """Return the luma of a quad's pixels in the sky."""
     x, y = np.float32(column), np.float32(row)
     base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
     t00 = texels[np.uint32(sky_texel(faces, x, y, base, size))]
@@ -155,11 +155,11 @@ def sky_lumas(faces: Faces, texels: Texels, textures: Textures, row: Integer, co
 def quad_lumas(
     faces: Faces, shown: Four, texels: Texels, textures: Textures, row: Integer, column: Integer
 ) -> Four:
-    """Luma of the pixels (row, column), (row, column + 1), and of the two below, which show these faces; both even."""
+    """Return the luma of the pixels (row, column), (row, column + 1) and of the two below; row and column are even."""
     f00, f01, f10, f11 = shown
     l00, l01, l10, l11 = I0, I0, I0, I0
     left = I15
-    while left != 0:  # once for most quads
+    while left != 0:  # a single pass for most quads
         face = f00 if left & I1 != 0 else (f01 if left & I2 != 0 else (f10 if left & I4 != 0 else f11))
         if face == 0:
             n00, n01, n10, n11 = sky_lumas(faces, texels, textures, row, column)
@@ -178,9 +178,9 @@ def quad_lumas(
 
 @njit(error_model="numpy")
 def quick_count(log: Float, base: Float, positive: Float, negative: Float) -> Integer:
-    """`count_single_pixel` without a division where it is 0, as nearly always, and else in single precision.
+    """Return `count_single_pixel` without dividing where it is 0, as nearly always, and else in single precision.
 
-    A quotient that is not whole after rounding was not rounded past a whole number, either.
+    A quotient that is not an integer after rounding did not cross an integer in rounding either.
     """
     change = log - base
     rises = change > np.float32(0.0)
@@ -196,7 +196,7 @@ def quick_count(log: Float, base: Float, positive: Float, negative: Float) -> In
 
 @njit(error_model="numpy")
 def threshold_of(nominal: Float, sigma: Float, least: Float, normal: Float) -> Float:
-    """`events.single_threshold` without a branch; `least` is MIN_THRESHOLD, or without a sigma below all."""
+    """Return `events.single_threshold` without a branch; `least` is MIN_THRESHOLD, or -HUGE if sigma is 0."""
     return max(nominal + times(sigma, normal), least)
 
 
@@ -210,10 +210,10 @@ def see_plainly(
     first: Operand,
     place: Operand,
 ) -> Integer:
-    """`events.see_pixel` for a quad and a camera without noise: ON minus OFF events; writes where there are some.
+    """Do as `events.see_pixel` for a quad of a camera without noise: return ON minus OFF events and update `base`.
 
-    `first` counts pixels from the first of all lanes', `place` from the picture's: to multiply by an array's sizes,
-    which a compiler does not know, costs more than all else here.
+    `first` is the quad's first pixel counted over all lanes, `place` within the image: indexing by lane, row and column
+    multiplies by array sizes unknown to the compiler, which would cost more than everything else here.
     """
     sigma, rise, fall = np.float32(camera[events.SIGMA]), camera[events.POSITIVE], camera[events.NEGATIVE]
     rise, fall, least = np.float32(rise), np.float32(fall), MIN_THRESHOLD if sigma != ZERO else -HUGE
@@ -237,7 +237,7 @@ def see_plainly(
 def see_one(
     log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand
 ) -> Integer:
-    """A pixel's events; what it memorises then is what `advanced` says, of which one half is 0."""
+    """Return a pixel's signed count and update its memory: `dvs_kernels.advanced` without its zero term."""
     signed = quick_count(log, before, positive, negative)
     if signed > 0:
         base[0, 0, place] = before + times(np.float32(signed), positive)

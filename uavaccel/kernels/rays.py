@@ -1,14 +1,14 @@
-"""What a pixel shows of the faces that a picture has: scalar functions, for loops on the CPU and for CUDA kernels.
+"""Visibility and shading of a pixel: scalar functions, for loops on the CPU and for CUDA kernels.
 
-A face is a plane piece of a surface, projected by `kernels.faces`. On it everything is a quotient of functions that
-are linear in column and row: w, the inverse of the depth, and the distances from its edges times w. A pixel shows
-the face with the largest w of those whose edges all have it inside. All arithmetic is float32.
+A face is a planar piece of a surface, projected by `kernels.faces`. Every quantity on it is a quotient of functions
+that are linear in column and row: w, the inverse depth, and the distances from its edges times w. A pixel shows the
+face with the largest w among those that have it inside all their edges. All arithmetic is float32.
 
-Texels are read as OpenGL reads them with NEAREST_MIPMAP_NEAREST: the mipmap level that the 2 x 2 pixels of a quad
-have in common, by the distance between the texels of its pixels; OpenGL counts rows from below, so a quad's own
-corner is its lower left pixel. Light is per vertex, colours are rounded to 8 bits, luma is OpenCV's.
+Textures are sampled as OpenGL does with NEAREST_MIPMAP_NEAREST. The 2 x 2 pixels of a quad share a mipmap level, chosen
+by the distance between their texels; OpenGL counts rows from below, so a quad's reference pixel is its lower left one.
+Lighting is per vertex, colours are rounded to 8 bits, luma is OpenCV's.
 
-Each function takes and returns scalars or tuples, allocates nothing and raises nothing.
+The functions take and return scalars or tuples, allocate nothing and raise nothing.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.parts import part
 
-Faces = NDArray[np.float32]  # (FACES, FIELDS): of one picture; row 0 is the rays'
-Textures = NDArray[np.int32]  # (n, 4)
+Faces = NDArray[np.float32]  # (FACES, FIELDS): of one image; row 0 has its rays
+Textures = NDArray[np.int32]  # (n, 2)
 Texels = NDArray[np.uint32]  # (T,)
-Float = Any  # np.float32, a scalar of which numba keeps the type
-Integer = Any  # np.int32: with an int of Python's, numba would make everything 64 bits wide
+Float = Any  # np.float32: numba keeps a scalar's type
+Integer = Any  # np.int32: with a Python int numba would compute in 64 bits
 Colour = tuple[Integer, Integer, Integer]
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-SHORTEST_W = np.float32(1e-9)  # beyond an edge a quad's pixels may look above the horizon: kept finite
-MOST_TEXELS = np.float32(8e6)  # as many as float32 counts one by one
-# Squares of the texels between pixels from which on a level is nearer than the one before.
+SHORTEST_W = np.float32(1e-9)  # keeps depth finite where a quad's pixels beyond an edge are above the horizon
+MOST_TEXELS = np.float32(8e6)  # float32 has all integers up to here
+# Squared distances between texels from which on a mipmap level is nearer than the one before.
 LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (
     np.float32(2.0 ** (2 * n + 1)) for n in range(7)
 )
@@ -43,13 +43,13 @@ OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (
 
 @part(error_model="numpy")
 def linear(faces: Faces, face: Integer, field: int, column: Float, row: Float) -> Float:
-    """The function of three coefficients from `field` on: per column, per row, constant."""
+    """Evaluate the linear function whose coefficients start at `field`: per column, per row, constant."""
     return faces[face, field] * column + (faces[face, field + 1] * row + faces[face, field + 2])
 
 
 @part(error_model="numpy")
 def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
-    """Whether a pixel lies within a face's edges."""
+    """Return whether a pixel is inside a face's edges."""
     inside = True
     for edge in range(4):
         inside = inside and linear(faces, face, at.EDGES + 3 * edge, column, row) >= ZERO
@@ -62,7 +62,7 @@ def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
 
 @part(error_model="numpy")
 def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Float, column1: Float) -> bool:
-    """Whether a face may be seen in a rectangle of pixels, both ends included; errs towards yes."""
+    """Return whether a face may be visible in a rectangle of pixels, ends included; never wrongly False."""
     if faces[face, at.NEAREST_W] <= ZERO:
         return False
     seen = True
@@ -75,7 +75,7 @@ def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Floa
 
 @part(error_model="numpy")
 def nearest_face(faces: Faces, row: int, column: int) -> Integer:
-    """The face that a pixel shows, 0 for the sky."""
+    """Return the face that a pixel shows, 0 for the sky."""
     x, y = np.float32(column), np.float32(row)
     near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
     for face in range(1, int(faces[0, at.COUNT])):
@@ -88,7 +88,7 @@ def nearest_face(faces: Faces, row: int, column: int) -> Integer:
 
 @part(error_model="numpy")
 def texels_at(faces: Faces, face: Integer, column: Float, row: Float) -> tuple[Float, Float]:
-    """Texels of level 0 from the texture's corner to a pixel, to the right and up."""
+    """Return a pixel's texture coordinates in texels of level 0, rightwards and upwards from the texture's corner."""
     w = max(linear(faces, face, at.W, column, row), SHORTEST_W)
     u = linear(faces, face, at.EDGES, column, row) / w * faces[face, at.TU] + faces[face, at.TU + 1]
     v = linear(faces, face, at.EDGES + 9, column, row) / w * faces[face, at.TV] + faces[face, at.TV + 1]
@@ -97,7 +97,7 @@ def texels_at(faces: Faces, face: Integer, column: Float, row: Float) -> tuple[F
 
 @part(error_model="numpy")
 def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: Integer) -> Integer:
-    """Mipmap level for the texels between a quad's corner and its neighbours: the nearest to log2 of the longest."""
+    """Return the mipmap level nearest to log2 of the longer step, in texels, from a quad's reference pixel."""
     step = max(du_x * du_x + dv_x * dv_x, du_y * du_y + dv_y * dv_y)
     level = np.int32(step >= LEVEL_1)
     for limit in (LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7):
@@ -107,8 +107,8 @@ def level_of(du_x: Float, dv_x: Float, du_y: Float, dv_y: Float, last: Integer) 
 
 @part(error_model="numpy")
 def texel_index(u: Float, v: Float, level: Integer, base: Integer, log2_size: Integer) -> Integer:
-    """Where a texel lies; a texture's levels stand one below the other, each as wide as the first."""
-    size, down = log2_size & I15, level & I15  # known to be small, so that shifts stay 32 bits wide
+    """Return the index of a texel; mipmap levels are stacked vertically, each padded to the width of the first."""
+    size, down = log2_size & I15, level & I15  # masked, so that the compiler keeps shifts in 32 bits
     last = np.int32(np.int32(I1 << size) - I1)
     column = np.int32(np.int32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & last) >> down)
     row = np.int32(np.int32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & last) >> down)
@@ -119,7 +119,7 @@ def texel_index(u: Float, v: Float, level: Integer, base: Integer, log2_size: In
 
 @part(error_model="numpy")
 def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
-    """A texel in light of a colour (0 to 1), as 8-bit channels."""
+    """Return a texel times a light's colour (0 to 1), as 8-bit channels."""
     return (
         np.int32(np.float32(np.int32(texel & BYTE)) * red + HALF),
         np.int32(np.float32(np.int32(np.int32(texel >> I8) & BYTE)) * green + HALF),
@@ -129,14 +129,14 @@ def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
 
 @part(error_model="numpy")
 def luma(red: Integer, green: Integer, blue: Integer) -> Integer:
-    """ITU-R BT.601 in the fixed point of OpenCV's COLOR_RGBA2GRAY."""
+    """Return ITU-R BT.601 luma in the fixed-point arithmetic of OpenCV's COLOR_RGBA2GRAY."""
     weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
     return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
 
 
 @part(error_model="numpy")
 def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -> Integer:
-    """Texel of a cube map in a direction of MuJoCo's axes; the texture lies on its side, as MuJoCo hangs it."""
+    """Return the index of a cube map's texel in a direction, in MuJoCo's axes and with its orientation of the cube."""
     s, t, r = x, z, -y
     a_s, a_t, a_r = abs(s), abs(t), abs(r)
     by_s = a_s >= a_t and a_s >= a_r
@@ -158,7 +158,7 @@ def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -
 
 @part(error_model="numpy")
 def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column: int) -> Integer:
-    """The mipmap level of a face in the quad of a pixel."""
+    """Return a face's mipmap level in the quad of a pixel."""
     x, y = np.float32(column & ~1), np.float32(row | 1)
     u, v = texels_at(faces, face, x, y)
     u_x, v_x = texels_at(faces, face, x + ONE, y)
@@ -169,7 +169,7 @@ def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column
 
 @part(error_model="numpy")
 def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
-    """Red, green and blue (0 to 255) of a pixel that shows the sky."""
+    """Return red, green and blue (0 to 255) of a pixel that shows the sky."""
     x, y = np.float32(column), np.float32(row)
     ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
     ray_z = linear(faces, 0, at.RAYS + 6, x, y)
@@ -181,7 +181,7 @@ def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, colum
 def face_colour(
     faces: Faces, face: Integer, level: Integer, texels: Texels, textures: Textures, row: int, column: int
 ) -> Colour:
-    """Red, green and blue (0 to 255) of a pixel that shows a face, from a mipmap level."""
+    """Return red, green and blue (0 to 255) of a pixel that shows a face, from a mipmap level."""
     x, y = np.float32(column), np.float32(row)
     texture = int(faces[face, at.TEXTURE])
     u, v = texels_at(faces, face, x, y)
@@ -199,7 +199,7 @@ def face_colour(
 def colour_of(
     faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int
 ) -> Colour:
-    """Red, green and blue (0 to 255) of a pixel that shows a face, or the sky, 0."""
+    """Return red, green and blue (0 to 255) of a pixel that shows `face`, or the sky if that is 0."""
     if face == 0:
         return sky_colour(faces, texels, textures, row, column)
     return face_colour(
@@ -209,14 +209,14 @@ def colour_of(
 
 @part(error_model="numpy")
 def luma_at(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Integer:
-    """Luma of a pixel."""
+    """Return the luma of a pixel."""
     red, green, blue = colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
     return luma(red, green, blue)
 
 
 @part(error_model="numpy")
 def depth_at(faces: Faces, row: int, column: int) -> Float:
-    """Depth of a pixel in metres, along the optical axis."""
+    """Return the depth of a pixel, metres along the optical axis."""
     face = nearest_face(faces, row, column)
     w = linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
     return ONE / w

@@ -1,4 +1,4 @@
-"""Recording of CUDA graphs, undisturbed by garbage."""
+"""Recording of CUDA graphs without garbage collection, which would invalidate them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import torch as th
 
 @contextmanager
 def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
-    """Record what is launched within as `graph`.
+    """Record the launches within the context as `graph`.
 
-    Garbage is collected before and not within: a graph or memory that is freed while another graph is recorded
+    Garbage is collected before and not meanwhile: a graph or memory that is freed while another graph is recorded
     invalidates the recording (PyTorch's pull request 161037).
     """
     th.cuda.synchronize()

@@ -1,8 +1,8 @@
-"""One picture on the CPU, column by column: each face over the rows at which it may be seen, the nearest kept.
+"""Rendering of one image on the CPU, column by column, with a depth buffer of one column.
 
-Obstacles are tall, so a column holds longer stretches of one face than a row. The arithmetic is that of
-`kernels.rays`. Loops have no branches and look nothing up, and run over whole eights of pixels, so that the compiler
-takes eight at once; texels are looked up in a loop of their own.
+Obstacles are tall, so runs of one face are longer in columns than in rows. The arithmetic is that of `kernels.rays`.
+Inner loops have no branches and no table lookups, and run over multiples of eight pixels, so that the compiler
+vectorises them; texels are fetched in a separate loop.
 """
 
 from __future__ import annotations
@@ -38,27 +38,28 @@ HUGE = np.float32(1e30)
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int32]
 
-# Lines of ROWS numbers: 0, 1, 2, ...; 1, 1, 3, 3, ...; the largest w yet; the light's colour. And integers.
+# Rows of Scratch.floats: 0, 1, 2, ...; 1, 1, 3, 3, ...; the largest w so far; the light's colour. Then of integers.
 ROW, CORNER, BEST, RED, GREEN, BLUE = range(6)
 PLACE, TEXEL = range(2)
 Line = tuple[Float, Float, Float, Float]
 
 
-class Desk(NamedTuple):
-    """What one thread works with; of its own, so that threads can share the rest."""
+class Scratch(NamedTuple):
+    """The working memory of one thread."""
 
     faces: Faces
-    begins: Integers  # (COLUMNS,): the first row of a face in each column
-    ends: Integers  # (COLUMNS,): and the one behind its last
-    spans: Integers  # (COLUMNS, FACES): of each column's faces, face << 16 | begin << 8 | end
-    counts: Integers  # (COLUMNS,): how many those are
+    begins: Integers  # (COLUMNS,): first row of a face in each column
+    ends: Integers  # (COLUMNS,): row after its last
+    spans: Integers  # (COLUMNS, FACES): face << 16 | begin << 8 | end of the faces in each column
+    counts: Integers  # (COLUMNS,): their number
     floats: Floats  # (6, ROWS)
     integers: Integers  # (2, ROWS)
-    channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): of the picture
+    channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): the image, by columns
 
 
 @part(error_model="numpy")
-def make_desk() -> Desk:
+def make_scratch() -> Scratch:
+    """Allocate the working memory of one thread."""
     floats = np.zeros((6, at.ROWS), np.float32)
     for row in range(at.ROWS):
         floats[ROW, row], floats[CORNER, row] = row, row | 1
@@ -66,14 +67,14 @@ def make_desk() -> Desk:
     counts = np.zeros(at.COLUMNS, np.int32)
     faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
     integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
-    return Desk(faces, begins, ends, spans, counts, floats, integers, channels)
+    return Scratch(faces, begins, ends, spans, counts, floats, integers, channels)
 
 
 @part(error_model="numpy")
 def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
-    """Where a linear function >= 0 ends: the first row that is inside, and the last, each in column 0 and per column.
+    """Return the rows in which a linear function is >= 0: the first and the last, each in column 0 and per column.
 
-    One of them is far out: the function rises or falls from row to row.
+    One of the two is infinite, for the function either rises or falls from row to row.
     """
     root = ONE / per_row if abs(per_row) > ONE / HUGE else HUGE
     row, slope = -rest * root, -per_column * root
@@ -83,12 +84,13 @@ def line_of(per_column: Float, per_row: Float, rest: Float) -> Line:
 
 @part(error_model="numpy")
 def edge_line(faces: Faces, face: int, field: int) -> Line:
+    """Return the `line_of` a face's linear function."""
     return line_of(faces[face, field], faces[face, field + 1], faces[face, field + 2])
 
 
 @part(error_model="numpy")
 def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
-    """The first row from `low` on, and the one behind the last up to `high`, of a picture's."""
+    """Return the image's whole rows within [low, high] as [begin, end)."""
     low, high = min(max(low, ZERO), np.float32(at.ROWS)), min(max(high, -ONE), np.float32(at.ROWS - 1))
     begin = np.int32(low)
     return begin + (I1 if low > np.float32(begin) else I0), np.int32(high + ONE)
@@ -96,7 +98,7 @@ def whole_rows(low: Float, high: Float) -> tuple[Integer, Integer]:
 
 @part(error_model="numpy")
 def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, counts: Integers) -> None:
-    """The faces of each column, with their rows."""
+    """Find the faces in each column, with their rows."""
     counts[:] = 0
     for face in range(1, int(faces[0, at.COUNT])):
         if faces[face, at.NEAREST_W] > ZERO:
@@ -110,7 +112,7 @@ def find_spans(faces: Faces, begins: Integers, ends: Integers, spans: Integers, 
 
 @part(error_model="numpy", inline=False)
 def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, ends: Integers) -> None:
-    """The rows of a face in each of some columns, where its edges have it."""
+    """Find the rows of a face in the columns from `first` to `last`."""
     l0, l0_slope, h0, h0_slope = edge_line(faces, face, at.EDGES)
     l1, l1_slope, h1, h1_slope = edge_line(faces, face, at.EDGES + 3)
     l2, l2_slope, h2, h2_slope = edge_line(faces, face, at.EDGES + 6)
@@ -130,7 +132,7 @@ def find_rows(faces: Faces, face: int, first: int, last: int, begins: Integers, 
 
 @part(error_model="numpy", inline=False)
 def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) -> None:
-    """Keep of a face's rows those on one side of a line, as `line_of` describes it."""
+    """Clip a face's rows by a line, as `line_of` describes it."""
     low, low_slope, high, high_slope = line
     for column in range(np.uintp(first), np.uintp(last + 1)):
         x = np.float32(np.int32(column))
@@ -149,7 +151,7 @@ def show_face(
     begin: int,
     end: int,
 ) -> None:
-    """Place of the texel, and light, at each row at which a face is nearer than what is there."""
+    """Write texel index and light in each row of a column in which a face is nearer than what the buffer holds."""
     texture = int(faces[face, at.TEXTURE])
     base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
     x, corner_x = np.float32(column), np.float32(column & ~1)
@@ -202,7 +204,7 @@ def show_sky(
     spans: Integers,
     count: int,
 ) -> None:
-    """The sky, where no face reaches in from the column's top or bottom; faces are drawn over it."""
+    """Write the sky, except where faces cover a column from its top or bottom; faces are drawn over it."""
     begin, end = 0, at.ROWS
     for number in range(count):
         first, behind = (spans[column, number] >> 8) & 255, spans[column, number] & 255
@@ -223,7 +225,7 @@ def show_sky(
 
 @part(error_model="numpy")
 def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Operand) -> None:
-    """Luma of a column whose texels are placed."""
+    """Write the luma of a column whose texel indices are known."""
     for row in range(at.ROWS):
         integers[TEXEL, row] = texels[np.uint32(integers[PLACE, row])]
     for row in range(at.ROWS):
@@ -233,7 +235,7 @@ def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int,
 
 @part(error_model="numpy")
 def colour_column(texels: Texels, floats: Floats, integers: Integers, column: int, channels: Operand) -> None:
-    """Red, green and blue of a column whose texels are placed."""
+    """Write red, green and blue of a column whose texel indices are known."""
     for row in range(at.ROWS):
         red, green, blue = lit(
             np.int32(texels[np.uint32(integers[PLACE, row])]),
@@ -245,11 +247,17 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
 
 
 @part(error_model="numpy", inline=False)
-def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
-    """Luma, or red, green and blue, of a picture whose faces are projected, in `desk.channels`."""
-    texels, textures, faces, spans, counts = looks.texels, looks.textures, desk.faces, desk.spans, desk.counts
-    floats, integers, channels = desk.floats, desk.integers, desk.channels
-    find_spans(faces, desk.begins, desk.ends, spans, counts)
+def draw_channels(looks: Looks, scratch: Scratch, colour: bool) -> None:
+    """Render the projected faces to `scratch.channels`: red, green and blue if `colour`, else luma."""
+    texels, textures, faces, spans, counts = (
+        looks.texels,
+        looks.textures,
+        scratch.faces,
+        scratch.spans,
+        scratch.counts,
+    )
+    floats, integers, channels = scratch.floats, scratch.integers, scratch.channels
+    find_spans(faces, scratch.begins, scratch.ends, spans, counts)
     for column in range(at.COLUMNS):
         for row in range(at.ROWS):
             floats[BEST, row] = faces[0, at.FAR_W]
@@ -264,16 +272,16 @@ def draw_channels(looks: Looks, desk: Desk, colour: bool) -> None:
 
 
 @part(error_model="numpy")
-def turn_gray(channels: Operand, out: Operand) -> None:
-    """Columns of luma as a picture (ROWS, COLUMNS)."""
+def transpose_gray(channels: Operand, out: Operand) -> None:
+    """Copy luma by columns to an image (ROWS, COLUMNS)."""
     for row in range(at.ROWS):
         for column in range(at.COLUMNS):
             out[row, column] = channels[0, column, row]
 
 
 @part(error_model="numpy")
-def turn_colour(channels: Operand, out: Operand) -> None:
-    """Columns of red, green and blue as a picture (ROWS, COLUMNS, 3)."""
+def transpose_colour(channels: Operand, out: Operand) -> None:
+    """Copy red, green and blue by columns to an image (ROWS, COLUMNS, 3)."""
     for row in range(at.ROWS):
         for column in range(at.COLUMNS):
             out[row, column, 0] = channels[0, column, row]
@@ -282,15 +290,15 @@ def turn_colour(channels: Operand, out: Operand) -> None:
 
 
 @part(error_model="numpy")
-def draw_depths(desk: Desk, out: Operand) -> None:
-    """Depth of a picture whose faces are projected, (ROWS, COLUMNS), metres."""
-    faces, floats, counts = desk.faces, desk.floats, desk.counts
-    find_spans(faces, desk.begins, desk.ends, desk.spans, counts)
+def draw_depths(scratch: Scratch, out: Operand) -> None:
+    """Render the depth of the projected faces, (ROWS, COLUMNS), metres."""
+    faces, floats, counts = scratch.faces, scratch.floats, scratch.counts
+    find_spans(faces, scratch.begins, scratch.ends, scratch.spans, counts)
     for column in range(at.COLUMNS):
         for row in range(at.ROWS):
             floats[BEST, row] = faces[0, at.FAR_W]
         for number in range(counts[column]):
-            span = desk.spans[column, number]
+            span = scratch.spans[column, number]
             a, b, c = (
                 faces[span >> 16, at.W] * np.float32(column),
                 faces[span >> 16, at.W + 1],

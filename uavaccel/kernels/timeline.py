@@ -1,8 +1,8 @@
-"""The simulated wall clock of lanes over arrays: what a client's calls cost, and which ticks pass meanwhile.
+"""The simulated wall clock of lanes over arrays: how long a client's calls take, and which ticks pass meanwhile.
 
-One game's clock is a row of integers. The functions are the calls of commands/adsc and tcsc through wire/transport's
-`VirtualTransport` to sim/simulation, in their order, without messages and without a flight: which ticks pass follows
-from the latencies alone. `lockstep` is a model whose latencies are 0. All of them are scalar, for the CPU and a GPU.
+A game's clock is a row of integers. The functions replay the calls of commands/adsc and tcsc through wire/transport's
+`VirtualTransport` to sim/simulation, in order, without messages and without a flight: which ticks pass depends on the
+latencies alone. In `lockstep` all latencies are 0. The functions are scalar, for the CPU and a GPU.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from uavaccel.vision.guard import GuardSettings
 DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 NEVER = 2**62
 NO_PHASE = -1
-SIMULATION, RENDERING, IMAGE_PROCESSING = range(3)  # of envs/stopwatch's PHASES
-SPENT = 5  # phases
+SIMULATION, RENDERING, IMAGE_PROCESSING = range(3)  # the first of envs/stopwatch's PHASES
+PHASE_COUNT = 5
 
-# A row. The client: its clock, when the game began on it, whether it knows the state; of ADSC when the command was
-# issued and the time it has paused since, and when it did last; of TCSC when the present sample is due in simulated
-# ns; whether the sample is the command's last.
+# The fields of a row. The client: its clock; the game's start on it; whether it knows the state; for ADSC the time at
+# which the command was issued, the time paused since, and the start of the last pause; for TCSC the simulated ns at
+# which the present sample is due; whether that is the command's last.
 (NOW, START, KNOWN, ISSUED, PAUSED_NS, PAUSED_AT, DUE, LAST) = range(8)
-# The connection: when the last message was handled, when the command was, when its answer comes, whether it was the
-# last message and is not answered; what has been waited for; what latencies are drawn from.
+# The connection: when the last message and the command were handled; when the command's reply arrives; whether it is
+# unanswered and was the last message; class of the last wait (latencies.wait_class); the generator's seed and count.
 (HANDLED, MOVED, MOVE_REPLY, UNANSWERED, WAITED, SEED, DRAWN) = range(8, 15)
-# The simulation: its tick, wall time and anchor; the command's last tick and when it ended; a continue-for's last tick,
-# or its timer, and when it was over; the tick that pictures show, -1 for the present one.
+# The simulation: tick, whether it is paused, wall time, and the wall time and tick from which it runs; the command's
+# last tick and the time of its end; a continue-for's last tick, or its timer, and the time of its end; the tick that
+# images show, -1 for the present one.
 (TICK, PAUSED, WALL, WALL0, TICK0, COMMAND_END, COMMAND_OVER) = range(15, 22)
 (PERIOD_END, PERIOD_TIMER, PERIOD_OVER, SHOWN) = range(22, 26)
-# The stopwatch.
+# The stopwatch: present phase and its start, then the time spent in each.
 (PHASE, SINCE, FIRST_PHASE) = range(26, 29)
-FIELDS = FIRST_PHASE + SPENT
+FIELDS = FIRST_PHASE + PHASE_COUNT
 
-# Rules, the same for all lanes: a game's, the simulation's speed as a fraction over the tick and as it was asked for,
-# what a command lasts, T_th, the platform's, whether pictures are asked for and the guard looks at them.
+# Rules, the same for all lanes: kind of command and pauses; tick; speed as a fraction, SPEED ticks in TICK_WALL ns, and
+# as requested, ASKED / ASKED_UNDER; duration of a command; T_th; the platform's; whether images are requested, guarded.
 (IS_ADSC, EXACT_PAUSES, TICK_NS, SPEED, TICK_WALL, ASKED, ASKED_UNDER, COMMAND_TICKS, T_TH_NS) = range(9)
 (STALL_NS, FRAME_NS, STALE_POSE, AFTER_CONTINUE, IMAGES, GUARDED, PROCESSING_NS, LAYS_OUT) = range(9, 17)
 (LATENCY, FAULTS) = range(17, 19)
@@ -47,29 +48,29 @@ RULES = 19
 
 
 class Timing(NamedTuple):
-    """How commands pass, the same for all lanes."""
+    """The timing of commands, the same for all lanes."""
 
     rules: Operand
     """(RULES,) int64."""
     slices_ns: Operand
-    """(S,) int64: simulated time of a command's samples."""
+    """(S,) int64: simulated time from each sample of a command to the next."""
     offsets_ns: Operand
-    """(S,) int64: wall time of ADSC's samples after the command was issued."""
+    """(S,) int64: wall time from the issue of an ADSC command to each sample."""
     latencies: Latencies
 
 
 class Command(NamedTuple):
-    """How a command is flown and seen, the same for all lanes."""
+    """How commands are flown and observed, the same for all lanes."""
 
     slices: Operand
-    """Ticks (S,) of its samples."""
+    """(S,): ticks from each sample to the next."""
     event_ticks: int
-    """Ticks from one of the event camera's frames to the next; 0: it sees the samples alone."""
+    """Ticks between frames of the event camera; 0 if it records the samples alone."""
     tick_ns: int
     hull: Operand
-    """(3,) (kernels/flight)."""
+    """(3,) HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH (kernels/flight)."""
     hold_ticks: int
-    """After which position hold sets in unless another command came."""
+    """Ticks after which position hold takes over unless another command has come."""
     timing: Timing
 
 
@@ -79,27 +80,27 @@ class Clocks(NamedTuple):
     row: Operand
     """(L, FIELDS) int64."""
     scale: Operand
-    """(L,) float64: requests and replies take so many times what their tables say."""
+    """(L,) float64: factor on the latencies of requests and replies."""
     brightness: Operand
-    """(L,) float64: what the guard compares the next picture with; NaN before the first."""
+    """(L,) float64: brightness that the guard compares the next image with; NaN before the first."""
     shown: Operand
-    """(L, 7) float64: the pose at tick `SHOWN`."""
+    """(L, 7) float64: pose at tick SHOWN."""
     ticks: Operand
-    """(L, S) int64: of the last command's samples, those before a touch."""
+    """(L, S) int64: ticks of the last command's samples before a collision."""
     taken: Operand
-    """(L,) int64: how many they are."""
+    """(L,) int64: number of those samples."""
 
 
-def clocks(lanes: int, samples: int, empty: Operand = np.zeros) -> Clocks:
-    """Room for lanes; `empty` makes an array of a shape and a type."""
+def clocks(lanes: int, samples: int) -> Clocks:
+    """Allocate the clocks of `lanes` lanes whose commands have `samples` samples."""
     f8, i8 = np.float64, np.int64
     return Clocks(
-        empty((lanes, FIELDS), i8),
-        empty((lanes,), f8),
-        empty((lanes,), f8),
-        empty((lanes, 7), f8),
-        empty((lanes, samples), i8),
-        empty((lanes,), i8),
+        np.zeros((lanes, FIELDS), i8),
+        np.zeros((lanes,), f8),
+        np.zeros((lanes,), f8),
+        np.zeros((lanes, 7), f8),
+        np.zeros((lanes, samples), i8),
+        np.zeros((lanes,), i8),
     )
 
 
@@ -108,7 +109,7 @@ def clocks(lanes: int, samples: int, empty: Operand = np.zeros) -> Clocks:
 
 @part
 def draw(row: Operand, timing: Timing, table: int) -> int:
-    """The next latency of a table, as it stands there."""
+    """Sample the next latency of a table, ns."""
     if timing.rules[LATENCY] == 0:
         return 0
     row[DRAWN] += 1
@@ -117,7 +118,7 @@ def draw(row: Operand, timing: Timing, table: int) -> int:
 
 @part
 def message(row: Operand, scale: float, timing: Timing, direction: int, channel: int) -> int:
-    """The next latency of a request or a reply."""
+    """Sample the next latency of a request or reply, with the lane's scale and faults, ns."""
     spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
     spent = round(spent * scale)
     if timing.rules[FAULTS]:
@@ -128,7 +129,7 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
 
 @part
 def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
-    """When a frame that is asked for is there (sim/frames)."""
+    """Return the time at which a frame requested at `asked_ns` is ready (sim/frames)."""
     return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
 
 
@@ -137,7 +138,7 @@ def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
 
 @part
 def nearest(numerator: int, denominator: int) -> int:
-    """A fraction rounded as Python does: half to even."""
+    """Return a fraction rounded as Python does: half to even."""
     whole = numerator // denominator
     twice = 2 * (numerator - whole * denominator)
     return whole + 1 if twice > denominator or (twice == denominator and whole % 2 == 1) else whole
@@ -145,14 +146,14 @@ def nearest(numerator: int, denominator: int) -> int:
 
 @part
 def wall_due(row: Operand, timing: Timing, tick: int) -> int:
-    """The first nanosecond of wall time at which a tick is due."""
+    """Return the first nanosecond of wall time at which a tick is due."""
     speed = timing.rules[SPEED]
     return row[WALL0] + ((tick - row[TICK0]) * timing.rules[TICK_WALL] + speed - 1) // speed
 
 
 @part
 def pause(row: Operand, timing: Timing, wall_ns: int) -> None:
-    """Stop the simulation; a continue-for is over."""
+    """Pause the simulation, which ends a continue-for."""
     if row[PAUSED] == 0:
         row[PAUSED], row[WALL] = 1, wall_ns
     if row[PERIOD_OVER] == NEVER:
@@ -162,7 +163,7 @@ def pause(row: Operand, timing: Timing, wall_ns: int) -> None:
 
 @part
 def let_run(row: Operand, wall_ns: int) -> None:
-    """Let the simulation run from here."""
+    """Let the simulation run from `wall_ns` on."""
     if row[PAUSED] == 1:
         row[PAUSED], row[WALL] = 0, wall_ns
         row[WALL0], row[TICK0] = wall_ns, row[TICK]
@@ -170,7 +171,7 @@ def let_run(row: Operand, wall_ns: int) -> None:
 
 @part
 def advance_through(row: Operand, timing: Timing, wall_ns: int) -> None:
-    """Fly every tick that is due by then, and end what ends on the way."""
+    """Advance by all ticks due at `wall_ns`, and end the command and continue-for that end meanwhile."""
     while row[PAUSED] == 0:
         end = min(row[COMMAND_END], row[PERIOD_END])
         due = row[TICK0] + (wall_ns - row[WALL0]) * timing.rules[SPEED] // timing.rules[TICK_WALL]
@@ -189,7 +190,7 @@ def advance_through(row: Operand, timing: Timing, wall_ns: int) -> None:
 
 @part
 def advance(row: Operand, timing: Timing, wall_ns: int) -> None:
-    """The same, and show what frames show."""
+    """Do as `advance_through`, and update the tick that images show at each of Unreal's frames."""
     if timing.rules[STALE_POSE] and row[PAUSED] == 0:
         period_ns = timing.rules[FRAME_NS]
         frame_ns = (row[WALL] // period_ns + 1) * period_ns
@@ -203,7 +204,7 @@ def advance(row: Operand, timing: Timing, wall_ns: int) -> None:
 
 @part
 def next_event(row: Operand, timing: Timing) -> int:
-    """When something ends unless a message comes first; NEVER while nothing will."""
+    """Return the time at which command or continue-for end unless a message comes first, or NEVER."""
     end = min(row[COMMAND_END], row[PERIOD_END])
     if row[PAUSED] == 1 or end == NEVER:
         return NEVER if row[PAUSED] == 1 else row[PERIOD_TIMER]
@@ -215,7 +216,7 @@ def next_event(row: Operand, timing: Timing) -> int:
 
 @part
 def run_to(row: Operand, timing: Timing, wall_ns: int) -> None:
-    """Let the simulation's wall time pass; a wall timer ends on the dot."""
+    """Let wall time pass up to `wall_ns`; a wall timer ends exactly at its time."""
     if row[PAUSED] == 0 and row[PERIOD_TIMER] <= wall_ns:
         advance(row, timing, row[PERIOD_TIMER])
     row[HANDLED] = max(row[HANDLED], wall_ns)
@@ -224,7 +225,7 @@ def run_to(row: Operand, timing: Timing, wall_ns: int) -> None:
 
 @part
 def ask(row: Operand, scale: float, timing: Timing, channel: int) -> None:
-    """Send a message, up to the moment at which it is handled."""
+    """Send a request and run up to the moment at which it is handled."""
     arrival = row[NOW] + message(row, scale, timing, wire.REQUEST, channel)
     if timing.rules[STALL_NS] > 0 and row[UNANSWERED] == 1:
         arrival = max(arrival, min(row[MOVED] + timing.rules[STALL_NS], row[COMMAND_OVER]))
@@ -234,21 +235,21 @@ def ask(row: Operand, scale: float, timing: Timing, channel: int) -> None:
 
 @part
 def answer(row: Operand, scale: float, timing: Timing, channel: int) -> None:
-    """Wait for the answer."""
+    """Wait for the reply."""
     ready = with_frame(row, timing, row[HANDLED]) if channel == wire.IMAGE else row[HANDLED]
     row[NOW] = max(row[NOW], ready + message(row, scale, timing, wire.REPLY, channel))
 
 
 @part
 def call(row: Operand, scale: float, timing: Timing, channel: int) -> None:
-    """A call that changes nothing."""
+    """Make a call that changes nothing."""
     ask(row, scale, timing, channel)
     answer(row, scale, timing, channel)
 
 
 @part
 def move(row: Operand, scale: float, timing: Timing) -> None:
-    """Send the command without waiting for its end; it acts from `TICK` on."""
+    """Send the command without waiting for its end; it takes effect at `TICK`."""
     ask(row, scale, timing, wire.MOVE)
     row[COMMAND_END], row[COMMAND_OVER] = row[TICK] + timing.rules[COMMAND_TICKS], NEVER
     row[MOVED], row[MOVE_REPLY], row[UNANSWERED] = row[HANDLED], NEVER, 1
@@ -257,7 +258,7 @@ def move(row: Operand, scale: float, timing: Timing) -> None:
 
 @part
 def join(row: Operand, scale: float, timing: Timing, deadline_ns: int) -> bool:
-    """Wait for the command's end, or for the deadline if that comes first: then False."""
+    """Wait for the command's end; return False if the deadline comes first."""
     while row[COMMAND_OVER] == NEVER:
         event_ns = next_event(row, timing)
         if event_ns > deadline_ns or event_ns == NEVER:
@@ -273,7 +274,7 @@ def join(row: Operand, scale: float, timing: Timing, deadline_ns: int) -> bool:
 
 @part
 def continue_for(row: Operand, scale: float, timing: Timing, duration_ns: int) -> None:
-    """Run for a simulated time, or in `airsim` for the wall time that it takes, and pause."""
+    """Run for a simulated duration or, in profile `airsim`, for the wall time that it takes, and pause."""
     ask(row, scale, timing, wire.CONTINUE_FOR)
     handled, rules = row[HANDLED], timing.rules
     let_run(row, handled)
@@ -294,7 +295,7 @@ def continue_for(row: Operand, scale: float, timing: Timing, duration_ns: int) -
 
 @part
 def call_pause(row: Operand, scale: float, timing: Timing) -> None:
-    """simPause(True)."""
+    """Call simPause(True)."""
     ask(row, scale, timing, wire.PAUSE)
     pause(row, timing, row[HANDLED])
     answer(row, scale, timing, wire.PAUSE)
@@ -302,7 +303,7 @@ def call_pause(row: Operand, scale: float, timing: Timing) -> None:
 
 @part
 def call_run(row: Operand, scale: float, timing: Timing) -> None:
-    """simPause(False)."""
+    """Call simPause(False)."""
     ask(row, scale, timing, wire.CONTINUE)
     let_run(row, row[HANDLED])
     answer(row, scale, timing, wire.CONTINUE)
@@ -313,7 +314,7 @@ def call_run(row: Operand, scale: float, timing: Timing) -> None:
 
 @part
 def switch(row: Operand, phase: int) -> None:
-    """What passes from now on belongs to a phase, or to none."""
+    """Count the time from now on for `phase`, or for none."""
     if row[PHASE] != NO_PHASE:
         row[FIRST_PHASE + row[PHASE]] += row[NOW] - row[SINCE]
     row[PHASE], row[SINCE] = phase, row[NOW]
@@ -321,14 +322,14 @@ def switch(row: Operand, phase: int) -> None:
 
 @part
 def charge(row: Operand, duration_ns: int, phase: int) -> None:
-    """Work of the agent's between two commands."""
+    """Let the agent work for `duration_ns` between two commands."""
     row[NOW] += duration_ns
     row[FIRST_PHASE + phase] += duration_ns
 
 
 @part
 def start(row: Operand, scale: float, timing: Timing, seed: int) -> None:
-    """A game begins, up to its first picture, which `show_start` asks for."""
+    """Begin a game, up to its first image, which `show_start` requests."""
     for field in range(FIELDS):
         row[field] = 0
     row[SEED], row[PHASE] = seed, NO_PHASE
@@ -347,7 +348,7 @@ def start(row: Operand, scale: float, timing: Timing, seed: int) -> None:
 
 @part
 def show_start(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
-    """The picture of a game's start, and what comes before the first command."""
+    """Request a game's first image, and prepare the simulation for the first command."""
     ask_for_picture(row, scale, timing, suspect)
     switch(row, NO_PHASE)
     if timing.rules[IS_ADSC]:
@@ -358,7 +359,7 @@ def show_start(row: Operand, scale: float, timing: Timing, suspect: bool) -> Non
 
 @part
 def ask_for_picture(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
-    """A suspect picture is asked for again, and is the same: the simulation stands (vision/guard)."""
+    """Request an image, a suspect one twice (vision/guard); it is the same again, for the simulation is paused."""
     if timing.rules[IMAGES] == 0:
         return
     switch(row, RENDERING)
@@ -369,7 +370,7 @@ def ask_for_picture(row: Operand, scale: float, timing: Timing, suspect: bool) -
 
 @part
 def issue(row: Operand, scale: float, timing: Timing) -> int:
-    """A command begins; the tick from which it acts."""
+    """Issue a command and return the tick at which it takes effect."""
     switch(row, SIMULATION)
     row[ISSUED], row[PAUSED_NS], row[LAST] = row[NOW], 0, 0
     if timing.rules[IS_ADSC] == 0 and row[KNOWN] == 0:
@@ -381,7 +382,7 @@ def issue(row: Operand, scale: float, timing: Timing) -> int:
 
 @part
 def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
-    """Wait for a command's next sample; its tick. `LAST` says that none follows."""
+    """Wait for a command's next sample and return its tick; `LAST` is then 1 if none follows."""
     if timing.rules[IS_ADSC]:
         reach_adsc(row, scale, timing, sample)
     else:
@@ -392,13 +393,13 @@ def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
             row[KNOWN] = 1
             left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
         row[LAST] = 1 if sample == timing.slices_ns.shape[0] - 1 else 0
-    call(row, scale, timing, wire.CALL)  # whether something was touched
+    call(row, scale, timing, wire.CALL)  # the client asks for collisions
     return int(row[TICK])
 
 
 @part
 def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
-    """Until the sample is due, or the command's end is known; then pause."""
+    """Wait until the sample is due, or the command's end is known; then pause."""
     row[LAST] = 1
     if sample < timing.slices_ns.shape[0] - 1:
         deadline = row[ISSUED] + row[PAUSED_NS] + timing.offsets_ns[sample]
@@ -412,7 +413,7 @@ def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
 
 @part
 def leave(row: Operand, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
-    """Look at a sample and go on; after a touch there is no picture, and nothing is made of it."""
+    """Take a sample's image and continue; after a collision there is neither an image nor any processing."""
     if not touched:
         ask_for_picture(row, scale, timing, suspect)
     if timing.rules[IS_ADSC]:
@@ -428,7 +429,7 @@ def leave(row: Operand, scale: float, timing: Timing, touched: bool, suspect: bo
 
 @part
 def is_suspect(lane: int, brightness: float, clocks: Clocks) -> bool:
-    """Whether the guard asks for a picture again (vision/guard); its brightness is noted for the next one."""
-    reference = clocks.brightness[lane]  # NaN before the first
+    """Return whether the guard requests an image again (vision/guard), and remember its brightness."""
+    reference = clocks.brightness[lane]  # NaN before the first image: the comparison is false
     clocks.brightness[lane] = brightness
     return brightness < DARKEST or abs(brightness - reference) > MOST_CHANGE * reference

@@ -1,11 +1,11 @@
-"""Whether a vehicle's hull touches what stands around it, and how long it surely will not.
+"""Collision test of a vehicle's hull with the solids around it, and a bound on the time until one is possible.
 
-The hull is a flat upright cylinder in the body's frame, the surroundings are boxes along the world's axes, upright
-cylinders, and planes facing up. Convex bodies are apart where some direction separates them; among the horizontal
-directions the separation is concave along a chord, so its largest value is found by golden-section search. Only at the
-rim of a post's top, where hull and post meet edge to edge, does MuJoCo's own detection see a little less.
+The hull is a flat upright cylinder in the body frame; the solids are axis-aligned boxes, upright cylinders, and planes
+facing up. Two convex bodies are disjoint if and only if some direction separates them. Over the horizontal directions
+the separation is concave along a chord, so golden-section search finds its maximum. Only at the rim of a post's top,
+where hull and post meet edge to edge, does MuJoCo report slightly fewer contacts.
 
-All in MuJoCo's axes (x north, y west, z up) and in metres.
+All quantities are in metres and in MuJoCo's axes: x north, y west, z up.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from uavaccel.kernels.fields import CYLINDER, PLANE
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
 from uavaccel.sim.vehicle.quadrotor import Record
 
-BOX, CYLINDER, PLANE = 0, 1, 2
-SOLID_FIELDS = 7  # middle x, y, z; half sizes x, y, z, of a cylinder radius, radius, half height; kind
+SOLID_FIELDS = 7  # centre x, y, z; half sizes x, y, z, for a cylinder radius, radius, half height; kind
 NOTHING = -1
 
 SEARCH_STEPS = 40
@@ -30,14 +30,14 @@ SHRINK = 0.6180339887498949  # golden section
 
 Solids = NDArray[np.float64]
 Share: TypeAlias = tuple[int, int]
-"""A thread's part of the solids: its number among the threads of its lane, and how many they are."""
+"""A thread's share of a lane's solids: its index among the threads of the lane, and their number."""
 
 ALL: Share = (0, 1)
 
 
 @part
 def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
-    """At most the distance from a point to a solid: to its box, or to the plane."""
+    """Return a lower bound of the distance from a point to a solid: that to its bounding box, or to the plane."""
     if solid[6] == PLANE:
         return z - solid[2]
     beside = max(abs(x - solid[0]) - solid[3], 0.0)
@@ -47,12 +47,12 @@ def distance_to(solid: Solids, x: float, y: float, z: float) -> float:
 
 
 def least_of_all(distance_m: float, threads: int) -> float:
-    """The least of the distances that the threads of a lane have found; a CPU's lane has one (kernels/cuda)."""
+    """Return the least distance that any thread of a lane has found; on the CPU a lane has one (kernels/cuda)."""
     return distance_m
 
 
 def deepest_of_all(found: int, depth_m: float, threads: int) -> int:
-    """Of the solids that they have found, the one that is touched at the lowest `depth_m`, of two the later one."""
+    """Return the solid with the lowest `depth_m` that any thread of a lane has found; on a tie the later one."""
     return found
 
 
@@ -76,7 +76,10 @@ def free_ticks(
     reach_m: float,
     share: Share,
 ) -> int:
-    """Ticks for which nothing can be touched, whatever the autopilot does; `reach_m` is the hull's, all around."""
+    """Return the ticks for which no collision is possible, whatever the autopilot does.
+
+    `reach_m` is the radius of the hull's bounding sphere.
+    """
     distance_m, (first, threads) = np.inf, share
     for solid in range(first, count, threads):
         distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
@@ -86,7 +89,7 @@ def free_ticks(
 
 @part
 def reach(along: float, length: float, radius_m: float, half_height_m: float) -> float:
-    """The hull's support in a direction of that length, whose product with the hull's axis is `along`."""
+    """Return the hull's support in a direction of this length, whose dot product with the hull's axis is `along`."""
     across = math.sqrt(max(length * length - along * along, 0.0))
     return radius_m * across + half_height_m * abs(along)
 
@@ -103,7 +106,7 @@ def gap_along(
     radius_m: float,
     half_m: float,
 ) -> float:
-    """Separation of hull and solid in the horizontal direction (u, v), times its length; x, y from the middle."""
+    """Return the separation of hull and solid along (u, v), times its length; (x, y) is the hull's offset."""
     length = math.sqrt(u * u + v * v)
     half = solid[3] * length if solid[6] == CYLINDER else solid[3] * abs(u) + solid[4] * abs(v)
     return x * u + y * v - half - reach(ax * u + ay * v, length, radius_m, half_m)
@@ -121,7 +124,7 @@ def gap_turned(
     radius_m: float,
     half_m: float,
 ) -> float:
-    """`gap_along` (1, t), or (t, 1) where `turned`."""
+    """Return `gap_along` of (1, t), or of (t, 1) where `turned`."""
     u, v = (t, 1.0) if turned else (1.0, t)
     return gap_along(u, v, x, y, ax, ay, solid, radius_m, half_m)
 
@@ -130,7 +133,7 @@ def gap_turned(
 def widest_gap(
     turned: bool, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
 ) -> float:
-    """The largest `gap_turned` for t from -1 to 1, or the first one found that is above 0: that is enough."""
+    """Return the largest `gap_turned` for t in [-1, 1], or the first positive one, which proves the bodies disjoint."""
     low, high = -1.0, 1.0
     best = gap_turned(turned, 0.0, x, y, ax, ay, solid, radius_m, half_m)
     for _ in range(SEARCH_STEPS):
@@ -149,7 +152,7 @@ def widest_gap(
 
 @part
 def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_height_m: float) -> float:
-    """Above 0 where the hull at a pose (7,) and a solid are apart, else 0 or below: the deeper, the lower."""
+    """Return a number that is positive if the hull at a pose (7,) and a solid are disjoint, and falls with depth."""
     w, i, j, k = place[3], place[4], place[5], place[6]
     ax, ay, az = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
     vertical = reach(az, 1.0, radius_m, half_height_m)
@@ -178,7 +181,7 @@ def touched(
     half_height_m: float,
     share: Share,
 ) -> int:
-    """The solid that the hull at a pose (7,) is deepest in, or NOTHING."""
+    """Return the solid that the hull at a pose (7,) penetrates most deeply, or NOTHING."""
     found, deepest, (first, threads) = NOTHING, 0.0, share
     reach_m = math.sqrt(radius_m * radius_m + half_height_m * half_height_m)
     for solid in range(first, count, threads):

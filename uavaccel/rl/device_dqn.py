@@ -1,12 +1,12 @@
-"""Double DQN on one GPU: lanes, replay buffer and learner there, a round of all lanes recorded as one CUDA graph.
+"""Double DQN (van Hasselt et al., AAAI 2016) on one GPU: lanes, replay buffer and learner, a round as one CUDA graph.
 
-decide     a number for each lane, greedy or at random, and what it sees goes into the ring;
-fly        the lanes fly, see and are judged, on one stream,
-learn      and on another batches are drawn, and the online network steps towards the target network's rating;
-note       what the round brought goes into the ring, games that ended are written down for the host;
-schedule   exploration and learning rate fall with the games done, the target network follows now and then.
+decide     choose an action for each lane, greedy or random, and store it with the observation;
+fly        let the lanes fly, on one stream;
+learn      meanwhile, on another stream, sample batches and take gradient steps towards the target network's values;
+store      add the results to the replay buffer, and write the games that ended to a log for the host;
+schedule   lower exploration and learning rate with the games done, update the target network periodically.
 
-The host launches rounds in chunks, and draws new games and keeps rows while the next chunk is flown.
+The host launches rounds in chunks; while a chunk is flown, it reads the log of the one before and samples new games.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from uavaccel.rl.learner import Game, LearnerState, falling, learning_rhythm
 from uavaccel.rl.network import turned_actions
 from uavaccel.units import NS_PER_S
 
-CHUNK = 8  # rounds between two looks of the host
+CHUNK = 8  # rounds that the host launches at once
 COUNTERS = ("games", "rounds", "updates")
 
 
 class DeviceDQN:
-    """The learner of `simulator: kernels` with `device: cuda`; `policy` holds networks and optimizer as DoubleDQN's."""
+    """The learner for `simulator: kernels` with `device: cuda`; its `policy` is like that of DoubleDQN."""
 
     def __init__(self, config: LearnerConfig, lanes: CudaLanes) -> None:
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS is not repeatable
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is not deterministic without it
         th.use_deterministic_algorithms(True)
         th.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
         th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
@@ -50,20 +50,20 @@ class DeviceDQN:
         random.seed(config.seed)
         th.manual_seed(config.seed)
         self.policy: Any = first_policy(config, lambda _: self.options.learning_rate).to(self.device)
-        self._let_rates_be_tensors()
+        self._make_rates_tensors()
         self._allocate()
         self.games = self.rounds = self.updates = 0
         self.returns: list[float] = []
         self.holding = False
         self.stopwatch = Stopwatch(MonotonicClock())
-        self._works: dict[tuple[bool, bool, bool], Recorded] = {}
-        self._learning = SideStream(
+        self._recorded: dict[tuple[bool, bool, bool], Recorded] = {}
+        self._learning_stream = SideStream(
             priority=-1
-        )  # its small kernels go before the next of a thousand pictures'
+        )  # its small kernels go before the large ones of rendering
         self._unread: deque[tuple[Any, ...]] = deque()
         self._clock = MonotonicClock()
 
-    def _let_rates_be_tensors(self) -> None:
+    def _make_rates_tensors(self) -> None:
         for group in self.policy.optimizer.param_groups:
             group["lr"] = th.tensor(float(group["lr"]), device=self.device)
 
@@ -73,8 +73,8 @@ class DeviceDQN:
         rows = max(options.buffer_size // lanes.count, options.n_steps + 2)
         self.replay = DeviceReplay(rows, lanes.count, shape, lanes.observations.dtype, self.device)
         self._cut = Cutter(shape, self.device)  # type: ignore[arg-type]
-        self._none = th.zeros(lanes.count, dtype=th.int64, device=self.device)
-        self._each = th.arange(lanes.count, device=self.device)
+        self._zeros = th.zeros(lanes.count, dtype=th.int64, device=self.device)
+        self._lane_numbers = th.arange(lanes.count, device=self.device)
         headings = self.config.task.headings_deg
         turned = turned_actions(headings) if self.config.mirror else list(range(len(headings)))
         self._turned = th.tensor(turned, device=self.device)
@@ -85,29 +85,30 @@ class DeviceDQN:
 
     @property
     def exploration_rate(self) -> float:
+        """Share of random actions."""
         return self.options.exploration_rate(1.0 - self.games / self.config.games)
 
     @property
     def at_rest(self) -> bool:
-        """Whether a checkpoint can be taken: nothing has been flown that the host has not read."""
+        """Whether a checkpoint can be taken: the host has read all rounds that were flown."""
         return not self._unread
 
     # --- rounds -----------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """See `Learner`; the games that follow the first ones are drawn too."""
-        if not self.lanes.begun_yet:
+        """See `Learner`; also sample the games after the first."""
+        if not self.lanes.has_begun:
             self.lanes.begin()
             self.lanes.games.refill([1] * self.lanes.count)
 
     def advance(self) -> list[Game]:
-        """A chunk of rounds is launched, and the one before is read: the games that ended in it."""
+        """Launch a chunk of rounds, and return the games that ended in the one before."""
         self.begin()
         if not self.holding:
             self._launch()
         if len(self._unread) < 2 and not self.holding:
             return []
-        return self._read() if self._unread else []
+        return self._read_chunk() if self._unread else []
 
     def _launch(self) -> None:
         begun_ns = self._clock.now_ns()
@@ -120,33 +121,34 @@ class DeviceDQN:
         self._unread.append((read, log, begun, begun_ns))
 
     def _kind(self) -> tuple[bool, bool, bool]:
-        """Whether the next round explores at random, learns, and lets the target network follow."""
+        """Return whether the next round acts at random, takes gradient steps, and updates the target network."""
         commands, options = self.rounds * self.lanes.count, self.options
         every, _ = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
         enough = commands > options.learning_starts and self.rounds > options.n_steps
         follows = self.rounds % max(options.target_update_interval // self.lanes.count, 1) == 0
-        unknowing = self.config.start_from is None and not enough
-        return unknowing, enough and self.rounds % every == 0, enough and follows
+        at_random = self.config.start_from is None and not enough
+        return at_random, enough and self.rounds % every == 0, enough and follows
 
     def _round(self, kind: tuple[bool, bool, bool]) -> None:
-        """A round of its kind, each of which is recorded."""
+        """Fly a round; each kind is recorded as a graph of its own."""
         self.rounds += 1
-        if kind not in self._works:
-            self._works[kind] = Recorded(lambda: self._work(*kind))
-        self._works[kind]()
+        if kind not in self._recorded:
+            self._recorded[kind] = Recorded(lambda: self._work(*kind))
+        self._recorded[kind]()
 
-    def _work(self, unknowing: bool, learns: bool, follows: bool) -> None:
-        actions = self._decide(unknowing)
+    def _work(self, at_random: bool, learns: bool, follows: bool) -> None:
+        """Do all work of a round, as the module describes it."""
+        actions = self._decide(at_random)
         flown = self.lanes.going.clone()
-        self.replay.decide(self.lanes.observations, actions)
+        self.replay.begin_round(self.lanes.observations, actions)
         if learns:
-            with self._learning.following():
+            with self._learning_stream.following():
                 self._learn()
         self.lanes.fly(actions)
         if learns:
-            self._learning.join()
+            self._learning_stream.join()
         self._charge(flown, learns)
-        self.replay.note(self.lanes.rewards, self.lanes.terminated, self.lanes.truncated, flown)
+        self.replay.end_round(self.lanes.rewards, self.lanes.terminated, self.lanes.truncated, flown)
         self._schedule()
         if follows:
             pairs = zip(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), strict=True)
@@ -154,28 +156,28 @@ class DeviceDQN:
                 target.data.copy_(online.data)
 
     def _charge(self, flown: th.Tensor, learns: bool) -> None:
-        """In `virtual` each lane pays for its next decision, and for the gradient steps that its commands cause."""
+        """In timing `virtual`, charge each lane for its next decision and for its share of the gradient steps."""
         self.lanes.charge(flown, self.config.inference_s, "inference")
         if learns:
             _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
             self.lanes.charge(flown, steps / self.lanes.count * self.config.learning_s, "learning")
 
     @th.no_grad()
-    def _decide(self, unknowing: bool) -> th.Tensor:
-        """An action for each lane (L,)."""
+    def _decide(self, at_random: bool) -> th.Tensor:
+        """Return an action for each lane (L,)."""
         count, actions = self.lanes.count, len(self._turned)
         drawn = (th.rand(count, device=self.device) * actions).long().clamp(max=actions - 1)
-        if unknowing:
+        if at_random:
             return drawn
         ring = self.lanes.observations[None]
-        patches = self._cut(ring, self._none, self._each, self._none)
+        patches = self._cut(ring, self._zeros, self._lane_numbers, self._zeros)
         greedy = rate(self.policy.q_net, patches, self._cut.down, self._cut.across).argmax(1)
         return th.where(th.rand(count, device=self.device) < self._epsilon, drawn, greedy)
 
     # --- learn ------------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """The gradient steps of a round, on batches drawn together."""
+        """Take the gradient steps of a round, on batches that are sampled together."""
         options, size = self.options, self.options.batch_size
         _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
         drawn = self.replay.draw(steps * size, options.n_steps, options.gamma, self.config.mirror)
@@ -183,7 +185,7 @@ class DeviceDQN:
             self._descend(Windows(*(each[first : first + size] for each in drawn)))
 
     def _descend(self, batch: Windows) -> None:
-        """One step of the online network towards the targets, by Huber's loss."""
+        """Take one gradient step on the Huber loss between the online network's values and the targets."""
         seen = self._cut(self.replay.observations, batch.row, batch.lane, batch.mirrored)
         after = self._cut(self.replay.observations, batch.after, batch.lane, batch.mirrored)
         targets = self.targets(batch, after)
@@ -197,7 +199,7 @@ class DeviceDQN:
 
     @th.no_grad()
     def targets(self, batch: Windows, after: th.Tensor) -> th.Tensor:
-        """Rewards (n,) plus the discounted rating of what the online network would do next."""
+        """Return the targets (n,): n-step rewards plus the target network's value of the online network's choice."""
         best = self._rate(self.policy.q_net, after).argmax(1, keepdim=True)
         rating = self._rate(self.policy.q_net_target, after).gather(1, best)[:, 0]
         return batch.rewards + batch.discounts * rating
@@ -205,7 +207,7 @@ class DeviceDQN:
     def _rate(self, network: Any, patches: th.Tensor) -> th.Tensor:
         return rate(network, patches, self._cut.down, self._cut.across)
 
-    # --- schedule, and what the host reads ----------------------------------------------------------
+    # --- schedule, and the host's part ----------------------------------------------------------
 
     def _schedule(self) -> None:
         options, config = self.options, self.config
@@ -221,12 +223,11 @@ class DeviceDQN:
         self._epsilon.copy_(th.where(over, options.exploration_final_eps, epsilon))
         rate_now = falling(options.learning_rate, config.final_learning_rate_share, 1.0 - done)  # type: ignore[arg-type]
         for group in self.policy.optimizer.param_groups:
-            group["lr"].copy_(
-                th.where(done >= 1.0, 0.0, rate_now)
-            )  # what is learned is of the games asked for
+            # Games beyond the configured number must not change the weights.
+            group["lr"].copy_(th.where(done >= 1.0, 0.0, rate_now))
 
-    def _read(self) -> list[Game]:
-        """The games of the oldest chunk flown, up to as many as are wanted; new ones are drawn in their place."""
+    def _read_chunk(self) -> list[Game]:
+        """Wait for the oldest chunk, sample new games, and return those that ended, up to the configured number."""
         read, log, begun, begun_ns = self._unread.popleft()
         read.synchronize()
         over = log[..., AT.over].numpy()
@@ -235,9 +236,9 @@ class DeviceDQN:
         for line, lane in np.argwhere(over).tolist():
             if self.games >= self.config.games:
                 break
-            told = log[line, lane].tolist()
-            info = self.lanes.info(lane, told) | {"host_phase_s": dict.fromkeys(PHASES, 0.0)}
-            games.append(Game(self.games, lane, info, told[AT.reward], self.exploration_rate))
+            outcome = log[line, lane].tolist()
+            info = self.lanes.info(lane, outcome) | {"host_phase_s": dict.fromkeys(PHASES, 0.0)}
+            games.append(Game(self.games, lane, info, outcome[AT.reward], self.exploration_rate))
             self.games += 1
         if games:
             share_s = spent_s / len(games)
@@ -246,10 +247,10 @@ class DeviceDQN:
         self.lanes.games.refill(begun.tolist())
         return games
 
-    # --- going on after a stop ----------------------------------------------------------------------
+    # --- saving ----------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Networks, optimizer, ring, counters; the generators are saved with the checkpoint."""
+        """Return networks, optimizer, ring and counters; a checkpoint saves the lanes' generators."""
         tensors = {
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
@@ -261,10 +262,10 @@ class DeviceDQN:
         )
 
     def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
-        """Take what `get_state` gave; what the lanes show is with them."""
+        """Restore a state that `get_state` returned; `observations` are restored with the lanes."""
         self.policy.load_state_dict(state.tensors["policy"])
         self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
-        self._let_rates_be_tensors()
+        self._make_rates_tensors()
         th.set_rng_state(state.tensors["torch"].cpu())
         self._done.copy_(state.tensors["schedule"]["done"])
         self._epsilon.copy_(state.tensors["schedule"]["epsilon"])

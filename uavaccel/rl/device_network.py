@@ -1,6 +1,7 @@
-"""The policy network's ratings from patches: its first convolution as one matrix product, in bfloat16 on tensor cores.
+"""The Q-network's forward pass from image patches, in bfloat16 on tensor cores.
 
-The weights are the policy's own, single precision; what is rounded is the arithmetic of a pass.
+The first convolution is one matrix product with the patches. The weights are the policy's own, in single precision;
+only the arithmetic of a pass is rounded.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ LOW = th.bfloat16
 
 
 def rate(network: Any, patches: th.Tensor, down: int, across: int) -> th.Tensor:
-    """Ratings (n, actions) float32 of a QNetwork over LaneFeatures, for patches of n observations."""
+    """Return the values (n, actions) float32 of a QNetwork on LaneFeatures, for the patches of n observations."""
     convolutions = [each for each in network.features_extractor.layers if isinstance(each, nn.Conv2d)]
     first, rest = convolutions[0], convolutions[1:]
     with th.autocast("cuda", dtype=LOW, cache_enabled=False):

@@ -1,7 +1,7 @@
-"""What lanes on a GPU have flown, to learn from there: a ring of rounds, drawn from as n-step returns, as patches.
+"""The replay buffer on a GPU: a ring of rounds, sampled as n-step windows, with observations as patches.
 
-A row is one command of every lane. What followed a command is the observation of the row after it, so that each
-observation is kept once; a window that a game's time limit cut short has no weight.
+A row is one command of every lane. The next observation of a command is the observation of the row after it, so each is
+stored once; a window that contains a truncation has no weight, since its next observation belongs to another game.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ import torch as th
 from numba import cuda
 from numpy.typing import NDArray
 
-from uavaccel.kernels.cuda import shared, stream
+from uavaccel.kernels.cuda import grid, shared
 from uavaccel.rl.network import HALF_CONTRAST
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
-KERNEL, STRIDE, PADDING = 8, 4, 2  # of the network's first convolution (rl/network.LaneFeatures)
+KERNEL, STRIDE, PADDING = 8, 4, 2  # the network's first convolution (rl/network.LaneFeatures)
 THREADS = 256
 BYTE, HALF_WORD = 0xFF, 0xFFFF
 
 
 class Windows(NamedTuple):
-    """Drawn commands (n,): where they and what followed them lie, and what they brought."""
+    """Sampled n-step windows (n,): the place of their first and next observations in the ring, and their returns."""
 
     row: th.Tensor
     after: th.Tensor
     lane: th.Tensor
     actions: th.Tensor
     rewards: th.Tensor
-    discounts: th.Tensor  # of the rating of what followed; 0 where the game was over
+    discounts: th.Tensor  # of the value that is bootstrapped; 0 where the game was terminated
     weights: th.Tensor
     mirrored: th.Tensor
 
 
 class DeviceReplay:
-    """A ring of `rows` rounds of `lanes` lanes; `place` is the row being flown, `filled` rows before it are whole."""
+    """A ring of `rows` rounds of `lanes` lanes; `place` is the row in progress, `filled` ones before it are whole."""
 
     def __init__(
         self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device
@@ -49,13 +49,15 @@ class DeviceReplay:
         self.place = th.zeros(1, dtype=th.int64, device=device)
         self.filled = th.zeros(1, dtype=th.int64, device=device)
 
-    def decide(self, observations: th.Tensor, actions: th.Tensor) -> None:
-        """What is seen (lanes, ...) at the beginning of a round, and what is done."""
+    def begin_round(self, observations: th.Tensor, actions: th.Tensor) -> None:
+        """Store the observations (lanes, ...) and actions (lanes,) of the round in progress."""
         self.observations.index_copy_(0, self.place, observations[None])
         self.actions.index_copy_(0, self.place, actions[None])
 
-    def note(self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor) -> None:
-        """What the round brought (lanes,); the next one begins."""
+    def end_round(
+        self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor
+    ) -> None:
+        """Store the results (lanes,) of the round in progress, `flown` by these lanes, and go on to the next row."""
         rows = ((self.rewards, rewards), (self.over, terminated), (self.cut, truncated), (self.flown, flown))
         for room, values in rows:
             room.index_copy_(0, self.place, values.float()[None])
@@ -63,7 +65,7 @@ class DeviceReplay:
         self.filled.copy_((self.filled + 1).clamp(max=self.rows - 1))
 
     def draw(self, count: int, n_steps: int, gamma: float, mirror: bool) -> Windows:
-        """`count` commands with their returns over `n_steps`, or fewer where the game ends."""
+        """Sample `count` windows of `n_steps` commands, fewer where the game ends; if `mirror`, half are mirrored."""
         age = n_steps - 1 + th.rand(count, device=self.device, dtype=th.float64) * (self.filled - n_steps + 1)
         row = (self.place - 1 - age.long()) % self.rows
         lane = (th.rand(count, device=self.device, dtype=th.float64) * self.lanes).long()
@@ -90,11 +92,11 @@ class DeviceReplay:
         )
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """All of it that is filled, as arrays."""
+        """Return its contents as arrays."""
         return {name: getattr(self, name).cpu().numpy() for name in RING}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take what `get_state` gave."""
+        """Restore what `get_state` returned."""
         for name in RING:
             getattr(self, name).copy_(th.from_numpy(state[name]))
 
@@ -103,24 +105,24 @@ RING = ("observations", "actions", "rewards", "over", "cut", "flown", "place", "
 
 
 def patches_of(frames: int, rows: int, columns: int) -> tuple[int, int, int]:
-    """Rows and columns of patches that the first convolution sees, and numbers of each."""
+    """Return the rows and columns of patches that the first convolution sees, and the size of a patch."""
     down, across = ((size + 2 * PADDING - KERNEL) // STRIDE + 1 for size in (rows, columns))
     return down, across, frames * KERNEL * KERNEL
 
 
 def spread_levels(device: th.device) -> th.Tensor:
-    """Grey levels as the network reads them, d / (24 + |d|): the bits of bfloat16, (256,)."""
+    """Return the network's input for each grey level, d / (24 + |d|), as the bits of bfloat16 (256,) int16."""
     distance = th.arange(256, dtype=th.float32) - NEUTRAL_LEVEL
     spread = distance / (distance.abs() + HALF_CONTRAST)
     return spread.to(th.bfloat16).view(th.int16).to(device)
 
 
 def _cut(row, lane, mirrored, levels, pairs, patches, down, across):  # type: ignore[no-untyped-def]
-    """A thread writes one row of one patch: KERNEL numbers of one frame, four of them in each of `patches`' words.
+    """Write one row of one patch per thread: KERNEL numbers of one frame, four in each 64-bit word of `patches`.
 
-    It reads two levels at once, `pairs` (rows, lanes, frames, 36, 32) int16: patches begin at even columns.
+    Patches begin at even columns, so a thread reads two levels at once: `pairs` (rows, lanes, frames, 36, 32) int16.
     """
-    thread, eight = np.uint32(cuda.grid(1)), np.uint32(KERNEL)  # a GPU divides 32 bits, and computes 64
+    thread, eight = np.uint32(cuda.grid(1)), np.uint32(KERNEL)  # a GPU divides in 32 bits, and emulates 64
     frames, rows, columns = np.uint32(pairs.shape[2]), pairs.shape[3], pairs.shape[4]
     line, frame, patch = thread % eight, thread // eight % frames, thread // (eight * frames)
     place, sample = patch % np.uint32(down * across), patch // np.uint32(down * across)
@@ -154,11 +156,11 @@ class Cutter:
     def __call__(
         self, observations: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor
     ) -> th.Tensor:
-        """Patches (n * rows * columns, numbers) bfloat16 of the observations at `row` and `lane` (n,)."""
+        """Return patches (n * rows * columns, size) bfloat16 of the observations at `row` and `lane` (n,)."""
         count = len(row) * self.down * self.across
         patches = th.empty((count, self.numbers // 4), dtype=th.int64, device=row.device)
         threads = count * self._frames * KERNEL
-        self._kernel[-(-threads // THREADS), THREADS, stream()](
+        self._kernel[grid(threads, THREADS)](
             shared(row),
             shared(lane),
             shared(mirrored.byte()),

@@ -50,7 +50,7 @@ class EvaluateConfig(Experiment):
     @model_validator(mode="after")
     def _kernels_fly_one_batch(self) -> EvaluateConfig:
         if self.simulator == KERNELS and self.environments > 1:
-            raise ValueError("environments is of simulator mujoco: the kernels fly all lanes as one batch")
+            raise ValueError("environments needs simulator mujoco: the kernels fly all lanes as one batch")
         return self
 
     @model_validator(mode="after")
