@@ -26,6 +26,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True)
+def signals_as_before() -> Iterator[None]:
+    """Put the handlers of signals back after each test.
+
+    A script's process ignores signals at its end; a test that runs it in its own process would hand that down to every
+    program that a later test starts.
+    """
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for kind, handler in before.items():
+        signal.signal(kind, handler)
+
+
 # Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
 KERNELS = re.compile(r"test_(kernel_\w+|device|rl)\.py|\[docs/kernels|of_the_kernels")
 # The longest begin, or the last one would keep one core busy alone.

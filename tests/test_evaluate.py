@@ -347,7 +347,14 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     """What is recorded as flown was flown: another sensor leads to other actions."""
     runs = []
     for preset in ("clean", "noisy"):
-        evaluated("default", tmp_path / preset, f"task.dvs_preset={preset}", "task.max_commands=16", games=1)
+        evaluated(
+            "default",
+            tmp_path / preset,
+            f"task.dvs_preset={preset}",
+            "task.max_commands=12",
+            "first_lane=4",
+            games=2,
+        )
         runs.append(RunDirectory(tmp_path / preset))
     assert runs[1].config()["task"]["dvs_preset"] == "noisy"
     assert runs[0].rows()[0]["actions"] != runs[1].rows()[0]["actions"]

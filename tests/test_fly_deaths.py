@@ -66,14 +66,20 @@ def test_a_death_is_noticed_and_nothing_is_left(
             start_new_session=True,
         ) as flight,
     ):
-        assert flight.stdout is not None
-        assert flight.stdout.readline().strip() in ("begun", "True")
-        everybody = {flight.pid, *descendants(flight.pid)}
-        assert len(everybody) == (3 if timing == "wall" else 2)
-        os.kill(process_of(flight, target), getattr(signal, f"SIG{kind}"))
-        assert flight.wait(PATIENCE_S) == status
-        assert not left_after(everybody, PATIENCE_S), [command_line(pid) for pid in everybody if alive(pid)]
-        rest = flight.stdout.read()
+        try:
+            assert flight.stdout is not None
+            assert flight.stdout.readline().strip() in ("begun", "True")
+            everybody = {flight.pid, *descendants(flight.pid)}
+            assert len(everybody) == (3 if timing == "wall" else 2)
+            os.kill(process_of(flight, target), getattr(signal, f"SIG{kind}"))
+            assert flight.wait(PATIENCE_S) == status
+            assert not left_after(everybody, PATIENCE_S), [
+                command_line(pid) for pid in everybody if alive(pid)
+            ]
+            rest = flight.stdout.read()
+        except BaseException:
+            os.killpg(flight.pid, signal.SIGKILL)  # or leaving the block would wait for it
+            raise
     lines = [text for text in said.read_text().splitlines() if "stopped; requested" not in text]
     if line:
         assert len(lines) == 1, lines
