@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
-from uavaccel.draw.style import clock_label, command_at_clock, command_name
+from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
@@ -29,19 +29,20 @@ class RlReport(Report):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self) -> str:
-        """Return the most and the least successful training, and how many there were of which size."""
-        cells, trained = self.summary["cells"], self.summary["training_games"]
+        """Return the success after the slowest and the fastest training of each kind, and how many there were.
+
+        Where all trainings are variants it is the gap from which on success collapses.
+        """
+        cells, trained, pooled = (self.summary[key] for key in ("cells", "training_games", "pooled"))
+        lines = over_gaps(pooled)
         lanes = listed(sorted({cell["games"] for cell in cells}))
         clock = clock_label(self.summary["evaluation_clock_speed"])
-        by_success = sorted(self.summary["pooled"], key=lambda cell: float(cell["success_ratio"]))
-        worst, best = (
-            f"{command_at_clock(cell)} {cell['success_ratio']:.1%}"
-            for cell in (by_success[0], by_success[-1])
-        )
-        return (
-            f"policies succeed on {worst} to {best} of their lanes: "
-            f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} lanes at {clock}; all times are "
-            "modelled but those of this machine"
+        return "; ".join(
+            [
+                *(_slowest_and_fastest(pooled) or ([collapse(lines).rstrip(".")] if lines else [])),
+                f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} lanes at {clock}",
+                "all times are modelled but those of this machine",
+            ]
         )
 
     def overview(self) -> Table:
@@ -112,6 +113,22 @@ _CELL: Sequence[Column] = (
     ("ClockSpeed", lambda cell: clock_label(cell["clock_speed"])),
 )
 _TRAINED: Sequence[Column] = (*_CELL, ("seeds", lambda cell: listed(cell["seeds"])))
+
+
+def _slowest_and_fastest(pooled: Sequence[SummaryCell]) -> list[str]:
+    """Return, for each kind of training without a variant, success after its slowest and its fastest ClockSpeed."""
+    kinds = defaultdict[str, list[SummaryCell]](list)
+    for cell in sorted(pooled, key=lambda cell: float(cell["clock_speed"])):
+        if not cell["variant"]:
+            kinds[panel_name(cell)].append(cell)
+    return [
+        f"{name}: {', '.join(_success_at(cell) for cell in (own[0], own[-1])[: len(own)])}"
+        for name, own in kinds.items()
+    ]
+
+
+def _success_at(cell: SummaryCell) -> str:
+    return f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
 
 
 def _success_table(pooled: Sequence[SummaryCell]) -> Table:
