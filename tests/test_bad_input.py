@@ -75,7 +75,7 @@ CONFIGURATIONS = [
     *keys(DP2, "perturbation.half_excess", "0"),
     *keys(TRAIN, "games", "0", "1000000000000000000000000000000", "2.5"),
     *keys(TRAIN, "environments", "0", "-1", "1000000000", "two"),
-    *keys(TRAIN, "turns", "0", "2", "1000000000"),
+    *keys(TRAIN, "turns", "0", "9", "1000000000"),
     *keys(TRAIN, "torch_threads", "0", "1000000000", "-1"),
     *keys(TRAIN, "checkpoint_games", "0", "-250"),
     *keys(TRAIN, "channels", "[]", "[0]", "[-3]", "[16,32,64,64,64,64]", "[1000000000]", "16", "[wide]"),
