@@ -1,6 +1,7 @@
 """A flight as it is watched: tracks, the playhead, and the page in a browser that clicks."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,8 +17,9 @@ from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.watch import drone, pictures, replay
-from uavaccel.watch.drone import COMMANDED, THINKING, Drone
+from uavaccel.watch import figure, pictures, replay
+from uavaccel.watch.drone import Drone
+from uavaccel.watch.figure import COMMANDED, THINKING, Figure
 from uavaccel.watch.pictures import Eyes
 from uavaccel.watch.playhead import Playhead
 from uavaccel.watch.square import T_MOVE_S, fly_side_by_side
@@ -130,13 +132,16 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
         made[name] = SimpleNamespace(name=name, arguments=arguments)
         return made[name]
 
-    scene = SimpleNamespace(add_frame=add, add_label=add, add_arrows=add, add_line_segments=add)
-    monkeypatch.setattr(drone, "show_drone", lambda *_: None)
+    adding = ("add_frame", "add_label", "add_arrows", "add_line_segments", "add_cylinder")
+    scene = SimpleNamespace(**dict.fromkeys(adding, add))
+    monkeypatch.setattr(figure, "show_drone", lambda *_: None)
+    monkeypatch.setattr(figure, "ground_below", lambda model, data, place, body: 1.5)
     marks = np.array([[0.0, 0.0], [0.1, 1.0], [0.2, 1.0], [0.3, 2.0], [0.4, 3.0]])
     track = track_of("TCSC", 10.0, drone_arrays(), [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0)], marks)
     assert track.between_commands(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False, False, True, False]
     server: Any = SimpleNamespace(scene=scene)
-    shown = Drone(server, track, None, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
+    body = Figure(server, "TCSC", *[None] * 3)  # type: ignore[arg-type]
+    shown = Drone(server, track, body, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
     said = {}
     for wall_s in (0.05, 0.15, 0.25, 0.35, 0.4):
         shown.show(wall_s)
@@ -156,6 +161,10 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
         [[1, -3, 10], [2, -3, 10]],
         [[2, -3, 10], [2, -4, 10]],
     ]
+    assert shown.height_m == 8.5
+    foot = [2.0, -4.0, 1.5 + figure.LIFT_M]
+    assert made["/TCSC shadow"].position.tolist() == foot
+    np.testing.assert_allclose(made["/TCSC plumb line"].points, [[[2.0, -4.0, 10.0], foot]], rtol=1e-6)
     np.testing.assert_allclose(made["/TCSC"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
     shown.show(0.05)  # half of the first second again
     assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
@@ -167,8 +176,8 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
 ) -> None:
     frame = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     camera = SimpleNamespace(colour=lambda _: frame)
-    lead = SimpleNamespace(qpos=np.zeros(7))
-    eyes = Eyes(SimpleNamespace(camera=lambda *_: camera, lead=lead, data=None))  # type: ignore[arg-type]
+    data = SimpleNamespace(qpos=np.zeros(9))
+    eyes = Eyes(camera, data, slice(1, 8))  # type: ignore[arg-type]
     stepped: list[float] = []
 
     def step(sensor: Any, state: Any, image: Any, time_s: float) -> Any:
@@ -177,10 +186,10 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
 
     monkeypatch.setattr(pictures, "step", step)
     for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
-        picture = eyes.look(np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.5, 0.5, 0.5]), time_s)
+        picture = eyes.look(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, -0.5, -0.5]), time_s)
     assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
     assert picture.shape == (2 * HEIGHT, WIDTH, 3)
-    assert lead.qpos.tolist() == [1.0, -2.0, 3.0, 0.5, 0.5, -0.5, -0.5]
+    assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 0.5, 0.5, -0.5, -0.5, 0.0]
 
 
 def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
@@ -246,3 +255,8 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
 def wall_ms(clocks: str) -> float:
     """The wall clock that the page shows."""
     return float(clocks.split("wall clock")[1].split("ms")[0])
+
+
+def simulated_s(clocks: str) -> float:
+    """The simulated time of the last drone that the page shows."""
+    return float(re.findall(r"([0-9.]+) s\b", clocks)[-1])

@@ -33,6 +33,7 @@ from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
+from uavaccel.watch.beside import PageAddress, page_beside
 
 COLUMN_GAP = 2  # characters between the columns of a table, as wide as rich pads them
 TABLE_WIDTH = 170  # where the output is no terminal
@@ -94,6 +95,8 @@ class RunRequest:
     suite: str | None = None
     """The suite that the command is restricted to."""
     engine: str = LOKY
+    page: PageAddress | None = None
+    """Where a page in the browser shows the flights, if anywhere."""
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
@@ -107,6 +110,8 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
     check_cases(suite, cases)
     check_engine(request.engine)
+    if request.page is not None:
+        check_watchable(config, request.engine)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
@@ -123,9 +128,22 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         if "resumed" in run.manifest():
             for line in resumption_notes(run, len(cases), manifest):
                 console.print(line)
-        fly(suite, config, cases, run, request.jobs, request.engine)
+        with page_beside(request.page):
+            fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
+
+
+def check_watchable(config: Experiment, engine: str) -> None:
+    """Raise UsageError for --watch where nothing flies in a scene of this machine."""
+    from uavaccel.envs.simulators import EXACT  # loads Gymnasium
+
+    if getattr(config, "simulator", EXACT) != EXACT:
+        raise UsageError(
+            "--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco"
+        )
+    if engine != LOKY:
+        raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:

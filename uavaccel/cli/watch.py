@@ -7,8 +7,9 @@ from pathlib import Path
 
 from uavaccel.errors import UsageError
 from uavaccel.suites.dp1.flights import SCENE
-from uavaccel.watch.page import Page, open_server
+from uavaccel.watch.page import Page
 from uavaccel.watch.replay import recorded_track
+from uavaccel.watch.server import open_server
 from uavaccel.watch.square import fly_side_by_side
 from uavaccel.watch.track import Track
 
@@ -36,7 +37,8 @@ def watch(request: WatchRequest) -> None:
     tracks, title = _tracks(request)
     server = open_server(request.host, request.port)
     try:
-        page = Page(server, tracks, SCENE, title)
+        fly_at = None if request.run is not None else (lambda speed: _square(request, speed))
+        page = Page(server, tracks, SCENE, title, fly_at=fly_at)
         print(f"watch at http://{request.host}:{server.get_port()}; Ctrl-C ends", flush=True)
         page.run()
     finally:
@@ -49,5 +51,8 @@ def _tracks(request: WatchRequest) -> tuple[list[Track], str]:
         return [recorded_track(request.run, request.case)], f"A game of `{request.run}`, from its samples."
     if request.case is not None:
         raise UsageError("--case needs a run directory")
-    tracks = fly_side_by_side(request.clock_speed, request.think_s, rounds=1, seed=request.seed)
-    return tracks, TITLE.format(think=1000 * request.think_s)
+    return _square(request, request.clock_speed), TITLE.format(think=1000 * request.think_s)
+
+
+def _square(request: WatchRequest, clock_speed: float) -> list[Track]:
+    return fly_side_by_side(clock_speed, request.think_s, rounds=1, seed=request.seed)

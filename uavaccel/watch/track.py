@@ -51,6 +51,11 @@ class Track:
         turned = (1.0 - share) * earlier + share * (later if earlier @ later >= 0.0 else -later)
         return np.array(place), turned / np.linalg.norm(turned)
 
+    def farthest_from(self, other: Track) -> float:
+        """The longest way, in metres, from a place of this flight to the nearest one of another's."""
+        apart = self.position_m[:, None] - other.position_m[None]
+        return float(np.sqrt((apart**2).sum(axis=2).min(axis=1).max()))
+
     def command(self, time_s: float) -> int | None:
         """The command that is flown at a simulated time; None between commands, while the client thinks."""
         begun = int(np.searchsorted(self.command_start_s, time_s, side="right")) - 1
