@@ -29,7 +29,7 @@ def light_up(server: ViserServer) -> None:
     """Sky, sun and the sky's own light; without shadows and light from a picture, which need a GPU."""
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(enabled=False)
-    server.scene.add_light_ambient("/light/sky", HORIZON, intensity=1.4)
+    server.scene.add_light_ambient("/light/sky", color=HORIZON, intensity=1.4)
     server.scene.add_light_directional("/light/sun", intensity=2.4, position=(-30.0, -40.0, 60.0))
     share = np.linspace(0.0, 1.0, 64)[:, None, None]
     sky = (1.0 - share) * np.array(ZENITH) + share * np.array(HORIZON)
