@@ -197,7 +197,7 @@ def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
         {"role": "reference", "clock_speed": 100.0},
         *({"role": "game", "clock_speed": k} for k in (1.0, 50.0)),
     ]
-    assert [row["clock_speed"] for row in sorted(rows, key=replay._interest)] == [50.0, 1.0, 100.0]
+    assert [row["clock_speed"] for row in sorted(rows, key=replay.interest)] == [50.0, 1.0, 100.0]
 
 
 @contextmanager

@@ -18,7 +18,7 @@ class Track:
     """n samples and c commands of one flight; times in seconds, places in metres NED, attitudes wxyz.
 
     `marks` (m, 2) pairs seconds of the client's wall clock with simulated seconds; between two of them simulated time
-    passes evenly. `velocities` are the commands', in m/s; empty where nobody kept them.
+    passes evenly. `velocities` are the commands', in m/s; None, or fewer, where nobody kept them.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Track:
     command_start_s: Floats
     command_end_s: Floats
     marks: Floats
-    velocities: Sequence[Vector] = ()
+    velocities: Sequence[Vector | None] = ()
 
     @property
     def wall_s(self) -> float:
