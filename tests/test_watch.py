@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,13 +18,17 @@ from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.watch import figure, pictures, replay
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.world import World
+from uavaccel.watch import figure, pictures, replay, trail
 from uavaccel.watch.drone import Drone
 from uavaccel.watch.figure import COMMANDED, THINKING, Figure
 from uavaccel.watch.pictures import Eyes
 from uavaccel.watch.playhead import Playhead
+from uavaccel.watch.scene import Geom, ground_below
 from uavaccel.watch.square import T_MOVE_S, fly_side_by_side
 from uavaccel.watch.track import Track, track_of
+from uavaccel.watch.trail import Trail
 
 CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
@@ -200,6 +205,54 @@ def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
     assert [row["clock_speed"] for row in sorted(rows, key=replay.interest)] == [50.0, 1.0, 100.0]
 
 
+def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: list[Track]) -> None:
+    slow, fast = (fly_side_by_side(speed, think_s=0.012, rounds=1, seed=0) for speed in (1.0, 100.0))
+    apart_m = [adsc.farthest_from(tcsc) for adsc, tcsc in (slow, both, fast)]
+    assert apart_m == sorted(apart_m)
+    assert apart_m[0] < 0.05
+    assert apart_m[1] > 0.3
+    adsc, tcsc = both
+    nearest = [min(np.linalg.norm(tcsc.position_m - place, axis=1)) for place in adsc.position_m]
+    assert adsc.farthest_from(tcsc) == pytest.approx(max(nearest))
+
+
+def test_heights_are_over_what_is_below() -> None:
+    world = World("blocks", PROFILES["native"])
+    boxes = [geom for geom in range(world.model.ngeom) if world.model.geom_type[geom] == Geom.mjGEOM_BOX]
+    solid = next(geom for geom in boxes if world.model.geom_bodyid[geom] == 0)
+    x, y, z = world.data.geom_xpos[solid].tolist()
+    top = z + float(world.model.geom_size[solid][2])
+    below = partial(ground_below, world.model, world.data, body=world.lead.body_id)
+    assert below(place=np.array([x, y, 50.0])) == pytest.approx(top)
+    assert below(place=np.array([0.0, 0.0, 10.0])) == pytest.approx(0.0)  # its own body is at 10 m
+    assert below(place=np.array([0.0, 0.0, -1.0])) is None
+
+
+def test_a_trail_sends_its_last_block_and_forgets_its_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trail, "BLOCK", 2)
+    monkeypatch.setattr(trail, "MOST_BLOCKS", 2)
+    there: dict[str, Any] = {}
+
+    def add(name: str, *arguments: Any, **options: Any) -> Any:
+        there[name] = SimpleNamespace(remove=lambda: there.pop(name))
+        return there[name]
+
+    server: Any = SimpleNamespace(scene=SimpleNamespace(add_line_segments=add))
+    way = Trail(server, "a")
+    for step, commanded in enumerate([True, True, True, False, False, False]):
+        way.add(np.array([step, 0.0, 0.0]), commanded)
+    way.add(np.array([5.0, 0.0, 0.0]), commanded=False)  # it stands
+    way.draw()
+    assert list(there) == ["/a path 2", "/a path 3"]
+    assert [there["/a path 2"].points[:, :, 0].tolist(), there["/a path 3"].points[:, :, 0].tolist()] == [
+        [[2, 3], [3, 4]],
+        [[4, 5]],
+    ]
+    assert there["/a path 2"].colors[:, 0].tolist() == [[*THINKING], [*THINKING]]
+    way.clear()
+    assert not there
+
+
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
     """The address of a page that the command line has opened."""
@@ -231,6 +284,7 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             page.on("request", lambda request: heard.append(request.url))
             page.goto(address)
             clocks = page.locator(".clocks")
+            page.get_by_role("button", name="Replay").click()  # a slow browser may have missed the end
             page.get_by_role("button", name="Pause").click()
             page.get_by_role("button", name="Play", exact=True).wait_for()
             before = clocks.inner_text()
@@ -242,11 +296,25 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
             page.wait_for_timeout(300)
             assert clocks.inner_text() == stepped
+            page.locator("#webgl-software-rendering button").click()
+            page.wait_for_timeout(1000)
             page.screenshot(path=shots / f"watch_{width}.png", timeout=120_000)
             page.get_by_role("button", name="Replay").click()
             page.get_by_role("button", name="Pause").wait_for()
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             page.close()
+        page = browser.new_page()
+        page.set_default_timeout(120_000)
+        page.goto(address)
+        clocks = page.locator(".clocks")
+        apart_m = []
+        for clock_speed in ("1x", "100x"):
+            page.get_by_role("combobox", name="ClockSpeed").click()
+            page.get_by_role("option", name=clock_speed, exact=True).click()
+            clocks.get_by_text(clock_speed, exact=True).wait_for()
+            apart_m.append(leaves_m(clocks.inner_text()))
+        assert apart_m[0] < 0.1 * leaves_m(stepped)
+        assert apart_m[1] > 1.2 * leaves_m(stepped)
         browser.close()
     strangers = [each for each in heard if not each.startswith((address, "data:", "blob:"))]
     assert not strangers
@@ -255,6 +323,11 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
 def wall_ms(clocks: str) -> float:
     """The wall clock that the page shows."""
     return float(clocks.split("wall clock")[1].split("ms")[0])
+
+
+def leaves_m(clocks: str) -> float:
+    """How far, as the page says, ADSC leaves the path of TCSC."""
+    return float(clocks.split("by up to")[1].split("m")[0])
 
 
 def simulated_s(clocks: str) -> float:

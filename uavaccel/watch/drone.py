@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 IDEAL, IDEAL_WIDTH = (245, 245, 245), 2.0
-SHORT_S, STANDS = 1e-6, 0.1  # wall seconds in which the clock stands if it runs at less than this share of ClockSpeed
+SHORT_S, STANDS = (
+    1e-6,
+    0.1,
+)  # wall seconds in which the clock stands if it runs at less than this share of ClockSpeed
 
 
 class Drone:

@@ -55,6 +55,7 @@ class Figure:
             LIFT_M / 2,
             PLUMB,
             opacity=SHADOW_OPACITY,
+            material="toon3",  # without the sun's highlight
             cast_shadow=False,
             receive_shadow=False,
         )

@@ -178,7 +178,7 @@ class LivePage:
         body = next(iter(scene.bodies.values()))
         pose = pose_of(scene.model, body)
         if first:
-            self._views.look_at(scene.data.qpos[pose][:3], REACH_M)
+            self._views.look_at(scene.data.qpos[pose][:3], REACH_M, wide=False)
             self._views.aim_all()
         try:
             self._eyes = Eyes(camera_of(scene.model), scene.data, pose)

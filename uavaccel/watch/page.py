@@ -31,7 +31,7 @@ PACES = {"0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0}
 CLOCK_SPEEDS = ("1x", "5x", "10x", "50x", "100x")
 APART_M = 4.6
 FARTHEST_M = 10.0  # of a flight that is seen whole; the view goes along with a longer one
-NEAR_M = 4.0
+NEAR_M = 3.0
 
 
 class Page:
@@ -100,12 +100,19 @@ class Page:
         self._views = Views(
             self._server, lambda: self.playhead.replay()
         )  # who comes first has missed nothing
-        self._views.look_at(ned_to_mujoco(centre), NEAR_M if self._follows else max(reach_m + aside_m, 3.0))
+        reach_m = NEAR_M if self._follows else max(reach_m + aside_m, NEAR_M)
+        self._views.look_at(ned_to_mujoco(centre), reach_m, wide=not self._follows)
 
     def _make_controls(self, title: str) -> None:
         gui = self._server.gui
         self._clocks = gui.add_html("")
         gui.add_markdown(title)
+        if self._fly_at is not None:
+            own = f"{self.speed:g}x"
+            chosen = gui.add_dropdown(
+                "ClockSpeed", sorted({*CLOCK_SPEEDS, own}, key=_speed), initial_value=own
+            )
+            chosen.on_update(lambda _: self._want(_speed(chosen.value)))
         self._play = gui.add_button("Pause")
         self._step = gui.add_button("Step", hint=f"{STEP_S:g} simulated seconds, and pause there")
         self._replay = gui.add_button("Replay")
@@ -116,12 +123,6 @@ class Page:
         self._step.on_click(lambda _: self.playhead.step())
         self._replay.on_click(lambda _: self.playhead.replay())
         self._pace.on_update(lambda _: self._set_pace())
-        if self._fly_at is not None:
-            own = f"{self.speed:g}x"
-            chosen = gui.add_dropdown(
-                "ClockSpeed", sorted({*CLOCK_SPEEDS, own}, key=_speed), initial_value=own
-            )
-            chosen.on_update(lambda _: self._want(_speed(chosen.value)))
 
     def _set_pace(self) -> None:
         self.playhead.slowness = self.speed / PACES[self._pace.value]
@@ -184,7 +185,8 @@ class Page:
             Line(drone.track.name, drone.track.simulated_s(wall_s), drone.height_m, drone.state(wall_s))
             for drone in self.drones
         ]
-        return clock_table(self.speed, f"{1000 * wall_s:.1f} ms", lines, self._note)
+        wall = f"{1000 * wall_s:.1f} ms" if self.playhead.end_s < 1.0 else f"{wall_s:.3f} s"
+        return clock_table(self.speed, wall, lines, self._note)
 
 
 def _speed(label: str) -> float:

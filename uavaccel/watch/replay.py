@@ -79,9 +79,9 @@ def _nothing_in(folder: Path) -> str:
 
 def _chosen(run: RunDirectory, case: str | None, game: int | None) -> Row:
     rows: list[Row] = [row for row in run.rows() if isinstance(row, dict)]
-    if game is not None and not 0 <= game < len(rows):
-        raise UserError(f"--game {game}: {run.path} has {len(rows)} games, from 0 to {len(rows) - 1}")
-    if game is not None:
+    if game is not None and rows:
+        if not 0 <= game < len(rows):
+            raise UserError(f"--game {game}: {run.path} has {len(rows)} games, from 0 to {len(rows) - 1}")
         return rows[game]
     if run.config().get("suite") == "evaluate":
         return choose_row(run, case, best_first(cast(list[EvaluateRow], rows)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import cv2
@@ -51,9 +52,8 @@ def show_surroundings(server: ViserServer, model: mujoco.MjModel, data: mujoco.M
         if model.geom_type[geom] == Geom.mjGEOM_PLANE:
             _show_plane(server, model, geom, place)
         elif (mesh := geom_mesh(model, geom)) is not None:
-            solids.append(_placed(mesh, turn, place))
-    if solids:
-        server.scene.add_mesh_trimesh(f"{SURROUNDINGS}/solids", _joined(solids))
+            solids.append((colour_of(model, geom), _placed(mesh, turn, place)))
+    _show_solids(server, f"{SURROUNDINGS}/solids", solids)
 
 
 def show_drone(server: ViserServer, name: str, model: mujoco.MjModel, body: int) -> None:
@@ -64,8 +64,9 @@ def show_drone(server: ViserServer, name: str, model: mujoco.MjModel, body: int)
         if mesh is not None and _is_drawn(model, geom):
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-            parts.append(_placed(mesh, turn.reshape(3, 3), model.geom_pos[geom]))
-    server.scene.add_mesh_trimesh(f"{name}/body", _joined(parts))
+            placed = _placed(mesh, turn.reshape(3, 3), model.geom_pos[geom])
+            parts.append((colour_of(model, geom), placed))
+    _show_solids(server, f"{name}/body", parts)
 
 
 def colour_of(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
@@ -91,7 +92,7 @@ def texture_of(model: mujoco.MjModel, material: int) -> NDArray[np.uint8] | None
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """A geom's surface in its own frame, in its colour; None of kinds that are not drawn."""
+    """A geom's surface in its own frame; None of kinds that are not drawn."""
     import trimesh
 
     kind, (a, b, c) = model.geom_type[geom], model.geom_size[geom].tolist()
@@ -109,11 +110,6 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
         mesh = _own_mesh(model, int(model.geom_dataid[geom]))
     else:
         return None
-    if kind in (Geom.mjGEOM_BOX, Geom.mjGEOM_CYLINDER):
-        mesh.unmerge_vertices()  # else their edges would be shaded round
-    mesh.visual = trimesh.visual.ColorVisuals(
-        mesh, vertex_colors=np.tile([*colour_of(model, geom), 255], (len(mesh.vertices), 1))
-    )
     return mesh
 
 
@@ -157,12 +153,21 @@ def _placed(mesh: trimesh.Trimesh, turn: NDArray[np.float64], place: NDArray[np.
     return mesh.apply_transform(pose)
 
 
-def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def _show_solids(
+    server: ViserServer, name: str, solids: Sequence[tuple[NDArray[np.uint8], trimesh.Trimesh]]
+) -> None:
+    """Show coloured surfaces, one mesh for each colour."""
     import trimesh
 
-    joined = trimesh.util.concatenate(meshes)
-    assert isinstance(joined, trimesh.Trimesh)
-    return joined
+    by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
+    for colour, mesh in solids:
+        by_colour.setdefault(tuple(colour.tolist()), []).append(mesh)
+    for number, ((red, green, blue), meshes) in enumerate(by_colour.items()):
+        joined = trimesh.util.concatenate(meshes)
+        assert isinstance(joined, trimesh.Trimesh)
+        server.scene.add_mesh_simple(
+            f"{name} {number}", joined.vertices, joined.faces, color=(red, green, blue), flat_shading=True
+        )
 
 
 def _show_plane(server: ViserServer, model: mujoco.MjModel, geom: int, place: NDArray[np.float64]) -> None:

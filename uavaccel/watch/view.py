@@ -32,8 +32,9 @@ class Views:
             if len(server.get_clients()) == 1:
                 on_first()
 
-    def look_at(self, centre: NDArray[np.float64], reach_m: float) -> None:
-        """The first view: from the south and above, on a narrow screen from farther off."""
+    def look_at(self, centre: NDArray[np.float64], reach_m: float, wide: bool = True) -> None:
+        """The first view: from the south and above; of a `wide` scene on a narrow screen from farther off."""
+        self._wide = wide
         self._at, self._back = np.array(centre, float), reach_m * np.array(FROM_BEHIND)
         camera = self._server.initial_camera
         camera.look_at, camera.position = self._at, self._at + self._back
@@ -57,7 +58,7 @@ class Views:
     def _aim(self, client: ClientHandle) -> None:
         back, below = self._back, np.zeros(3)
         if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
-            back = FARTHER * self._back / client.camera.aspect
+            back = FARTHER * self._back / client.camera.aspect if self._wide else self._back
             below[2] = LOWER * float(np.linalg.norm(back))
         client.camera.position = self._at + back
         client.camera.look_at = self._at - below
