@@ -17,7 +17,7 @@ from rich import table as rich_table
 from rich.console import Console
 
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.checks import check_out
+from uavaccel.cli.checks import check_out, check_watchable
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
@@ -111,7 +111,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     check_cases(suite, cases)
     check_engine(request.engine)
     if request.page is not None:
-        check_watchable(config, request.engine)
+        check_watchable(getattr(config, "simulator", None), request.engine)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
@@ -132,18 +132,6 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
             fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
-
-
-def check_watchable(config: Experiment, engine: str) -> None:
-    """Raise UsageError for --watch where nothing flies in a scene of this machine."""
-    from uavaccel.envs.simulators import EXACT  # loads Gymnasium
-
-    if getattr(config, "simulator", EXACT) != EXACT:
-        raise UsageError(
-            "--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco"
-        )
-    if engine != LOKY:
-        raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:

@@ -96,7 +96,11 @@ class LivePage:
         self._feed.listen(passed_s)
         if self._held and self._source is not None:
             self._feed.forgive()
-        self._give_orders()
+        looked_at = bool(self._server.get_clients())
+        self._give_orders(looked_at)
+        if not looked_at:
+            self._moment = None  # the path begins anew for whoever opens the page next
+            return
         source = self._feed.shown
         self._silent_s = 0.0 if source is not None and source.moments else self._silent_s + passed_s
         with self._server.atomic():
@@ -108,10 +112,9 @@ class LivePage:
             self._picture.image = self._eyes.look(pose[:3], pose[3:], self._moment.time_s)
         self.updates += 1
 
-    def _give_orders(self) -> None:
+    def _give_orders(self, looked_at: bool) -> None:
         """The shown flight obeys the page while somebody looks; the others fly as fast as they can."""
-        looked_at = bool(self._server.get_clients())
-        orders: Orders = {"held": self._held, "pace": PACES.get(self._pace.value), "looks": 0}
+        orders: Orders = {"seen": True, "held": self._held, "pace": PACES.get(self._pace.value), "looks": 0}
         for source in self._feed.sources:
             source.order(orders if looked_at and source is self._feed.shown else FREE)
         if self._looks and self._feed.shown is not None:

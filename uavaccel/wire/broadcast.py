@@ -28,7 +28,12 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, PAGE, Orders
 
 LOOK_NS = 33_000_000  # simulated, between two looks
-SHORTEST_NS = 5_000_000  # of the machine's time, between two messages
+SHORTEST_NS, UNSEEN_NS = (
+    5_000_000,
+    200_000_000,
+)  # of the machine's time, between two messages; where nobody looks
+UNSEEN_LOOKS = 10  # of a simulated clock, of which one is taken where nobody looks
+MEASURED_NS = 10_000_000  # of the machine's time, between two looks at a flight on its clock
 SCENE_NS = 200_000_000  # the same between two scenes, of a script that moves objects all the time
 LATE_NS = 250_000_000  # a flight that is later than this for its pace is not hurried
 ANSWER_S = 5.0  # the longest wait for the page's first orders
@@ -63,7 +68,7 @@ class Broadcast:
         self._ready = select.poll()
         self._ready.register(self._socket, select.POLLIN)
         self._orders: Orders = {**FREE}
-        self._open, self._watched = True, False
+        self._open, self._looks = True, 0
         self._flight = self._sent_ns = self._shown_ns = 0
         self._tick = self._told_tick = -1
         self._revision: int | None = None
@@ -76,20 +81,33 @@ class Broadcast:
             return
         self._simulation = simulation
         self._begin()
-        if not self._watched:
-            every = max(1, round(LOOK_NS / simulation.profile.tick_ns))
-            self._stop_watching = simulation.world.watch(every, self._look)
-            self._watched = True
+        self._watch()
         if simulation.world.revision != self._revision:
             self._show_scene()
+
+    def _watch(self) -> None:
+        """Look as often as the page's orders need."""
+        looks = 1 if self._orders["seen"] else UNSEEN_LOOKS
+        if not self._may_hold:  # looks take some of the machine's time from a measured flight
+            looks = max(1, int(self._simulation.clock_speed * MEASURED_NS / LOOK_NS))
+        if looks == self._looks:
+            return
+        if self._looks:
+            self._stop_watching()
+        every = max(1, round(LOOK_NS / self._simulation.profile.tick_ns))
+        self._stop_watching = self._simulation.world.watch(looks * every, self._look)
+        self._looks = looks
 
     def _look(self, tick: int) -> None:
         if tick <= self._tick:  # reset
             self._begin()
         self._tick = tick
-        if self._clock.now_ns() - self._sent_ns >= SHORTEST_NS:
+        due = self._clock.now_ns() - self._sent_ns >= (SHORTEST_NS if self._orders["seen"] else UNSEEN_NS)
+        if due:
             self._tell()
-        if self._may_hold and self._open:
+            self._hear(0.0)
+            self._watch()
+        if self._may_hold and self._orders["seen"]:
             self._keep_pace()
         if not self._open:
             self._stop_watching()
@@ -148,7 +166,6 @@ class Broadcast:
 
     def _keep_pace(self) -> None:
         """Let the machine's time pass until the next look is due, in which the simulated clock stands."""
-        self._hear(0.0)
         while self._open:
             if self._orders["held"]:
                 if self._orders["looks"] > 0:
@@ -174,7 +191,7 @@ class Broadcast:
 
     def _hear(self, seconds: float | None) -> bool:
         """Take the page's next orders, if they come within these seconds; None waits for ever."""
-        if not self._ready.poll(None if seconds is None else 1000.0 * seconds):
+        if not self._open or not self._ready.poll(None if seconds is None else 1000.0 * seconds):
             return False
         try:
             message = self._socket.recv(MESSAGE_BYTES)
@@ -184,7 +201,7 @@ class Broadcast:
             self._close()
             return False
         self._orders = json.loads(message)
-        if self._watched:
+        if self._looks:
             self._anchor(self._clock.now_ns())
         return True
 
