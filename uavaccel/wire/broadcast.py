@@ -11,7 +11,7 @@ import json
 import os
 import select
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from weakref import ReferenceType, WeakKeyDictionary, finalize, ref
 
@@ -69,6 +69,7 @@ class Broadcast:
         self._ready.register(self._socket, select.POLLIN)
         self._orders: Orders = {**FREE}
         self._open, self._looks = True, 0
+        self._stop_watching: Callable[[], None] = lambda: None
         self._flight = self._sent_ns = self._shown_ns = 0
         self._tick = self._told_tick = -1
         self._revision: int | None = None
@@ -92,8 +93,7 @@ class Broadcast:
             looks = max(1, int(self._simulation.clock_speed * MEASURED_NS / LOOK_NS))
         if looks == self._looks:
             return
-        if self._looks:
-            self._stop_watching()
+        self._stop_watching()
         every = max(1, round(LOOK_NS / self._simulation.profile.tick_ns))
         self._stop_watching = self._simulation.world.watch(looks * every, self._look)
         self._looks = looks
