@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.learning import tiny_config, train_into
 from tests.running import configured, run_into
 from tests.test_watch import CHROMIUM, FLAGS, simulated_s
 from uavaccel.cli.run import RunRequest, run_experiment
@@ -56,13 +57,13 @@ def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Feed]:
     listening.close()
 
 
-def flown(name: str = "tcsc", seconds: float = 2.0) -> dict[str, np.ndarray]:
-    """Two commands of a game in `lockstep`."""
-    with open_session("lockstep") as session:
-        client, command = session.start_game(10.0), COMMANDS[name]
+def flown(timing: str = "lockstep") -> dict[str, np.ndarray]:
+    """Two commands of 2 s each."""
+    with open_session(timing) as session:
+        client, command = session.start_game(10.0), COMMANDS["tcsc"]
         command.begin(client)
         for velocity in ((2.0, 0.0, 0.0), (0.0, 2.0, -1.0)):
-            list(command.fly(client, VelocityGoal(velocity), seconds, seconds))
+            list(command.fly(client, VelocityGoal(velocity), 2.0, 2.0))
         return client.recording().arrays()
 
 
@@ -157,6 +158,36 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
     assert len(flights) == 2
     places = {scene.data.geom_xpos.tobytes() for scene in scenes}
     assert len(places) >= 2  # each lane has its own obstacles
+
+
+@pytest.mark.wall_clock
+def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Feed) -> None:
+    thread = threading.Thread(target=lambda: flown(timing="wall"))
+    thread.start()
+    heard = []
+    while thread.is_alive():
+        feed.listen(0.0)
+        for source in feed.sources:
+            source.order(HELD)
+            heard += source.moments
+    thread.join()
+    assert heard
+    assert not any(moment.may_hold for moment in heard)
+    assert max(moment.time_s for moment in heard) > 2.0
+
+
+@pytest.mark.slow
+def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: Path) -> None:
+    config = tiny_config({"observation": "state"}, environments=2, mirror=False)
+    thread = threading.Thread(target=lambda: train_into(tmp_path / "run", config))
+    thread.start()
+    speaking = set()
+    while thread.is_alive():
+        feed.listen(0.0)
+        speaking |= {id(source) for source in feed.sources if source.moments}
+    thread.join()
+    assert len(speaking) >= 2
+    assert (tmp_path / "run" / "summary.json").exists()
 
 
 class Speaker:
