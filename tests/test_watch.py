@@ -288,6 +288,8 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
                 page.get_by_role("combobox", name="Shown at").click()
                 page.get_by_role("option", name="0.25x", exact=True).click()
             page.get_by_role("button", name="Replay").click()
+            if SCREENSHOTS in os.environ:
+                page.wait_for_timeout(12_000)  # some of the path
             page.get_by_role("button", name="Pause").click()
             page.get_by_role("button", name="Play", exact=True).wait_for()
             before = clocks.inner_text()

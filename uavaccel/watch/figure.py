@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 COMMANDED, THINKING, ARROW, PLUMB = (0, 84, 160), (205, 50, 0), (240, 180, 0), (25, 30, 25)
 ARROW_M, LABEL_M = 0.7, 0.55
 PATH_WIDTH, PLUMB_WIDTH = 5.0, 1.5  # pixels
-SHADOW_M, LIFT_M, SHADOW_OPACITY = 0.32, 0.02, 0.45
+SHADOW_M, LIFT_M, SHADOW = 0.32, 0.02, (48, 54, 46)
 STANDING_M = 0.15  # nearer to the ground there is no plumb line
 
 
@@ -53,8 +53,7 @@ class Figure:
             f"{self._name} shadow",
             SHADOW_M,
             LIFT_M / 2,
-            PLUMB,
-            opacity=SHADOW_OPACITY,
+            SHADOW,  # opaque: what shines through would be the sky, not the ground's picture
             material="toon3",  # without the sun's highlight
             cast_shadow=False,
             receive_shadow=False,
