@@ -50,7 +50,8 @@ ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["bench"] = ROOMS["rl"]
 ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench", "realtime"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
-ROOMS["watch"] = ROOMS["export"] = ROOMS["suites"] | {"suites"}
+ROOMS["export"] = ROOMS["suites"] | {"suites"}
+ROOMS["watch"] = ROOMS["suites"] | {"suites", "fly"}
 ROOMS["cli"] = ROOMS["watch"] | {"watch", "export", "fly", "__init__"}
 ROOMS["__main__"] = {"cli"}
 HEAVY = {

@@ -1,10 +1,12 @@
 """A flight as it is watched: tracks, the playhead, and the page in a browser that clicks."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,12 +18,17 @@ from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.watch import drone, pictures, replay
-from uavaccel.watch.drone import COMMANDED, THINKING, Drone
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.world import World
+from uavaccel.watch import figure, pictures, replay, trail
+from uavaccel.watch.drone import Drone
+from uavaccel.watch.figure import COMMANDED, THINKING, Figure
 from uavaccel.watch.pictures import Eyes
 from uavaccel.watch.playhead import Playhead
+from uavaccel.watch.scene import Geom, ground_below
 from uavaccel.watch.square import T_MOVE_S, fly_side_by_side
 from uavaccel.watch.track import Track, track_of
+from uavaccel.watch.trail import Trail
 
 CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
@@ -130,13 +137,16 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
         made[name] = SimpleNamespace(name=name, arguments=arguments)
         return made[name]
 
-    scene = SimpleNamespace(add_frame=add, add_label=add, add_arrows=add, add_line_segments=add)
-    monkeypatch.setattr(drone, "show_drone", lambda *_: None)
+    adding = ("add_frame", "add_label", "add_arrows", "add_line_segments", "add_cylinder")
+    scene = SimpleNamespace(**dict.fromkeys(adding, add))
+    monkeypatch.setattr(figure, "show_drone", lambda *_: None)
+    monkeypatch.setattr(figure, "ground_below", lambda model, data, place, body: 1.5)
     marks = np.array([[0.0, 0.0], [0.1, 1.0], [0.2, 1.0], [0.3, 2.0], [0.4, 3.0]])
     track = track_of("TCSC", 10.0, drone_arrays(), [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0)], marks)
     assert track.between_commands(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False, False, True, False]
     server: Any = SimpleNamespace(scene=scene)
-    shown = Drone(server, track, None, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
+    body = Figure(server, "TCSC", *[None] * 3)  # type: ignore[arg-type]
+    shown = Drone(server, track, body, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
     said = {}
     for wall_s in (0.05, 0.15, 0.25, 0.35, 0.4):
         shown.show(wall_s)
@@ -156,6 +166,10 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
         [[1, -3, 10], [2, -3, 10]],
         [[2, -3, 10], [2, -4, 10]],
     ]
+    assert shown.height_m == 8.5
+    foot = [2.0, -4.0, 1.5 + figure.LIFT_M]
+    assert made["/TCSC shadow"].position.tolist() == foot
+    np.testing.assert_allclose(made["/TCSC plumb line"].points, [[[2.0, -4.0, 10.0], foot]], rtol=1e-6)
     np.testing.assert_allclose(made["/TCSC"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
     shown.show(0.05)  # half of the first second again
     assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
@@ -167,8 +181,8 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
 ) -> None:
     frame = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     camera = SimpleNamespace(colour=lambda _: frame)
-    lead = SimpleNamespace(qpos=np.zeros(7))
-    eyes = Eyes(SimpleNamespace(camera=lambda *_: camera, lead=lead, data=None))  # type: ignore[arg-type]
+    data = SimpleNamespace(qpos=np.zeros(9))
+    eyes = Eyes(camera, data, slice(1, 8))  # type: ignore[arg-type]
     stepped: list[float] = []
 
     def step(sensor: Any, state: Any, image: Any, time_s: float) -> Any:
@@ -177,10 +191,10 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
 
     monkeypatch.setattr(pictures, "step", step)
     for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
-        picture = eyes.look(np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.5, 0.5, 0.5]), time_s)
+        picture = eyes.look(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, -0.5, -0.5]), time_s)
     assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
     assert picture.shape == (2 * HEIGHT, WIDTH, 3)
-    assert lead.qpos.tolist() == [1.0, -2.0, 3.0, 0.5, 0.5, -0.5, -0.5]
+    assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 0.5, 0.5, -0.5, -0.5, 0.0]
 
 
 def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
@@ -188,7 +202,55 @@ def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
         {"role": "reference", "clock_speed": 100.0},
         *({"role": "game", "clock_speed": k} for k in (1.0, 50.0)),
     ]
-    assert [row["clock_speed"] for row in sorted(rows, key=replay._interest)] == [50.0, 1.0, 100.0]
+    assert [row["clock_speed"] for row in sorted(rows, key=replay.interest)] == [50.0, 1.0, 100.0]
+
+
+def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: list[Track]) -> None:
+    slow, fast = (fly_side_by_side(speed, think_s=0.012, rounds=1, seed=0) for speed in (1.0, 100.0))
+    apart_m = [adsc.farthest_from(tcsc) for adsc, tcsc in (slow, both, fast)]
+    assert apart_m == sorted(apart_m)
+    assert apart_m[0] < 0.05
+    assert apart_m[1] > 0.3
+    adsc, tcsc = both
+    nearest = [min(np.linalg.norm(tcsc.position_m - place, axis=1)) for place in adsc.position_m]
+    assert adsc.farthest_from(tcsc) == pytest.approx(max(nearest))
+
+
+def test_heights_are_over_what_is_below() -> None:
+    world = World("blocks", PROFILES["native"])
+    boxes = [geom for geom in range(world.model.ngeom) if world.model.geom_type[geom] == Geom.mjGEOM_BOX]
+    solid = next(geom for geom in boxes if world.model.geom_bodyid[geom] == 0)
+    x, y, z = world.data.geom_xpos[solid].tolist()
+    top = z + float(world.model.geom_size[solid][2])
+    below = partial(ground_below, world.model, world.data, body=world.lead.body_id)
+    assert below(place=np.array([x, y, 50.0])) == pytest.approx(top)
+    assert below(place=np.array([0.0, 0.0, 10.0])) == pytest.approx(0.0)  # its own body is at 10 m
+    assert below(place=np.array([0.0, 0.0, -1.0])) is None
+
+
+def test_a_trail_sends_its_last_block_and_forgets_its_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trail, "BLOCK", 2)
+    monkeypatch.setattr(trail, "MOST_BLOCKS", 2)
+    there: dict[str, Any] = {}
+
+    def add(name: str, *arguments: Any, **options: Any) -> Any:
+        there[name] = SimpleNamespace(remove=lambda: there.pop(name))
+        return there[name]
+
+    server: Any = SimpleNamespace(scene=SimpleNamespace(add_line_segments=add))
+    way = Trail(server, "a")
+    for step, commanded in enumerate([True, True, True, False, False, False]):
+        way.add(np.array([step, 0.0, 0.0]), commanded)
+    way.add(np.array([5.0, 0.0, 0.0]), commanded=False)  # it stands
+    way.draw()
+    assert list(there) == ["/a path 2", "/a path 3"]
+    assert [there["/a path 2"].points[:, :, 0].tolist(), there["/a path 3"].points[:, :, 0].tolist()] == [
+        [[2, 3], [3, 4]],
+        [[4, 5]],
+    ]
+    assert there["/a path 2"].colors[:, 0].tolist() == [[*THINKING], [*THINKING]]
+    way.clear()
+    assert not there
 
 
 @contextmanager
@@ -222,6 +284,12 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             page.on("request", lambda request: heard.append(request.url))
             page.goto(address)
             clocks = page.locator(".clocks")
+            if width == 1280:  # a slow browser would miss the end, and its click on Pause begin anew
+                page.get_by_role("combobox", name="Shown at").click()
+                page.get_by_role("option", name="0.25x", exact=True).click()
+            page.get_by_role("button", name="Replay").click()
+            if SCREENSHOTS in os.environ:
+                page.wait_for_timeout(12_000)  # some of the path
             page.get_by_role("button", name="Pause").click()
             page.get_by_role("button", name="Play", exact=True).wait_for()
             before = clocks.inner_text()
@@ -233,11 +301,25 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
             page.wait_for_timeout(300)
             assert clocks.inner_text() == stepped
+            page.locator("#webgl-software-rendering button").click()
+            page.wait_for_timeout(1000)
             page.screenshot(path=shots / f"watch_{width}.png", timeout=120_000)
             page.get_by_role("button", name="Replay").click()
             page.get_by_role("button", name="Pause").wait_for()
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             page.close()
+        page = browser.new_page()
+        page.set_default_timeout(120_000)
+        page.goto(address)
+        clocks = page.locator(".clocks")
+        apart_m = []
+        for clock_speed in ("1x", "100x"):
+            page.get_by_role("combobox", name="ClockSpeed").click()
+            page.get_by_role("option", name=clock_speed, exact=True).click()
+            clocks.get_by_text(clock_speed, exact=True).wait_for()
+            apart_m.append(leaves_m(clocks.inner_text()))
+        assert apart_m[0] < 0.1 * leaves_m(stepped)
+        assert apart_m[1] > 1.2 * leaves_m(stepped)
         browser.close()
     strangers = [each for each in heard if not each.startswith((address, "data:", "blob:"))]
     assert not strangers
@@ -246,3 +328,13 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
 def wall_ms(clocks: str) -> float:
     """The wall clock that the page shows."""
     return float(clocks.split("wall clock")[1].split("ms")[0])
+
+
+def leaves_m(clocks: str) -> float:
+    """How far, as the page says, ADSC leaves the path of TCSC."""
+    return float(clocks.split("by up to")[1].split("m")[0])
+
+
+def simulated_s(clocks: str) -> float:
+    """The simulated time of the last drone that the page shows."""
+    return float(re.findall(r"([0-9.]+) s\b", clocks)[-1])

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from uavaccel.cli.options import Watch, WatchAt
 from uavaccel.fly.options import THINK_S
 
 
@@ -32,12 +33,16 @@ def serve(
             help="Folder for startRecording; by default that of the settings, or ~/Documents/AirSim."
         ),
     ] = None,
+    watch: Watch = False,
+    watch_at: WatchAt = None,
 ) -> None:
     """Serve a free-running quadrotor to AirSim's clients until Ctrl-C."""
     from uavaccel.cli.serve import ServeOptions
     from uavaccel.cli.serve import serve as serve_clients
+    from uavaccel.watch.beside import page_beside, parse_address
 
-    serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
+    with page_beside(parse_address(watch, watch_at), waits=False):
+        serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
 
 
 def fly(
@@ -79,6 +84,8 @@ def fly(
     scene: Annotated[str, typer.Option(help="A scene of assets/mjcf.")] = "blocks",
     out: Annotated[Path | None, typer.Option(help="New folder for the trajectory and the messages.")] = None,
     film: Annotated[bool, typer.Option("--film", help="Film the front camera's view, into --out.")] = False,
+    watch: Watch = False,
+    watch_at: WatchAt = None,
 ) -> None:
     """Fly an unmodified AirSim script on a simulated clock: fast, headless, and reproducible.
 
@@ -86,6 +93,7 @@ def fly(
     """
     from uavaccel.cli.fly import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.options import FlightOptions
+    from uavaccel.watch.beside import parse_address
 
     flight = FlightOptions(
         script,
@@ -100,4 +108,5 @@ def fly(
         until_s=until,
         film=film,
     )
-    fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out))
+    page = parse_address(watch, watch_at)
+    fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page))

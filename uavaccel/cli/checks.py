@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UsageError, UserError
 
 
 def check_out(folder: Path, resume: bool = False) -> None:
@@ -53,3 +53,16 @@ def check_profile(profile: str) -> None:
 
     if profile not in PROFILES:
         raise UserError(f"--profile {profile}: must be {' or '.join(PROFILES)}")
+
+
+def check_watchable(simulator: str | None, engine: str) -> None:
+    """Raise UsageError for --watch where nothing flies in a scene of this machine; None is of a run without lanes."""
+    from uavaccel.envs.simulators import KERNELS  # loads Gymnasium
+    from uavaccel.suites.engines import LOKY
+
+    if simulator == KERNELS:
+        raise UsageError(
+            "--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco"
+        )
+    if engine != LOKY:
+        raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")

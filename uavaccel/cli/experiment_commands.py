@@ -25,6 +25,8 @@ from uavaccel.cli.options import (
     Resume,
     Seed,
     Timing,
+    Watch,
+    WatchAt,
 )
 
 
@@ -56,9 +58,12 @@ def run(
     resume: Resume = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
+    watch: Watch = False,
+    watch_at: WatchAt = None,
 ) -> None:
     """Fly an experiment, measure it and draw its figures."""
     from uavaccel.cli.run import RunRequest, run_experiment
+    from uavaccel.watch.beside import parse_address
 
     options = {
         "clock_speed": clock,
@@ -72,7 +77,10 @@ def run(
         "seeds": seeds,
         "with_run": with_run,
     }
-    request = RunRequest(experiment, options, overrides or [], jobs, out, resume, dry_run, engine=engine)
+    page = parse_address(watch, watch_at)
+    request = RunRequest(
+        experiment, options, overrides or [], jobs, out, resume, dry_run, engine=engine, page=page
+    )
     run_experiment(request)
 
 
@@ -90,13 +98,17 @@ def train(
     resume: Resume = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
+    watch: Watch = False,
+    watch_at: WatchAt = None,
 ) -> None:
     """Train a policy in the obstacle lane: `run` on a training's YAML file."""
     from uavaccel.cli.run import RunRequest, run_experiment
+    from uavaccel.watch.beside import parse_address
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed}
     named = experiment or (None if resume else "train")
-    run_experiment(RunRequest(named, options, overrides or [], 1, out, resume, dry_run, "train"))
+    page = parse_address(watch, watch_at)
+    run_experiment(RunRequest(named, options, overrides or [], 1, out, resume, dry_run, "train", page=page))
 
 
 def evaluate(
@@ -126,14 +138,20 @@ def evaluate(
     resume: Resume = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
+    watch: Watch = False,
+    watch_at: WatchAt = None,
 ) -> None:
     """Fly an agent on lanes that no training has seen, as `run evaluate`: success ratio, Figure 8, films."""
     from uavaccel.cli.evaluate import evaluate_agent, sweep_agent
     from uavaccel.cli.run import RunRequest
+    from uavaccel.watch.beside import parse_address
 
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed, "agent": agent}
     named = None if agent is None and resume else "evaluate"
-    request = RunRequest(named, options, overrides or [], jobs, out, resume, dry_run, "evaluate", engine)
+    page = parse_address(watch, watch_at)
+    request = RunRequest(
+        named, options, overrides or [], jobs, out, resume, dry_run, "evaluate", engine, page
+    )
     if sweep:
         sweep_agent(request, sweep, against)
     else:

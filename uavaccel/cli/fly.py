@@ -16,6 +16,7 @@ from uavaccel.fly.runs import FlightResult, check, fly
 from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.resources import asset
+from uavaccel.watch.beside import PageAddress, page_beside
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class FlyRequest:
     check: bool = False
     find_settings: bool = True
     out: Path | None = None
+    page: PageAddress | None = None
 
 
 def parse_clocks(text: str | None) -> tuple[float, ...]:
@@ -53,7 +55,11 @@ def fly_script(request: FlyRequest) -> None:
         request = _with_settings(request, Path(scratch))
         folder = request.out or Path(scratch, "flight")
         several = len(request.clocks) > 1
-        status = _fly_clocks(request, folder) if several else _fly_one(request, folder, Path(scratch))
+        if several:
+            with page_beside(request.page):
+                status = _fly_clocks(request, folder)
+        else:
+            status = _fly_one(request, folder, Path(scratch))
     raise typer.Exit(status)
 
 
@@ -104,8 +110,9 @@ def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:
 def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
     clock_speed = request.clocks[0] if request.clocks else None
     options = replace(request.flight, folder=folder, clock_speed=clock_speed)
-    flown = fly(options)
-    _print_result(flown)
+    with page_beside(request.page):
+        flown = fly(options)
+    _print_result(flown, request.page is not None)
     if not request.check or flown.summary is None or flown.interrupted:
         return flown.status
     again = check(replace(options, folder=scratch / "again", film=False), folder)
@@ -132,7 +139,8 @@ def _fly_clocks(request: FlyRequest, folder: Path) -> int:
         slept |= flown.summary["slept_s"] > 0
         compared = clock != clocks[0] and flown.summary["position_m"] is not None
         difference = _difference_text(options.folder, first, clocks[0]) if compared else ""
-        print(f"clock {clock:g}: {_speed_text(flown.summary)}{difference}", flush=True)
+        text = _speed_text(flown.summary, request.page is not None)
+        print(f"clock {clock:g}: {text}{difference}", flush=True)
     if slept:
         print(
             "the script sleeps while the clock runs: its sleeps are wall time, so at ClockSpeed k they let k times as "
@@ -148,7 +156,7 @@ def _difference_text(folder: Path, first: Path, clock_speed: float) -> str:
     return f", at most {metres:.3f} m from {clock_speed:g}x at equal times"
 
 
-def _print_result(flown: FlightResult) -> None:
+def _print_result(flown: FlightResult, watched: bool) -> None:
     if flown.summary is None:
         return
     summary = flown.summary
@@ -158,9 +166,15 @@ def _print_result(flown: FlightResult) -> None:
         return
     place = "".join(f" {metres:.2f}" for metres in summary["position_m"])
     thinking = f", {1000 * summary['think_s']:g} ms of thinking before each" if summary["think_s"] else ""
-    print(f"{stopped}{_speed_text(summary)}; {summary['calls']} calls{thinking}; at{place} m", flush=True)
+    print(
+        f"{stopped}{_speed_text(summary, watched)}; {summary['calls']} calls{thinking}; at{place} m",
+        flush=True,
+    )
 
 
-def _speed_text(summary: FlightSummary) -> str:
+def _speed_text(summary: FlightSummary, watched: bool) -> str:
+    """How much was flown in what time, which says nothing of a flight that kept a spectator's pace."""
     simulated_s, wall_s = summary["simulated_s"], summary["wall_s"]
+    if watched:
+        return f"{simulated_s:.2f} simulated s, watched"
     return f"{simulated_s:.2f} simulated s in {wall_s:.2f} s, {simulated_s / wall_s:.0f} per wall second"

@@ -39,6 +39,17 @@ Engine = Annotated[
         autocompletion=one_of("loky", "ray", "dask"),
     ),
 ]
+Watch = Annotated[
+    bool,
+    typer.Option("--watch", help="Open a page in the browser that shows the flight; it changes no flight."),
+]
+WatchAt = Annotated[
+    str | None,
+    typer.Option(
+        "--watch-at",
+        help="The same at HOST, :PORT or HOST:PORT; by default 127.0.0.1:8080, or the next free port.",
+    ),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be flown, and fly nothing.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="dotted.key=value for the configuration; repeatable.")

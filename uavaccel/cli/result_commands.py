@@ -58,10 +58,17 @@ def view(
 
 def watch(
     run: Annotated[
-        Path | None, typer.Argument(help="Run directory of dp1; without it ADSC and TCSC fly a square.")
+        Path | None,
+        typer.Argument(
+            help="Run directory of dp1, dp2 or evaluate, or the --out of fly; without it ADSC and TCSC fly a square."
+        ),
     ] = None,
     case: Annotated[
-        str | None, typer.Option(help="Which game, as rows.jsonl names it; by default the first.")
+        str | None,
+        typer.Option(help="Name of the game in rows.jsonl; by default the fastest, or the best."),
+    ] = None,
+    game: Annotated[
+        int | None, typer.Option(min=0, help="The same by its line in rows.jsonl, from 0.")
     ] = None,
     clock: Annotated[float, typer.Option(min=0.01, max=1000.0, help="ClockSpeed of the square.")] = 50.0,
     think: Annotated[
@@ -78,7 +85,7 @@ def watch(
     from uavaccel.cli.watch import WatchRequest
     from uavaccel.cli.watch import watch as open_page
 
-    open_page(WatchRequest(run, case, clock, think, seed, host, port))
+    open_page(WatchRequest(run, case, game, clock, think, seed, host, port))
 
 
 def export(

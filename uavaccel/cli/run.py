@@ -17,7 +17,7 @@ from rich import table as rich_table
 from rich.console import Console
 
 from uavaccel.bench.machine import check_machine
-from uavaccel.cli.checks import check_out
+from uavaccel.cli.checks import check_out, check_watchable
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
@@ -33,6 +33,7 @@ from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
+from uavaccel.watch.beside import PageAddress, page_beside
 
 COLUMN_GAP = 2  # characters between the columns of a table, as wide as rich pads them
 TABLE_WIDTH = 170  # where the output is no terminal
@@ -94,6 +95,8 @@ class RunRequest:
     suite: str | None = None
     """The suite that the command is restricted to."""
     engine: str = LOKY
+    page: PageAddress | None = None
+    """Where a page in the browser shows the flights, if anywhere."""
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
@@ -107,6 +110,8 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
     check_cases(suite, cases)
     check_engine(request.engine)
+    if request.page is not None:
+        check_watchable(getattr(config, "simulator", None), request.engine)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
@@ -123,7 +128,8 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         if "resumed" in run.manifest():
             for line in resumption_notes(run, len(cases), manifest):
                 console.print(line)
-        fly(suite, config, cases, run, request.jobs, request.engine)
+        with page_beside(request.page):
+            fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
 

@@ -29,6 +29,7 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.camera_client import FlightClient, FlightSample
     from uavaccel.envs.observer import Observer
+    from uavaccel.sim.recording import Recording
     from uavaccel.wire.client import Client
     from uavaccel.wire.session import Session
 
@@ -112,6 +113,12 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         if not self.task.list_events or not isinstance(self.sensor, EventCamera):
             raise UserError("list_events must be true for a list of events")
         return self.sensor.counter.take_events()
+
+    def recording(self) -> Recording:
+        """Return the present game's path and commands so far. Raises UserError before the first `reset`."""
+        if self._client is None:
+            raise UserError("reset the environment before asking for its recording")
+        return self._client.client.recording()
 
     def add_observer(self, observer: Observer) -> None:
         """Register an observer, which is called from the next game on."""

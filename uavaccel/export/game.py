@@ -17,13 +17,13 @@ from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
-from uavaccel.export.again import evaluation_of, fly_again
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.evaluation.again import evaluation_of, fly_again
 from uavaccel.suites.evaluation.film import SamplesSeen, SecondEventCamera, Seen
 from uavaccel.suites.evaluation.flights import EvaluateRow
 from uavaccel.suites.report import Arrays

@@ -21,17 +21,17 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.errors import UserError, naming
-from uavaccel.export.again import evaluation_of, fly_again, opened
 from uavaccel.export.provenance import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.suites.evaluation.again import evaluation_of, fly_again, opened
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import EvaluateRow, game_seed
 
 if TYPE_CHECKING:
     import h5py
 
-    from uavaccel.export.again import Flyable
+    from uavaccel.suites.evaluation.again import Flyable
 
 LAYOUT = "0.5.4"
 """The Minari whose layout this is: a constant of the format, and not the version that happens to be installed."""

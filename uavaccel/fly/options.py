@@ -27,6 +27,7 @@ class FlightSummary(TypedDict, total=False):
     """The summary of a flight, in the file SUMMARY: SI units, NED; `position_m` is None if no client connected."""
 
     clock_speed: float
+    scene: str
     calls: int
     status: int
     finished: bool

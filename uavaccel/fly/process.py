@@ -99,7 +99,8 @@ def fly(options: FlightOptions) -> int:
         log.close_file()  # it was not flown to the end of any reference
     else:
         log.close()
-    summary = {"clock_speed": clock_speed, "calls": log.calls, **outcome._asdict(), **flight.summary()}
+    chosen = {"clock_speed": clock_speed, "scene": options.scene}
+    summary = {**chosen, "calls": log.calls, **outcome._asdict(), **flight.summary()}
     from uavaccel.files import to_json
 
     _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")

@@ -57,6 +57,8 @@ class World:
         self.lane: LaneLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
         self._observers: list[tuple[int, int, Callable[[int], None]]] = []
+        self.revision = 0
+        """Grows whenever objects or vehicles were added, removed or moved, or look different."""
         self.recorder = Samples(profile.recorder_ticks)
         acts = not self.freeze_on_collision
         self.lead = Vehicle(VEHICLE, profile, Start(START_M), self.recorder, contacts_act=acts)
@@ -78,6 +80,7 @@ class World:
     def _adopt(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Simulate this model from now on."""
         self.model, self.data = model, data
+        self.revision += 1
         self.warnings = self.data.warning.number
         self.clearance = Clearance(self.model, self.data)
         for vehicle in self.vehicles:
@@ -138,6 +141,7 @@ class World:
         """Note that objects of the model were moved, added or removed, or look different."""
         for camera in self._cameras.values():
             camera.scene_changed()
+        self.revision += 1
         mujoco.mj_kinematics(self.model, self.data)
         self.clearance.surroundings_changed()
 

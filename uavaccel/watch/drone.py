@@ -1,23 +1,25 @@
-"""A drone on the page: its body, its path so far, the arrow of its command, and what is written above it."""
+"""A recorded drone on the page: its figure, and its path so far."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.kinematics import Vector
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
-from uavaccel.watch.scene import show_drone
+from uavaccel.watch.figure import COMMANDED, PATH_WIDTH, THINKING, Figure
 from uavaccel.watch.track import Track
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-COMMANDED, THINKING, IDEAL, ARROW = (0, 84, 160), (205, 50, 0), (245, 245, 245), (240, 180, 0)
-ARROW_M, LABEL_M = 0.7, 0.55
-PATH_WIDTH, IDEAL_WIDTH = 5.0, 2.0  # pixels
+IDEAL, IDEAL_WIDTH = (245, 245, 245), 2.0
+SHORT_S, STANDS = (
+    1e-6,
+    0.1,
+)  # wall seconds in which the clock stands if it runs at less than this share of ClockSpeed
 
 
 class Drone:
@@ -27,25 +29,13 @@ class Drone:
         self,
         server: ViserServer,
         track: Track,
-        model: mujoco.MjModel,
+        figure: Figure,
         offset_m: NDArray[np.float64],
         ideal_m: NDArray[np.float64] | None = None,
     ) -> None:
-        self.track, self._offset_m = track, offset_m
-        self._name = f"/{track.name}"
-        self._scene = server.scene
-        self._frame = server.scene.add_frame(self._name, show_axes=False)
-        show_drone(server, self._name, model)
-        self._label = server.scene.add_label(f"{self._name}/name", track.name, position=(0.0, 0.0, LABEL_M))
-        self._arrow = server.scene.add_arrows(
-            f"{self._name} command",
-            np.zeros((1, 2, 3)),
-            ARROW,
-            shaft_radius=0.025,
-            head_radius=0.07,
-            head_length=0.16,
-            visible=False,
-        )
+        self.track, self._figure, self._offset_m = track, figure, offset_m
+        self.height_m: float | None = None
+        name = f"/{track.name}"
         places = self._shown(track.position_m)
         self._path = np.stack([places[:-1], places[1:]], axis=1)
         # a line between two samples shows what was flown in its middle: a command may end at either
@@ -53,7 +43,7 @@ class Drone:
         colours = np.where(between[:, None], THINKING, COMMANDED).astype(np.uint8)
         self._colours = np.repeat(colours[:, None], 2, axis=1)
         self._line = server.scene.add_line_segments(
-            f"{self._name} path",
+            f"{name} path",
             self._path[:1],
             self._colours[:1],
             thickness=PATH_WIDTH,
@@ -62,7 +52,7 @@ class Drone:
         if ideal_m is not None:
             ideal = self._shown(ideal_m)
             server.scene.add_line_segments(
-                f"{self._name} ideal",
+                f"{name} ideal",
                 np.stack([ideal[:-1], ideal[1:]], axis=1),
                 IDEAL,
                 thickness=IDEAL_WIDTH,
@@ -74,7 +64,6 @@ class Drone:
         time_s = self.track.simulated_s(wall_s)
         place, attitude = self.track.pose(time_s)
         shown = self._shown(place)
-        self._frame.position, self._frame.wxyz = shown, quaternion_ned_to_mujoco(attitude)
         flown = max(int(np.searchsorted(self.track.time_s, time_s, side="right")) - 1, 0)
         here = self.track.time_s[min(flown, len(self._path) - 1)]
         path, colours = np.asarray(self._path[:flown]), np.asarray(self._colours[:flown])
@@ -84,26 +73,28 @@ class Drone:
         if len(path):
             self._line.points, self._line.colors = path.astype(np.float32), colours
         self._line.visible = bool(len(path))
-        self._show_command(time_s, shown)
-        self._label.text = f"{self.track.name}: {self.state(wall_s)}"
+        text = f"{self.track.name}: {self.state(wall_s)}"
+        turned = quaternion_ned_to_mujoco(attitude)
+        self.height_m = self._figure.show(shown, turned, self._velocity(time_s), text)
 
     def state(self, wall_s: float) -> str:
         """In words, what drone and client do."""
         if wall_s >= self.track.wall_s:
             return "done"
+        if not len(self.track.command_start_s):
+            return "flies"
         time_s = self.track.simulated_s(wall_s)
         if self.track.command(time_s) is not None:
             return "flies its command"
-        stands = self.track.simulated_s(wall_s + 1e-6) == time_s
+        passes_s = self.track.simulated_s(wall_s + SHORT_S) - time_s
+        # a script's messages tell the times of its calls, so that a pause seems to begin a little before its end
+        stands = passes_s < STANDS * SHORT_S * self.track.clock_speed
         return "client thinks, clock stands" if stands else "client thinks, drone flies on"
 
-    def _show_command(self, time_s: float, at: NDArray[np.float64]) -> None:
+    def _velocity(self, time_s: float) -> Vector | None:
         number = self.track.command(time_s)
-        self._arrow.visible = number is not None and bool(self.track.velocities)
-        if number is not None and self.track.velocities:
-            velocity = ned_to_mujoco(self.track.velocities[number])
-            tip = at + ARROW_M * velocity / max(float(np.linalg.norm(velocity)), 1e-9)
-            self._arrow.points = np.array([[at, tip]])
+        known = number is not None and number < len(self.track.velocities)
+        return self.track.velocities[number] if known and number is not None else None
 
     def _shown(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return ned_to_mujoco(place_m + self._offset_m)

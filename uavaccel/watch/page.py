@@ -1,109 +1,118 @@
-"""The page: flights in their scene, clocks and pictures beside them, and what the spectator may click."""
+"""The page of finished flights: they fly in their scene, with clocks and pictures, as the spectator's clicks say."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
-from uavaccel.units import NS_PER_S, ned_to_mujoco
+from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco
+from uavaccel.watch.clocks import Line, clock_table
 from uavaccel.watch.drone import Drone
-from uavaccel.watch.pictures import Eyes
+from uavaccel.watch.figure import Figure
+from uavaccel.watch.pictures import BLANK, Eyes, camera_of
 from uavaccel.watch.playhead import Playhead
-from uavaccel.watch.scene import light_up, show_surroundings
+from uavaccel.watch.scene import light_up, pose_of, show_surroundings
+from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S
 from uavaccel.watch.track import Track
+from uavaccel.watch.view import Views
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiImageHandle, ViserServer
+    from viser import GuiImageHandle, ViserServer
 
-MISSING = "watch: needs the package viser: pip install 'uavaccel[watch]'"
-UPDATES_PER_S = 30
-PICTURES_EVERY = 3  # updates
 STEP_S = 0.05  # simulated
 PACES = {"0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0}
+CLOCK_SPEEDS = ("1x", "5x", "10x", "50x", "100x")
 APART_M = 4.6
-FROM_BEHIND = (-1.15, 0.0, 0.85)  # to the first view, in reaches of the flights; x north, y west, z up
-LOWER = 0.3  # of the distance, by which a phone's view looks below the flights
-BRAND = (0, 114, 178)
-
-
-def open_server(host: str, port: int) -> ViserServer:
-    """A page's server, without a word. Raises UserError where viser is missing."""
-    try:
-        import viser
-    except ImportError:
-        raise UserError(MISSING) from None
-    with redirect_stdout(io.StringIO()):  # it greets, even where it is asked to be silent
-        server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
-    server.gui.configure_theme(
-        control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
-    )
-    server.gui.set_panel_label("uavaccel watch")
-    return server
+FARTHEST_M = 10.0  # of a flight that is seen whole; the view goes along with a longer one
+NEAR_M = 3.0
 
 
 class Page:
-    """Tracks that begin together, shown side by side until `run` is interrupted."""
+    """Tracks that begin together, shown side by side until `run` is interrupted.
 
-    def __init__(self, server: ViserServer, tracks: Sequence[Track], scene: str, title: str) -> None:
-        self._server, self._clock = server, MonotonicClock()
-        self._world = World(scene, PROFILES["native"])
-        self.speed = tracks[0].clock_speed
-        end_s = max(track.wall_s for track in tracks)
-        self.playhead = Playhead(end_s, self.speed, STEP_S / self.speed)
-        self.updates = 0
-        self._make_scene(tracks)
-        self._make_controls(title)
-        self._eyes = self._make_eyes()
-        self._show()
+    `fly_at` flies them at another ClockSpeed, which the spectator may then choose.
+    """
 
-    def _make_scene(self, tracks: Sequence[Track]) -> None:
-        server, world = self._server, self._world
+    def __init__(
+        self,
+        server: ViserServer,
+        tracks: Sequence[Track],
+        scene: str,
+        title: str,
+        lane: LaneLayout | None = None,
+        fly_at: Callable[[float], Sequence[Track]] | None = None,
+    ) -> None:
+        self._server, self._clock, self._fly_at = server, MonotonicClock(), fly_at
+        world = World(scene, PROFILES["native"])
+        if lane is not None:
+            world.set_lane(lane)
+        self._model, self._data, self._body = world.model, world.data, world.lead.body_id
         server.scene.set_up_direction("+z")
         light_up(server)
-        show_surroundings(server, world.model, world.data)
+        show_surroundings(server, self._model, self._data)
+        self._figures = [Figure(server, track.name, self._model, self._data, self._body) for track in tracks]
+        self.updates = 0
+        self._wanted: float | None = None
+        self.speed = tracks[0].clock_speed
+        self._make_controls(title)
+        self._eyes = self._make_eyes(tracks)
+        self._take(tracks)
+        self._look_at(tracks)
+        self._show()
+
+    def _take(self, tracks: Sequence[Track]) -> None:
+        """Show these tracks, from their beginning."""
+        self.speed = tracks[0].clock_speed
+        end_s = max(track.wall_s for track in tracks)
+        self.playhead = Playhead(end_s, self.speed / PACES[self._pace.value], STEP_S / self.speed)
         middle = (len(tracks) - 1) / 2
-        ideal = tracks[-1].position_m if len(tracks) > 1 else None
+        ideal = tracks[-1]
         self.drones = [
             Drone(
-                server,
+                self._server,
                 track,
-                world.model,
+                figure,
                 np.array([0.0, (n - middle) * APART_M, 0.0]),
-                None if track is tracks[-1] else ideal,
+                None if track is ideal else ideal.position_m,
             )
-            for n, track in enumerate(tracks)
+            for n, (track, figure) in enumerate(zip(tracks, self._figures, strict=True))
         ]
-        self._look_at(np.concatenate([track.position_m for track in tracks]), APART_M * middle)
+        self._note = "; ".join(
+            f"{track.name} leaves the path of {ideal.name} by up to {track.farthest_from(ideal):.2f} m"
+            for track in tracks
+            if track is not ideal
+        )
 
-    def _look_at(self, places_m: np.ndarray, aside_m: float) -> None:
-        """The first view: from the south and above, all of the flights in it, on a narrow screen from farther off."""
-        centre = ned_to_mujoco((places_m.min(axis=0) + places_m.max(axis=0)) / 2)
-        reach = max(float(np.ptp(places_m, axis=0).max()) / 2 + aside_m, 3.0)
-        back = reach * np.array(FROM_BEHIND)
-        camera = self._server.initial_camera
-        camera.look_at, camera.position = tuple(centre), tuple(centre + back)
-
-        @self._server.on_client_connect
-        def _(client: ClientHandle) -> None:
-            if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
-                farther = 1.25 * back / client.camera.aspect
-                client.camera.position = centre + farther
-                client.camera.look_at = centre - np.array([0.0, 0.0, LOWER * float(np.linalg.norm(farther))])
-            if len(self._server.get_clients()) == 1:  # who comes first has missed nothing
-                self.playhead.replay()
+    def _look_at(self, tracks: Sequence[Track]) -> None:
+        """The first view: all of the flights in it or, of a long one, its beginning, with which the view goes along."""
+        places = np.concatenate([track.position_m for track in tracks])
+        reach_m = float(np.ptp(places, axis=0).max()) / 2
+        self._follows = len(tracks) == 1 and reach_m > FARTHEST_M
+        centre = places[0] if self._follows else (places.min(axis=0) + places.max(axis=0)) / 2
+        aside_m = APART_M * (len(tracks) - 1) / 2
+        self._views = Views(
+            self._server, lambda: self.playhead.replay()
+        )  # who comes first has missed nothing
+        reach_m = NEAR_M if self._follows else max(reach_m + aside_m, NEAR_M)
+        self._views.look_at(ned_to_mujoco(centre), reach_m, wide=not self._follows)
 
     def _make_controls(self, title: str) -> None:
         gui = self._server.gui
         self._clocks = gui.add_html("")
         gui.add_markdown(title)
+        if self._fly_at is not None:
+            own = f"{self.speed:g}x"
+            chosen = gui.add_dropdown(
+                "ClockSpeed", sorted({*CLOCK_SPEEDS, own}, key=_speed), initial_value=own
+            )
+            chosen.on_update(lambda _: self._want(_speed(chosen.value)))
         self._play = gui.add_button("Pause")
         self._step = gui.add_button("Step", hint=f"{STEP_S:g} simulated seconds, and pause there")
         self._replay = gui.add_button("Replay")
@@ -118,21 +127,24 @@ class Page:
     def _set_pace(self) -> None:
         self.playhead.slowness = self.speed / PACES[self._pace.value]
 
-    def _make_eyes(self) -> list[tuple[Eyes, GuiImageHandle]]:
+    def _want(self, clock_speed: float) -> None:
+        self._wanted = clock_speed
+
+    def _make_eyes(self, tracks: Sequence[Track]) -> list[tuple[Eyes, GuiImageHandle]]:
         """Pictures below the controls; none where nothing can draw."""
+        pose = pose_of(self._model, self._body)
         try:
-            eyes = [Eyes(self._world) for _ in self.drones]
+            camera = camera_of(self._model)
         except UserError as error:
             self._server.gui.add_markdown(f"No pictures: {error}")
             return []
-        blank = np.full((288, 256, 3), 246, np.uint8)
-        shown = []
-        for drone, eye in zip(self.drones, eyes, strict=True):
-            handle = self._server.gui.add_image(
-                blank, label=f"{drone.track.name}: camera, events", format="jpeg"
+        return [
+            (
+                Eyes(camera, self._data, pose),
+                self._server.gui.add_image(BLANK, label=f"{track.name}: camera, events", format="jpeg"),
             )
-            shown.append((eye, handle))
-        return shown
+            for track in tracks
+        ]
 
     def run(self) -> None:
         """Show what the playhead points to, until interrupted."""
@@ -140,6 +152,11 @@ class Page:
         while True:
             self._clock.sleep_until(before + NS_PER_S // UPDATES_PER_S)
             now = self._clock.now_ns()
+            if self._wanted is not None and self._fly_at is not None:
+                wanted, self._wanted = self._wanted, None
+                self._take(self._fly_at(wanted))
+                now = self._clock.now_ns()
+                before = now  # flying took no time of the show
             self.playhead.pass_time((now - before) / NS_PER_S)
             before = now
             self._show()
@@ -153,20 +170,24 @@ class Page:
             label = "Pause" if self.playhead.playing else "Play"
             if self._play.label != label:
                 self._play.label = label
+        if self._follows:
+            track = self.drones[0].track
+            self._views.follow(ned_to_mujoco(track.pose(track.simulated_s(wall_s))[0]))
         if self.updates % PICTURES_EVERY == 0:
             for drone, (eye, shown) in zip(self.drones, self._eyes, strict=False):
                 time_s = drone.track.simulated_s(wall_s)
-                shown.image = eye.look(*drone.track.pose(time_s), time_s)
+                place, attitude = drone.track.pose(time_s)
+                shown.image = eye.look(ned_to_mujoco(place), quaternion_ned_to_mujoco(attitude), time_s)
         self.updates += 1
 
     def _clock_table(self, wall_s: float) -> str:
-        rows = "".join(
-            f"<tr><td><b>{drone.track.name}</b></td><td style='text-align:right'>"
-            f"{drone.track.simulated_s(wall_s):.2f} s</td><td>{drone.state(wall_s)}</td></tr>"
+        lines = [
+            Line(drone.track.name, drone.track.simulated_s(wall_s), drone.height_m, drone.state(wall_s))
             for drone in self.drones
-        )
-        return (
-            "<div class='clocks' style='padding:0 1em;font-variant-numeric:tabular-nums;font-size:0.85em'>"
-            f"<p style='margin:0.3em 0'>ClockSpeed <b>{self.speed:g}x</b> &nbsp; wall clock "
-            f"<b>{1000 * wall_s:.1f} ms</b></p><table style='width:100%;line-height:1.5'>{rows}</table></div>"
-        )
+        ]
+        wall = f"{1000 * wall_s:.1f} ms" if self.playhead.end_s < 1.0 else f"{wall_s:.3f} s"
+        return clock_table(self.speed, wall, lines, self._note)
+
+
+def _speed(label: str) -> float:
+    return float(label.removesuffix("x"))

@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.film import dvs_picture
+from uavaccel.sim.camera.camera import FrontCamera, make_camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.world import World
-from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import DvsState, init_state, luma, step
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 
 LONGEST_S = 0.25  # simulated; beyond it the spectator has jumped, and the events begin anew
+PAPER = 246  # gray of a picture without events
+BLANK = np.full((2 * HEIGHT, WIDTH, 3), PAPER, np.uint8)
 
 
 class Eyes:
-    """The pictures of one drone in `world`, which nothing flies in. Raises UserError without OpenGL."""
+    """The pictures of the vehicle whose pose is `data.qpos[pose]`, in a scene in which nothing flies."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._camera = world.camera(WIDTH, HEIGHT)
+    def __init__(self, camera: FrontCamera, data: mujoco.MjData, pose: slice) -> None:
+        self._camera, self._data, self._pose = camera, data, pose
         self._sensor = make_sensor(DvsParameters(), (HEIGHT, WIDTH), seed=0)
         self._state: DvsState | None = None
         self._began_s, self._seen_s = 0.0, 0.0
-        self._events = np.full((HEIGHT, WIDTH, 3), 246, np.uint8)
+        self._events = BLANK[:HEIGHT]
 
     def look(
-        self, position_m: NDArray[np.float64], orientation_wxyz: NDArray[np.float64], time_s: float
+        self, place: NDArray[np.float64], attitude: NDArray[np.float64], time_s: float
     ) -> NDArray[np.uint8]:
-        """Camera above, events since the last look below; red, green, blue."""
-        lead, data = self._world.lead, self._world.data
-        lead.qpos[:3], lead.qpos[3:] = ned_to_mujoco(position_m), quaternion_ned_to_mujoco(orientation_wxyz)
-        picture = self._camera.colour(data)
+        """Camera above, events since the last look below; red, green, blue. The pose is in MuJoCo's frame."""
+        self._data.qpos[self._pose] = [*place, *attitude]
+        picture = self._camera.colour(self._data)
         self._see(luma(picture), time_s)
         return np.vstack([picture, self._events])
 
@@ -46,3 +46,8 @@ class Eyes:
         else:
             self._state, self._began_s = init_state(self._sensor, frame), time_s
         self._seen_s = time_s
+
+
+def camera_of(model: mujoco.MjModel) -> FrontCamera:
+    """Make the first vehicle's front camera, 256 x 144 pixels. Raises UserError without OpenGL."""
+    return make_camera(model, WIDTH, HEIGHT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import cv2
@@ -9,14 +10,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.lane.scene import LOOKS_GROUP
+
 if TYPE_CHECKING:
     import trimesh
     from viser import ViserServer
 
-SHOWN_GROUPS = 3  # MuJoCo draws groups 0 to 2; hulls are in 3
+SHOWN_GROUPS = (0, 1, 2, LOOKS_GROUP)  # those that MuJoCo draws, and a scenery's looks; hulls are in 3
+DEEPEST_M = 50.0  # below the ground lies what a scene keeps for later
 GROUND_PIXELS = 2048
 PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end
 ROTOR_SECTIONS = 40
+SURROUNDINGS = "/surroundings"
 ZENITH, HORIZON = (120, 165, 215), (229, 238, 250)
 Geom = mujoco.mjtGeom
 
@@ -25,9 +30,7 @@ def light_up(server: ViserServer) -> None:
     """Sky, sun and the sky's own light; without shadows and light from a picture, which need a GPU."""
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(enabled=False)
-    server.scene.add_light_hemisphere(
-        "/light/sky", sky_color=HORIZON, ground_color=(110, 115, 105), intensity=2.2
-    )
+    server.scene.add_light_ambient("/light/sky", color=HORIZON, intensity=1.4)
     server.scene.add_light_directional("/light/sun", intensity=2.4, position=(-30.0, -40.0, 60.0))
     share = np.linspace(0.0, 1.0, 64)[:, None, None]
     sky = (1.0 - share) * np.array(ZENITH) + share * np.array(HORIZON)
@@ -35,31 +38,35 @@ def light_up(server: ViserServer) -> None:
 
 
 def show_surroundings(server: ViserServer, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """All that is not the vehicle, where `data` has it: one mesh, and a picture for each textured plane."""
-    shown = [
-        g for g in range(model.ngeom) if model.geom_group[g] < SHOWN_GROUPS and not _of_vehicle(model, g)
-    ]
+    """All that is not a vehicle, where `data` has it: one mesh, and a picture for each textured plane.
+
+    What an earlier call has shown is removed.
+    """
+    server.scene.remove_by_name(SURROUNDINGS)
+    server.scene.add_frame(SURROUNDINGS, show_axes=False)
     solids = []
-    for geom in shown:
+    for geom in range(model.ngeom):
         turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        if not _is_drawn(model, geom) or _of_vehicle(model, geom) or place[2] < -DEEPEST_M:
+            continue
         if model.geom_type[geom] == Geom.mjGEOM_PLANE:
             _show_plane(server, model, geom, place)
         elif (mesh := geom_mesh(model, geom)) is not None:
-            solids.append(_placed(mesh, turn, place))
-    if solids:
-        server.scene.add_mesh_trimesh("/scene", _joined(solids))
+            solids.append((colour_of(model, geom), _placed(mesh, turn, place)))
+    _show_solids(server, f"{SURROUNDINGS}/solids", solids)
 
 
-def show_drone(server: ViserServer, name: str, model: mujoco.MjModel) -> None:
-    """The vehicle's own geoms, below the frame `name`."""
+def show_drone(server: ViserServer, name: str, model: mujoco.MjModel, body: int) -> None:
+    """A vehicle's own geoms, below the frame `name`."""
     parts = []
     for geom in range(model.ngeom):
-        mesh = geom_mesh(model, geom) if _of_vehicle(model, geom) else None
-        if mesh is not None and model.geom_group[geom] < SHOWN_GROUPS:
+        mesh = geom_mesh(model, geom) if model.geom_bodyid[geom] == body else None
+        if mesh is not None and _is_drawn(model, geom):
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-            parts.append(_placed(mesh, turn.reshape(3, 3), model.geom_pos[geom]))
-    server.scene.add_mesh_trimesh(f"{name}/body", _joined(parts))
+            placed = _placed(mesh, turn.reshape(3, 3), model.geom_pos[geom])
+            parts.append((colour_of(model, geom), placed))
+    _show_solids(server, f"{name}/body", parts)
 
 
 def colour_of(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
@@ -85,7 +92,7 @@ def texture_of(model: mujoco.MjModel, material: int) -> NDArray[np.uint8] | None
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """A geom's surface in its own frame, in its colour; None of kinds that are not drawn."""
+    """A geom's surface in its own frame; None of kinds that are not drawn."""
     import trimesh
 
     kind, (a, b, c) = model.geom_type[geom], model.geom_size[geom].tolist()
@@ -103,11 +110,6 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
         mesh = _own_mesh(model, int(model.geom_dataid[geom]))
     else:
         return None
-    if kind in (Geom.mjGEOM_BOX, Geom.mjGEOM_CYLINDER):
-        mesh.unmerge_vertices()  # else their edges would be shaded round
-    mesh.visual = trimesh.visual.ColorVisuals(
-        mesh, vertex_colors=np.tile([*colour_of(model, geom), 255], (len(mesh.vertices), 1))
-    )
     return mesh
 
 
@@ -121,6 +123,26 @@ def _own_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
     )
 
 
+def pose_of(model: mujoco.MjModel, body: int) -> slice:
+    """Where MuJoCo's `qpos` has place and attitude of a vehicle."""
+    first = int(model.jnt_qposadr[model.body_jntadr[body]])
+    return slice(first, first + 7)
+
+
+def ground_below(
+    model: mujoco.MjModel, data: mujoco.MjData, place: NDArray[np.float64], body: int
+) -> float | None:
+    """The height of what is straight below a place, the vehicle's own body left out; None where nothing is."""
+    hit = np.zeros(1, np.int32)
+    down = np.array([0.0, 0.0, -1.0])
+    metres = mujoco.mj_ray(model, data, place, down, None, 1, body, hit)
+    return None if metres < 0.0 else float(place[2] - metres)
+
+
+def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_group[geom] in SHOWN_GROUPS
+
+
 def _of_vehicle(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.body_dofnum[model.geom_bodyid[geom]])
 
@@ -131,18 +153,27 @@ def _placed(mesh: trimesh.Trimesh, turn: NDArray[np.float64], place: NDArray[np.
     return mesh.apply_transform(pose)
 
 
-def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def _show_solids(
+    server: ViserServer, name: str, solids: Sequence[tuple[NDArray[np.uint8], trimesh.Trimesh]]
+) -> None:
+    """Show coloured surfaces, one mesh for each colour."""
     import trimesh
 
-    joined = trimesh.util.concatenate(meshes)
-    assert isinstance(joined, trimesh.Trimesh)
-    return joined
+    by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
+    for colour, mesh in solids:
+        by_colour.setdefault(tuple(colour.tolist()), []).append(mesh)
+    for number, ((red, green, blue), meshes) in enumerate(by_colour.items()):
+        joined = trimesh.util.concatenate(meshes)
+        assert isinstance(joined, trimesh.Trimesh)
+        server.scene.add_mesh_simple(
+            f"{name} {number}", joined.vertices, joined.faces, color=(red, green, blue), flat_shading=True
+        )
 
 
 def _show_plane(server: ViserServer, model: mujoco.MjModel, geom: int, place: NDArray[np.float64]) -> None:
     half_x, half_y = (float(half) or PLANE_M for half in model.geom_size[geom][:2])
     server.scene.add_image(
-        f"/plane{geom}",
+        f"{SURROUNDINGS}/plane{geom}",
         plane_picture(model, geom),
         2 * half_x,
         2 * half_y,

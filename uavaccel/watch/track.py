@@ -18,7 +18,7 @@ class Track:
     """n samples and c commands of one flight; times in seconds, places in metres NED, attitudes wxyz.
 
     `marks` (m, 2) pairs seconds of the client's wall clock with simulated seconds; between two of them simulated time
-    passes evenly. `velocities` are the commands', in m/s; empty where nobody kept them.
+    passes evenly. `velocities` are the commands', in m/s; None, or fewer, where nobody kept them.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Track:
     command_start_s: Floats
     command_end_s: Floats
     marks: Floats
-    velocities: Sequence[Vector] = ()
+    velocities: Sequence[Vector | None] = ()
 
     @property
     def wall_s(self) -> float:
@@ -50,6 +50,11 @@ class Track:
         # q and -q are one attitude: the nearer of them
         turned = (1.0 - share) * earlier + share * (later if earlier @ later >= 0.0 else -later)
         return np.array(place), turned / np.linalg.norm(turned)
+
+    def farthest_from(self, other: Track) -> float:
+        """The longest way, in metres, from a place of this flight to the nearest one of another's."""
+        apart = self.position_m[:, None] - other.position_m[None]
+        return float(np.sqrt((apart**2).sum(axis=2).min(axis=1).max()))
 
     def command(self, time_s: float) -> int | None:
         """The command that is flown at a simulated time; None between commands, while the client thinks."""

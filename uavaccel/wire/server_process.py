@@ -19,6 +19,7 @@ from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
+from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.server import Server
 
 
@@ -48,7 +49,9 @@ def ready_simulation(
     world.advance(1)  # compiles the hot loop, or loads it
     world.reset()
     gc.freeze()  # what is loaded by now stays; collecting it again would delay the clock
-    return Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
+    simulation = Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
+    show_on_page(simulation, may_hold=False)
+    return simulation
 
 
 if __name__ == "__main__":

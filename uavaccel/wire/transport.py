@@ -19,6 +19,7 @@ from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
+from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, ServerSilence, WatchedServer
@@ -348,10 +349,12 @@ class VirtualTransport(Transport):
 def modelled_simulation(world: World, clock_speed: float, latency: Latency) -> Simulation:
     """A settled hover with the clock running and API control off, on the simulator side that `latency` models."""
     platform = latency.platform
-    return Simulation(
+    simulation = Simulation(
         world,
         clock_speed,
         timer_lateness_ns=latency.timer_ns,
         executor=platform.executor(),
         frames=platform.new_frames(latency.frame_ns),
     )
+    show_on_page(simulation, may_hold=True)
+    return simulation

@@ -1,7 +1,7 @@
 """An evaluation's game flown once more, by the actions of its row, to see what no run keeps: observations and rewards.
 
 In `virtual` and `lockstep` a game repeats to the byte. The row that the second flight makes has to equal the recorded
-one; another version of the simulator, or another policy's row, is refused instead of exported.
+one; another version of the simulator, or another policy's row, is refused.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def evaluation_of(run: RunDirectory, what: str) -> EvaluateConfig:
     suite = run.config().get("suite")
     if suite != "evaluate":
         raise UserError(
-            f"{run.path}: a run of {suite} keeps no actions {what}; evaluate a policy, and export that"
+            f"{run.path}: a run of {suite} keeps no actions {what}; evaluate a policy, and take that"
         )
     config = validate(EvaluateConfig, run.config(), str(run.path / "config.yaml"))
     if config.task.timing == "wall":
@@ -104,7 +104,7 @@ def _check_same(run: RunDirectory, row: EvaluateRow, flown: EvaluateRow) -> None
     if differing:
         raise UserError(
             f"{run.path / 'rows.jsonl'}: {row['case']}: flown again it differs in {', '.join(differing)}; "
-            "export with the version of uavaccel and on the kind of machine that manifest.json names"
+            "take the version of uavaccel and the kind of machine that manifest.json names"
         )
 
 

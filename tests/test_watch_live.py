@@ -1,0 +1,348 @@
+"""--watch: a running flight on a page: it is shown, held, let go, and not changed by any of that."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.learning import tiny_config, train_into
+from tests.running import configured, run_into
+from tests.test_watch import CHROMIUM, FLAGS, simulated_s
+from uavaccel.cli.run import RunRequest, run_experiment
+from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UsageError
+from uavaccel.fly.options import FlightOptions
+from uavaccel.fly.runs import fly
+from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.watch import beside
+from uavaccel.watch.beside import PageAddress, page_beside, parse_address
+from uavaccel.watch.feed import Feed, Source
+from uavaccel.wire.broadcast import LOOK_NS
+from uavaccel.wire.page_protocol import FREE, PAGE, Orders
+from uavaccel.wire.session import open_session
+
+HELD: Orders = {"seen": True, "held": True, "pace": 1.0, "looks": 0}
+LOOK_S = 16 * 0.002  # 16 ticks, the whole number nearest to LOOK_NS
+SCRIPT = """
+import airsim
+client = airsim.MultirotorClient()
+client.enableApiControl(True)
+client.moveByVelocityAsync(2, 0, 0, 3).join()
+client.reset()
+client.enableApiControl(True)
+client.moveByVelocityAsync(0, 2, -1, 3).join()
+"""
+
+
+@pytest.fixture
+def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Feed]:
+    """The page's ear, to which every simulation of this process speaks."""
+    path = tmp_path / "page"
+    listening = Feed(path)
+    monkeypatch.setenv(PAGE, str(path))
+    yield listening
+    listening.close()
+
+
+def flown(timing: str = "lockstep") -> dict[str, np.ndarray]:
+    """Two commands of 2 s each."""
+    with open_session(timing) as session:
+        client, command = session.start_game(10.0), COMMANDS["tcsc"]
+        command.begin(client)
+        for velocity in ((2.0, 0.0, 0.0), (0.0, 2.0, -1.0)):
+            list(command.fly(client, VelocityGoal(velocity), 2.0, 2.0))
+        return client.recording().arrays()
+
+
+class Flight:
+    """A flight in a thread, and what the page has heard of it."""
+
+    def __init__(self, feed: Feed, first: Orders) -> None:
+        self.feed, self.arrays = feed, dict[str, np.ndarray]()
+        self._thread = threading.Thread(target=lambda: self.arrays.update(flown()))
+        self._thread.start()
+        while not feed.sources:
+            feed.listen(0.0)
+        self.source: Source = feed.sources[0]
+        self.source.order(first)
+
+    def heard(self, seconds: float = 0.3) -> list[float]:
+        """The simulated times of the looks that come until `seconds` pass without one, or the flight has ended."""
+        times: list[float] = []
+        silent = threading.Event()
+        left = round(seconds / 0.02)
+        while left and not silent.wait(0.02):
+            self.feed.listen(0.02)
+            times += [moment.time_s for moment in self.source.moments]
+            left = round(seconds / 0.02) if self.source.moments else left - 1
+        return times
+
+    def end(self) -> dict[str, np.ndarray]:
+        self.source.order(FREE)
+        self._thread.join()
+        return self.arrays
+
+
+def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Feed) -> None:
+    assert round(LOOK_NS / 2_000_000) * 0.002 == LOOK_S
+    flight = Flight(feed, HELD)
+    assert flight.heard() == [LOOK_S]
+    assert flight.heard() == []
+    flight.source.let_pass(3)
+    assert flight.heard()[-1] == pytest.approx(4 * LOOK_S)
+    arrays = flight.end()
+    alone = flown()
+    assert {name: array.tobytes() for name, array in arrays.items()} == {
+        name: array.tobytes() for name, array in alone.items()
+    }
+
+
+def test_a_look_tells_clocks_pose_and_command(feed: Feed) -> None:
+    flight = Flight(feed, {**HELD, "pace": None, "looks": 40})
+    flight.heard()
+    flight.source.let_pass(1)
+    while not flight.source.moments:
+        flight.feed.listen(0.0)
+    moment = flight.source.moments[-1]
+    arrays = flight.end()
+    row = int(np.searchsorted(arrays["time_s"], moment.time_s))
+    between = arrays["position_m"][row - 1 : row + 1, 0]
+    assert between.min() <= moment.poses[0, 0] <= between.max()
+    assert (moment.may_hold, moment.clock_speed) == (True, 10.0)
+    assert moment.wall_s == pytest.approx(moment.time_s / 10.0)
+    assert (moment.commanded, moment.towards) == ((True,), ((2.0, 0.0, 0.0),))
+    assert flight.source.scene is not None
+    assert list(flight.source.scene.bodies) == ["SimpleFlight"]
+
+
+def test_a_flight_goes_on_when_the_page_has_gone(feed: Feed) -> None:
+    flight = Flight(feed, HELD)
+    flight.heard()
+    feed.close()
+    assert len(flight.end()["time_s"]) > 80
+
+
+def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
+    keys: dict[str, Any] = {"observation": "state", "timing": "lockstep"}
+
+    def fly_lanes() -> None:
+        with contextlib.closing(ObstacleLane(**keys)) as environment:
+            for lane in (3, 4):
+                environment.reset(seed=lane, options={"lane": lane})
+                environment.step(2)
+
+    thread = threading.Thread(target=fly_lanes)
+    thread.start()
+    flights, scenes = set(), []
+    while thread.is_alive() or feed.sources[0].moments:
+        feed.listen(0.0)
+        for source in feed.sources:
+            source.order({**HELD, "held": False, "pace": 20.0})
+            flights |= {moment.flight for moment in source.moments}
+            if source.scene is not None and source.scene not in scenes:
+                scenes.append(source.scene)
+    thread.join()
+    assert len(flights) == 2
+    places = {scene.data.geom_xpos.tobytes() for scene in scenes}
+    assert len(places) >= 2  # each lane has its own obstacles
+
+
+@pytest.mark.wall_clock
+def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Feed) -> None:
+    thread = threading.Thread(target=lambda: flown(timing="wall"))
+    thread.start()
+    heard = []
+    while thread.is_alive():
+        feed.listen(0.0)
+        for source in feed.sources:
+            source.order(HELD)
+            heard += source.moments
+    thread.join()
+    assert heard
+    assert not any(moment.may_hold for moment in heard)
+    assert max(moment.time_s for moment in heard) > 2.0
+
+
+@pytest.mark.slow
+def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: Path) -> None:
+    config = tiny_config({"observation": "state"}, environments=2, mirror=False)
+    thread = threading.Thread(target=lambda: train_into(tmp_path / "run", config))
+    thread.start()
+    speaking = set()
+    while thread.is_alive():
+        feed.listen(0.0)
+        speaking |= {id(source) for source in feed.sources if source.moments}
+    thread.join()
+    assert len(speaking) >= 2
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+class Speaker:
+    """A flight of which only its socket exists."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.connect(str(path))
+
+    def end(self) -> None:
+        self._socket.close()
+
+
+def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(tmp_path: Path) -> None:
+    with contextlib.closing(Feed(tmp_path / "page", patience_s=1.0)) as feed:
+        speakers = [Speaker(tmp_path / "page") for _ in range(2)]
+        feed.listen(0.1)
+        feed.listen(0.1)
+        first, second = feed.sources
+
+        def speak(*sources: Source) -> None:
+            for source in (first, second):
+                source.moments = [object()] if source in sources else []  # type: ignore[list-item]
+
+        for spoke, shown in (([first, second], first), ([second], first), ([second], first)):
+            speak(*spoke)
+            feed.choose(0.4)
+            assert feed.shown is shown
+        feed.forgive()  # it was held
+        for shown in (first, first, second):
+            speak(second)
+            feed.choose(0.4)
+            assert feed.shown is shown
+        speakers[1].end()
+        feed.listen(0.1)
+        assert feed.sources == [first]
+        assert feed.shown is None
+        speakers[0].end()
+
+
+@pytest.mark.slow
+def test_watching_changes_no_byte_of_runs_and_scripts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs in this process and in two workers, an evaluation, and a script in a process of its own."""
+    monkeypatch.setattr(beside, "FIRST_LOOK_S", 0.0)
+    squares = configured(
+        "dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3
+    )
+    lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    options = FlightOptions(tmp_path / "script.py", (), tmp_path, clock_speed=10.0, scratch=tmp_path)
+
+    def all_bytes(name: str, jobs: int) -> dict[str, bytes]:
+        out = tmp_path / name
+        run_into(out / "dp1", Dp1(), squares, jobs=jobs)
+        run_into(out / "evaluate", Evaluation(), lanes)
+        flight = FlightOptions(**{**vars(options), "folder": out / "fly"})
+        assert fly(flight, quiet=True).status == 0
+        kept = ("rows.jsonl", "summary.json", "*.npz", "messages.jsonl", "trajectory.csv")
+        files = [file for pattern in kept for file in sorted(out.rglob(pattern))]
+        return {str(file.relative_to(out)): file.read_bytes() for file in files}
+
+    alone = all_bytes("alone", jobs=1)
+    with page_beside(PageAddress(port=18090)):
+        watched = all_bytes("watched", jobs=2)
+    assert PAGE not in os.environ
+    assert len(alone) > 10
+    assert watched == alone
+
+
+@pytest.mark.parametrize(
+    ("watch", "address", "asked"),
+    [
+        (False, None, None),
+        (True, None, PageAddress("127.0.0.1", 8080)),
+        (False, "0.0.0.0", PageAddress("0.0.0.0", 8080)),
+        (False, ":9000", PageAddress("127.0.0.1", 9000)),
+        (True, "10.0.0.2:9000", PageAddress("10.0.0.2", 9000)),
+    ],
+)
+def test_the_page_is_on_loopback_unless_told_otherwise(
+    watch: bool, address: str | None, asked: PageAddress | None
+) -> None:
+    assert parse_address(watch, address) == asked
+
+
+@pytest.mark.parametrize("address", ["host:", "host:http", ":0", ":65536"])
+def test_an_address_without_a_port_is_refused(address: str) -> None:
+    with pytest.raises(UsageError, match=r"--watch-at .*HOST:PORT"):
+        parse_address(True, address)
+
+
+@pytest.mark.parametrize(
+    ("engine", "overrides", "said"),
+    [("loky", ["simulator=kernels"], "--set simulator=mujoco"), ("ray", [], "--engine")],
+)
+def test_what_cannot_be_watched_is_refused(
+    engine: str, overrides: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaccel.cli.run.check_engine", lambda _: None)
+    request = RunRequest("evaluate", {}, overrides, out=tmp_path / "run", engine=engine, page=PageAddress())
+    with pytest.raises(UsageError, match=f"--watch: .*{said}"):
+        run_experiment(request)
+    assert not (tmp_path / "run").exists()
+
+
+@contextlib.contextmanager
+def commanded(folder: Path, *arguments: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A command with a page, and the page's address."""
+    command = [sys.executable, "-m", "uavaccel", *arguments]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line.startswith("watch at http://127.0.0.1:"), line
+            yield line.split()[2].rstrip(";"), process
+        finally:
+            process.send_signal(signal.SIGINT)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
+def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_the_machines(
+    tmp_path: Path,
+) -> None:
+    from playwright.sync_api import sync_playwright
+
+    (tmp_path / "script.py").write_text(SCRIPT)
+    scripted = ("fly", "--no-settings", "--watch-at", ":18091", "--out", "flight", "script.py")
+    served = ("serve", "--port", "0", "--watch-at", ":18092")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 720})
+        page.set_default_timeout(120_000)
+        clocks = page.locator(".clocks")
+        with commanded(tmp_path, *scripted) as (address, process):
+            page.goto(address)
+            page.get_by_role("button", name="Pause").click()
+            page.get_by_role("button", name="Play", exact=True).wait_for()
+            clocks.get_by_text("Paused.").wait_for()
+            before = simulated_s(clocks.inner_text())
+            page.get_by_role("button", name="Step", exact=True).click()
+            page.wait_for_timeout(1000)
+            clocks.get_by_text("Paused.").wait_for()
+            assert simulated_s(clocks.inner_text()) - before == pytest.approx(LOOK_S, abs=0.011)
+            page.get_by_role("button", name="Play", exact=True).click()
+            said, _ = process.communicate(timeout=300)
+            assert "5 calls" in said
+        assert (tmp_path / "flight" / "trajectory.npz").exists()
+        with commanded(tmp_path, *served) as (address, process):
+            page.goto(address)
+            page.get_by_text("Cannot be paused here").wait_for()
+            assert page.get_by_role("button", name="Pause").is_disabled()
+            before = simulated_s(clocks.inner_text())
+            page.wait_for_timeout(1000)
+            assert simulated_s(clocks.inner_text()) > before
+        browser.close()

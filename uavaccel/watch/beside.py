@@ -1,0 +1,95 @@
+"""A page beside a command: its process, which the command starts, and the line that says where it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from select import select
+from typing import IO
+
+from uavaccel.child import end_within, start_python
+from uavaccel.errors import UsageError, UserError
+from uavaccel.watch.server import check_viser
+from uavaccel.wire.page_protocol import PAGE
+
+LOOPBACK = "127.0.0.1"
+PORT = 8080
+FIRST_LOOK_S = 30.0  # for so long a flight waits for its first spectator
+START_S, END_S = 60.0, 3.0
+
+
+@dataclass(frozen=True)
+class PageAddress:
+    """Where the page is; of ports the first that is free from `port` on."""
+
+    host: str = LOOPBACK
+    port: int = PORT
+
+
+def parse_address(watch: bool, address: str | None) -> PageAddress | None:
+    """The address of --watch and --watch-at HOST, :PORT or HOST:PORT; None without a page. Raises UsageError."""
+    if address is None:
+        return PageAddress() if watch else None
+    host, colon, port = address.rpartition(":") if ":" in address else (address, "", "")
+    if colon and not (port.isdecimal() and 0 < int(port) < 1 << 16):
+        raise UsageError(f"--watch-at {address}: should be HOST, :PORT or HOST:PORT, as in 127.0.0.1:8080")
+    return PageAddress(host or LOOPBACK, int(port) if port else PORT)
+
+
+@contextmanager
+def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[None]:
+    """Show what is flown in the `with` block, in this process and in those it starts; nothing without an address.
+
+    With `waits` the block begins when a browser has opened the page, or after FIRST_LOOK_S. Raises UserError where the
+    page cannot be opened.
+    """
+    if address is None:
+        yield
+        return
+    check_viser()
+    with tempfile.TemporaryDirectory(prefix="uavaccel-watch-", ignore_cleanup_errors=True) as folder:
+        socket = Path(folder, "page")
+        options = {
+            "host": address.host,
+            "port": address.port,
+            "socket": str(socket),
+            "title": f"`uavaccel {shlex.join(sys.argv[1:]).replace('`', '')}`",
+            "parent": os.getpid(),
+        }
+        command = ("-m", "uavaccel.watch.live", json.dumps(options))
+        with start_python(*command, stdout=subprocess.PIPE, own_session=False) as process:
+            assert process.stdout is not None
+            try:
+                _greet(address.host, _port_of(process.stdout), waits)
+                if waits and _within(process.stdout, FIRST_LOOK_S):
+                    process.stdout.readline()
+                os.environ[PAGE] = str(socket)
+                yield
+            finally:
+                os.environ.pop(PAGE, None)
+                process.terminate()
+                end_within(process, END_S)
+
+
+def _within(stream: IO[bytes], seconds: float) -> bool:
+    return bool(select([stream], [], [], seconds)[0])
+
+
+def _port_of(stream: IO[bytes]) -> int:
+    line = stream.readline() if _within(stream, START_S) else b""
+    if not line:
+        raise UserError("--watch: the page could not be opened; see above")
+    return int(json.loads(line)["port"])
+
+
+def _greet(host: str, port: int, waits: bool) -> None:
+    begins = f"the flight begins when it is opened, or in {FIRST_LOOK_S:g} s" if waits else "Ctrl-C ends"
+    print(f"watch at http://{host}:{port}; {begins}", flush=True)

@@ -1,0 +1,38 @@
+"""The page's web server, viser's, which is imported when a page is opened."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING
+
+from uavaccel.errors import UserError
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+MISSING = "watch: needs the package viser: pip install 'uavaccel[watch]'"
+UPDATES_PER_S = 30
+PICTURES_EVERY = 3  # updates
+BRAND = (0, 114, 178)
+
+
+def check_viser() -> None:
+    """Raise UserError where viser is missing."""
+    if importlib.util.find_spec("viser") is None:
+        raise UserError(MISSING)
+
+
+def open_server(host: str, port: int) -> ViserServer:
+    """Open a page, without a word, at the first free port from `port` on. Raises UserError where viser is missing."""
+    check_viser()
+    import viser
+
+    with redirect_stdout(io.StringIO()):  # it greets, even where it is asked to be silent
+        server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
+    server.gui.configure_theme(
+        control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
+    )
+    server.gui.set_panel_label("uavaccel watch")
+    return server
