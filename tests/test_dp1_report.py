@@ -28,8 +28,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.cell_figures import accuracy_figure, speedup_figure
 from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
 from uavaccel.suites.dp1.report import Dp1Report, table
-from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.summary import summarise
+from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells, summarise
 from uavaccel.suites.dp1.trellis import trellis_figure
 
 FIGURES = (

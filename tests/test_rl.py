@@ -26,8 +26,9 @@ from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
 from uavaccel.suites.parts import Part, part_suite
 from uavaccel.suites.rl.cases import EXACT, cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.figures import plot_training_time
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
-from uavaccel.suites.rl.plots import plot_training_time
+from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import KEY, gap_s, summarise
 
@@ -563,7 +564,7 @@ def table_below(page: str, heading: str) -> list[dict[str, str]]:
     return [dict(zip(numbered, line, strict=True)) for line in cells]
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     """Hours of hours, minutes of minutes, the test over seeds and McNemar's each in its own."""
     run = RunDirectory.create(tmp_path / "run", small(), {})
@@ -628,7 +629,14 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
     return run
 
 
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run `whole` draws them."""
+    monkeypatch.setattr(RlReport, "figures", lambda _: [])
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
     assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]

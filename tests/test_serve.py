@@ -165,7 +165,7 @@ def test_options_go_before_settings(tmp_path: Path) -> None:
 
 def test_wind_and_recorder_reach_the_simulation() -> None:
     settings = Settings.model_validate({"Wind": {"X": 2}, "Recording": {"RecordInterval": 0.2}})
-    simulation = simulation_of(ServeOptions(), settings, 1.0)
+    simulation = simulation_of(ServeOptions(clock_speed=1.0), settings)
     assert simulation.world.lead.state["wind"].tolist() == [2.0, 0.0, 0.0]
     assert simulation.profile.recorder_ticks == 100
 

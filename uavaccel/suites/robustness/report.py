@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +18,7 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.evaluation.parts import PolicyRow, agent_name
 from uavaccel.suites.experiment import CommandName
 from uavaccel.suites.report import Report, Summary, SummaryCell, Values
-from uavaccel.suites.rows import Row
+from uavaccel.suites.rows import Row, grouped, subset
 
 COLOURS = "cividis"  # which the common colour-vision deficiencies keep apart
 
@@ -45,7 +47,9 @@ def plot_success_maps(maps: Mapping[str, SuccessMap], fitted: float, title: str,
             axes.set_xlabel("ClockSpeed")
             axes.grid(visible=False)
             if fitted in scales:
-                axes.add_patch(_frame(scales.index(fitted), len(clocks)))
+                corner = -0.5, scales.index(fitted) - 0.5
+                frame: dict[str, Any] = {"fill": False, "edgecolor": style.VERMILION, "linewidth": 2.0}
+                axes.add_patch(Rectangle(corner, len(clocks), 1.0, **frame))
         row[0].set_ylabel("latency, times the fitted one")
         figure.colorbar(image, ax=list(row), label="success", fraction=0.04)
         return figure
@@ -59,20 +63,8 @@ def _write_success(axes: Axes, panel: SuccessMap, scales: Sequence[float], clock
             f"{success.ratio:.0%}", place, ha="center", va="bottom", color=colour, fontweight="bold"
         )
         interval = "–".join(f"{100 * end:.0f}" for end in success.interval)
-        axes.annotate(
-            interval,
-            place,
-            (0, -2),
-            textcoords="offset points",
-            ha="center",
-            va="top",
-            color=colour,
-            fontsize=7,
-        )
-
-
-def _frame(row: int, columns: int) -> Rectangle:
-    return Rectangle((-0.5, row - 0.5), columns, 1.0, fill=False, edgecolor=style.VERMILION, linewidth=2.0)
+        below: dict[str, Any] = {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 7}
+        axes.annotate(interval, place, ha="center", color=colour, **below)
 
 
 FITTED = 1.0
@@ -134,22 +126,12 @@ class RobustnessRow(PolicyRow):
 
 def summarise(config: Row, rows: Sequence[RobustnessRow]) -> Summary:
     """Summarise each cell with its interval, and the latencies between which each command and ClockSpeed collapses."""
-    cells: list[Values] = [
-        {
-            "command": row["command"],
-            "clock_speed": row["clock_speed"],
-            "latency_scale": row["latency_scale"],
-            "distance_m_median": row["distance_m_median"],
-            **Proportion.of(row).as_summary(),
-        }
-        for row in rows
-    ]
+    kept = ("command", "clock_speed", "latency_scale", "distance_m_median")
+    cells = [subset(row, *kept) | Proportion.of(row).as_summary() for row in rows]
     pairs = sorted({(cell["command"], cell["clock_speed"]) for cell in cells})
     return {
         "suite": "robustness",
-        "agent": config["agent"],
-        "profile": config["profile"],
-        "seed": config["seed"],
+        **subset(config, "agent", "profile", "seed"),
         "cells": cells,
         "collapses": [collapse(cells, *pair) for pair in pairs],
     }
@@ -181,11 +163,11 @@ def collapse(cells: Sequence[SummaryCell], command: str, clock_speed: float) -> 
 
 def maps(cells: Sequence[SummaryCell]) -> dict[str, SuccessMap]:
     """Return the cells as the figure takes them, ADSC first."""
-    found: dict[str, dict[tuple[float, float], Proportion]] = {}
-    for cell in sorted(cells, key=lambda cell: str(cell["command"])):
-        panel = found.setdefault(command_name(cell["command"]), {})
-        panel[cell["latency_scale"], cell["clock_speed"]] = Proportion.of(cell)
-    return dict(found)
+    by_command = grouped(sorted(cells, key=itemgetter("command")), lambda cell: command_name(cell["command"]))
+    return {
+        name: {(cell["latency_scale"], cell["clock_speed"]): Proportion.of(cell) for cell in own}
+        for name, own in by_command.items()
+    }
 
 
 def table(summary: Summary) -> Table:

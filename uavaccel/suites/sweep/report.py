@@ -18,7 +18,7 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import PolicyRow, agent_name
 from uavaccel.suites.report import Report, Summary
-from uavaccel.suites.rows import Row
+from uavaccel.suites.rows import Row, grouped
 from uavaccel.suites.sweep.config import value_text
 
 COLUMNS = 3
@@ -159,12 +159,11 @@ def as_trained(summary: Summary) -> float | None:
 
 def swept(summary: Summary) -> dict[str, dict[str, Proportion]]:
     """Return the success by condition and value, as the figure takes it."""
-    sweeps: dict[str, dict[str, Proportion]] = {}
-    for cell in summary["cells"]:
-        if cell["condition"]:
-            values = sweeps.setdefault(_name(cell["condition"]), {})
-            values[value_text(cell["value"])] = Proportion.of(cell)
-    return sweeps
+    departed = [cell for cell in summary["cells"] if cell["condition"]]
+    return {
+        name: {value_text(cell["value"]): Proportion.of(cell) for cell in own}
+        for name, own in grouped(departed, lambda cell: _name(cell["condition"])).items()
+    }
 
 
 def table(summary: Summary) -> Table:
