@@ -54,7 +54,6 @@ class Latencies:
         }
 
     def counts(self) -> str:
-        """Return the numbers of samples in words."""
         request, reply = (
             sum(len(each) for name, each in samples.items() if "@" not in name)
             for samples in (self.request, self.reply)

@@ -103,7 +103,6 @@ def bench_on_cores() -> Iterator[Measurement]:
 
 
 def _tick_s() -> float:
-    """Return the seconds of a tick."""
     bare = one_lane(LaneTask(**NONE_SEEN))
 
     def fly(ticks: int) -> None:

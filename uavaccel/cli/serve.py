@@ -111,7 +111,6 @@ def draw_once(api: Api) -> None:
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:
-    """Return the folder for recordings: AirSim's, unless another one is given."""
     given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
     return given or Path.home() / "Documents" / "AirSim"
 
@@ -220,6 +219,5 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def add(one: Speed, other: Speed) -> Speed:
-    """Return the sum of two measurements of speed."""
     simulated_ns, wall_ns = one.simulated_ns + other.simulated_ns, one.wall_ns + other.wall_ns
     return Speed(simulated_ns, wall_ns, one.lost_wall_ns + other.lost_wall_ns)

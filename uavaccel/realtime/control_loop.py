@@ -194,7 +194,6 @@ class Extras:
         self._latest = deque([np.zeros(self._size)] * self._count, maxlen=self._count)
 
     def note(self, action: Action) -> None:
-        """Record an action."""
         if self._count:
             self._latest.append(np.asarray(spaces.flatten(self._action, action), float))
 

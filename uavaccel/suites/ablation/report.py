@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
@@ -24,6 +23,11 @@ from uavaccel.suites.rows import grouped
 
 _LINES = {"adsc": "-", "tcsc": "--"}
 SETTING = itemgetter("command", "clock_speed")
+LABELS = {
+    "stlc": "STLC, median",
+    "position_rmse_m": "position error, m (RMSE, median)",
+    "speedup": "effective speed-up",
+}
 
 
 @dataclass(frozen=True)
@@ -62,54 +66,33 @@ def _place(name: str, factor: float) -> float | str:
 
 def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source: str) -> Figure:
     """Plot STLC, position error and speed-up in three panels; places that are numbers are on a logarithmic axis."""
+    places = [place for curve in curves for place in curve.places]
+    numbers, names = (
+        [each for each in places if isinstance(each, float)],
+        list(dict.fromkeys(map(str, places))),
+    )
+    numeric = len(numbers) == len(places)
     with style.project_style():
         figure = style.new_figure(12, 4.2, title, source)
         panels = figure.subplots(1, 3)
         clocks = sorted({curve.clock_speed for curve in curves})
-        for axes, name, label in zip(
-            panels,
-            ("stlc", "position_rmse_m", "speedup"),
-            ("STLC, median", "position error, m (RMSE, median)", "effective speed-up"),
-            strict=True,
-        ):
+        for axes, (name, label) in zip(panels, LABELS.items(), strict=True):
             for curve in curves:
+                x = [place if numeric else names.index(str(place)) for place in curve.places]
                 colour = style.colour(clocks.index(curve.clock_speed))
                 text = f"{style.command_name(curve.command)} {style.clock_label(curve.clock_speed)}"
-                axes.plot(
-                    _places(curves, curve), getattr(curve, name), _LINES.get(curve.command, ":"),
-                    marker="o", markersize=4, color=colour, label=text,
-                )  # fmt: skip
+                line: style.LineStyle = {"marker": "o", "markersize": 4, "color": colour, "label": text}
+                axes.plot(x, getattr(curve, name), _LINES.get(curve.command, ":"), **line)
             axes.set(ylabel=label, xlabel=axis)
-            _set_axis(axes, curves)
+            above = [place for place in numbers if place > 0]
+            if not numeric:
+                axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+            elif above and max(above) / min(above) > 20:
+                axes.set_xscale("symlog", linthresh=min(above))
         panels[0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
         panels[2].set_yscale("log")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
         return figure
-
-
-def _numeric(curves: Sequence[VariantCurve]) -> bool:
-    return all(isinstance(place, float) for curve in curves for place in curve.places)
-
-
-def _names(curves: Sequence[VariantCurve]) -> list[str]:
-    return list(dict.fromkeys(str(place) for curve in curves for place in curve.places))
-
-
-def _places(curves: Sequence[VariantCurve], curve: VariantCurve) -> list[float]:
-    if _numeric(curves):
-        return [float(place) for place in curve.places]
-    names = _names(curves)
-    return [float(names.index(str(place))) for place in curve.places]
-
-
-def _set_axis(axes: Axes, curves: Sequence[VariantCurve]) -> None:
-    if not _numeric(curves):
-        names = _names(curves)
-        axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
-        return
-    above = [float(place) for curve in curves for place in curve.places if float(place) > 0]
-    if above and max(above) / min(above) > 20:
-        axes.set_xscale("symlog", linthresh=min(above))
 
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
@@ -138,7 +121,6 @@ class AblationReport(Report):
         return [style.picture(figure, path, f"{self.title()}. {_READING}", source)]
 
     def headline(self) -> str:
-        """Return the range of each command's accuracy over the variants, at the highest ClockSpeed."""
         entries = [entry for entry in self.summary["entries"] if entry["stlc_quartiles"]]
         if not entries:
             return "no variant has games to compare"

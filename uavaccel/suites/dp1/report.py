@@ -174,7 +174,6 @@ class Dp1Report(Report):
         ]
 
     def headline(self) -> str:
-        """Return up to which ClockSpeed each command flies as in real time, and what the highest one costs."""
         return verdict(self.summary)
 
     def overview(self) -> Table:

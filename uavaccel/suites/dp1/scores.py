@@ -142,7 +142,6 @@ def _flight(arrays: Arrays) -> Trajectory:
 
 
 def rows_of(scores: Sequence[CellScores]) -> list[Dp1Row]:
-    """Return the rows of all games of these cells."""
     return [row for score in scores for row in score.cell.rows]
 
 

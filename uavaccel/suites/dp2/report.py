@@ -111,7 +111,6 @@ class Dp2Report(Report):
         return [style.picture(plot_images(clouds, source), path, caption, source)]
 
     def headline(self) -> str:
-        """Return how far the images of each command's highest ClockSpeed lie from those at 1x."""
         cells = [cell for cell in self.summary["cells"] if cell["position_error_m_max"] is not None]
         flown = [cell for cell in cells if cell["clock_speed"] > 1 and cell["timing"] != "lockstep"]
         by_clock = sorted(flown, key=lambda cell: float(cell["clock_speed"]))

@@ -116,7 +116,6 @@ class LookAhead:
         self._held = self._idle
 
     def begin(self) -> None:
-        """Begin an episode."""
         self._held = self._idle
 
     def act(self, observation: NDArray[Any]) -> Any:

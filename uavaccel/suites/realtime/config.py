@@ -127,7 +127,6 @@ class TrainingCase:
         return 0.0
 
     def wall_s(self) -> float:
-        """Estimate the wall time on one core."""
         return self.steps / TRAIN_RATE
 
 
@@ -161,7 +160,6 @@ class EvaluationCase:
         return self.episodes * EPISODE_S
 
     def wall_s(self) -> float:
-        """Estimate the wall time on one core."""
         return self.simulated_s() / (self.clock_speed if self.timing == "wall" else EVALUATE_RATE)
 
 

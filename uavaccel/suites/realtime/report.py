@@ -61,7 +61,6 @@ class RealtimeReport(Report):
         return "Agents that need time to think"
 
     def headline(self) -> str:
-        """Return up to which ClockSpeed the rankings at the middle latency hold, and whether TCSC's returns differ."""
         rankings = self._rankings()
         latencies = sorted({ranking["latency_s"] for ranking in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0

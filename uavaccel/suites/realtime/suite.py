@@ -51,7 +51,6 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         return cases(config)
 
     def stage(self, case: AnyCase) -> int:
-        """Return 0 for a training, 1 for an evaluation."""
         return int(isinstance(case, EvaluationCase))
 
     def why_serial(self, config: RealtimeConfig) -> str:

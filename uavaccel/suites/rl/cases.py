@@ -85,7 +85,6 @@ class TrainingCase:
 
     @property
     def trained(self) -> str:
-        """The training's name."""
         names = [self.variant, self.profile, self.clock, self.command, f"{self.clock_speed:g}x"]
         return "-".join([name for name in names if name] + [f"seed{self.seed}"])
 
@@ -158,7 +157,6 @@ def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
 
 
 def other_command(command: CommandName) -> CommandName:
-    """Return the other one of the two commands."""
     return "adsc" if command == "tcsc" else "tcsc"
 
 

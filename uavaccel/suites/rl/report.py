@@ -90,7 +90,7 @@ class RlReport(Report):
             *blocks,
             Heading("Time of the training"),
             _time_table(pooled, minutes),
-            Paragraph(_saved(pooled, minutes)),
+            Paragraph(_time_saved(pooled, minutes)),
             Paragraph(_HOW_TIME_IS_MODELLED),
             *figures[2:],
             Heading("Each training"),
@@ -249,7 +249,7 @@ def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> Minutes:
     return minutes
 
 
-def _saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
+def _time_saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
     """Compare the modelled real time of the trainings with the time that they took on this machine."""
     both = [cell for cell in pooled if cell["real_time_s"] is not None and key_of(cell) in minutes]
     if not both:

@@ -165,7 +165,6 @@ def paired(
 
 
 def _outcomes(row: RlRow, flight: int, load: LoadArrays) -> dict[int, bool]:
-    """Return whether each lane was won."""
     flown, real_time = row["evaluations"][flight], row["evaluations"][0]["clock_speed"]
     at = "" if flown["clock_speed"] == real_time else f"-{flown['clock_speed']:g}x"
     name, arrays = f"{flown['command']}{at}" if "training" in row else EXACT, load(row)
