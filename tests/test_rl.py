@@ -231,7 +231,8 @@ def test_a_run_grows_by_seeds_and_what_builds_on_trainings_waits_for_all_of_them
 @pytest.mark.slow
 @needs_opengl
 def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
-    config = configured("rl_smoke", "games=2", "evaluation.keys.games=1", clock_speed=[5.0], command=["tcsc"])
+    cells = "cells=[{profile: airsim, command: [tcsc], clock_speed: [5], task: {max_commands: 24}}]"
+    config = configured("rl_smoke", "games=2", cells, "evaluation.keys={games: 1, task.max_commands: 12}")
     cell = run_into(tmp_path / "run", Rl(), config)["cells"][0]
     assert cell["phase_s"]["rendering"] > 0
     assert cell["training_speedup"] is None  # without the same at 1x

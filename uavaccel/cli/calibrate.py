@@ -59,9 +59,8 @@ def show_agreement(latency: Path | None, profile: str, games: int) -> None:
     check_profile(profile)
     check_number("--games", games, 1, MOST_COMMANDS)
     model = shipped_latency() if latency is None else read_latency(latency)
-    console.print(
-        f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}"
-    )
+    verdict = check_machine()["verdict"]
+    console.print(f"machine check: {verdict}; latency model: {latency or 'the shipped one'}")
     header = ("command", "clock", "T_move s", "", "wall", "wall again", "virtual", "")
     table = Table(*header, box=None, pad_edge=False)
     found = list(check_agreement(model, profile, games))

@@ -172,22 +172,16 @@ class Extras:
         if not isinstance(observation, spaces.Box):
             raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
         self._type = np.result_type(observation.dtype, np.float32)
-        low, high = [observation.low.ravel()], [observation.high.ravel()]
+        bounds = [(observation.low.ravel(), observation.high.ravel())]
         if age:
-            low, high = [*low, np.zeros(1)], [*high, np.full(1, np.inf)]
+            bounds.append((np.zeros(1), np.full(1, np.inf)))
         if actions:
             self._size = spaces.flatdim(action)
             flat: Any = spaces.flatten_space(action)
-            low, high = (
-                [*low, np.minimum(np.tile(flat.low, actions), 0)],
-                [*high, np.maximum(np.tile(flat.high, actions), 0)],
-            )
+            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * actions
         self._action = action
-        self.space = spaces.Box(
-            np.concatenate(low).astype(self._type),
-            np.concatenate(high).astype(self._type),
-            dtype=self._type.type,
-        )
+        low, high = (np.concatenate(ends).astype(self._type) for ends in zip(*bounds, strict=True))
+        self.space = spaces.Box(low, high, dtype=self._type.type)
 
     def begin(self) -> None:
         """Begin an episode, with zeros for the latest actions."""

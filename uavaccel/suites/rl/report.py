@@ -80,11 +80,8 @@ class RlReport(Report):
         if summary["as_trained"]:
             table = _as_trained_table(summary["as_trained"])
             blocks += [Heading("Flown at the ClockSpeed of the training"), table]
-        if summary["exact"]:
-            blocks += [
-                Heading("The same policies in the exact simulator"),
-                *_in_both_simulators(summary["exact"]),
-            ]
+        if exact := summary["exact"]:
+            blocks += [Heading("The same policies in the exact simulator"), *_in_both_simulators(exact)]
         minutes = _machine_minutes(self.run, self.rows)
         return [
             *blocks,

@@ -84,9 +84,8 @@ def _check_mergeable(runs: Sequence[RunDirectory]) -> None:
     for run in runs:
         for key, value in alike.items():
             if run.config().get(key) != value:
-                raise UserError(
-                    f"{run.path}: {key} differs from that of {runs[0].path}: they make no one table"
-                )
+                where = f"{run.path}: {key} differs from that of {runs[0].path}"
+                raise UserError(f"{where}: they make no one table")
         for row in run.rows():
             if row["case"] in owner:
                 raise UserError(f"{run.path}: has {row['case']}, which {owner[row['case']].path} has too")

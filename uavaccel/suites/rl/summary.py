@@ -295,12 +295,8 @@ def _same_weights(groups: Groups) -> list[Values]:
             by_seed = sorted(grouped(rows, itemgetter("seed")).items())
             hashes = {seed: {row["training"]["weights_sha256"] for row in own} for seed, own in by_seed}
             whole = [seed for seed, own in by_seed if len(own) == len(family)]
-            found.append(
-                subset(rows[0], *KEY[:-1])
-                | {
-                    "clock_speed": sorted(members[0]["clock_speed"] for members in family),
-                    "seeds": whole,
-                    "equal": [seed for seed in whole if len(hashes[seed]) == 1],
-                }
-            )
+            equal = [seed for seed in whole if len(hashes[seed]) == 1]
+            clocks = sorted(members[0]["clock_speed"] for members in family)
+            conditions = subset(rows[0], *KEY[:-1])
+            found.append({**conditions, "clock_speed": clocks, "seeds": whole, "equal": equal})
     return found

@@ -21,7 +21,7 @@ from uavaccel.suites.evaluation.parts import EvaluationCase, PolicyRow, PolicySu
 from uavaccel.suites.experiment import timing_of
 from uavaccel.suites.parts import part_cost, part_suite
 from uavaccel.suites.report import Report, Summary
-from uavaccel.suites.rows import Row, grouped
+from uavaccel.suites.rows import Row, grouped, subset
 from uavaccel.suites.sweep.config import SweepConfig, keys_of, value_text
 
 COLUMNS = 3
@@ -119,8 +119,7 @@ def summarise(config: Row, rows: Sequence[SweepRow], won: Won) -> Summary:
     by_case = {row["case"]: row for row in rows}
     usual = by_case.get(AS_TRAINED)
     same = set() if usual is None else set(usual["same"])
-    conditions = [(name, value) for name, values in config["sweep"].items() for value in values]
-    cells = []
+    cells, conditions = [], [(name, value) for name, values in config["sweep"].items() for value in values]
     for name, value in [("", None), *conditions]:
         case = case_id(name, value)
         row = usual if case in same else by_case.get(case)
@@ -128,8 +127,7 @@ def summarise(config: Row, rows: Sequence[SweepRow], won: Won) -> Summary:
             cells.append(_cell(name, value, row, won))
     return {
         "suite": "sweep",
-        "agent": config["agent"],
-        "seed": config["seed"],
+        **subset(config, "agent", "seed"),
         "lanes": config["games"],
         "provenance": sorted({timing_provenance(row["timing"]) for row in rows}),
         "cells": cells,
