@@ -1,4 +1,4 @@
-"""DP1's scores: the accuracy of every game, cell by cell, which is the part of the report that takes time.
+"""DP1's scores, the accuracy of every game, which is the part of the report that takes time; and its summary.json.
 
 A cell is all games of one command, ClockSpeed, T_move, number of rounds and timing. Its references are the
 run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Self, TypedDict
+from typing import Any, NamedTuple, Self, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,11 @@ from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, luma, make_sensor
 from uavaccel.vision.event_counter import EventCounter
-from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, share_at
-from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Session
+
+Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, d
     if config.dvs_rate_hz is None:
         flight = fly_path(config, case, CameraClient(*settings))
     else:
-        with EventClient(*settings, config=config, session=session) as camera:
+        with EventClient(config, session, *settings) as camera:
             flight = fly_path(config, case, camera)
             counts = camera.arrays(len(flight.samples))
     end_m = flight.collision["position_m"] if flight.collision else flight.samples[-1].state.position_m
@@ -197,24 +197,12 @@ def arrays_of(flight: Flight, flown: tuple[Velocity, ...]) -> dict[str, np.ndarr
     return arrays | {"image": np.stack([luma(image) for image in images]), "colour": images}
 
 
-Arrays = dict[str, NDArray[np.generic]]
-
-
 class EventClient(CameraClient):
     """A camera client that counts events between samples, inside the simulation, without messages or wall time."""
 
-    def __init__(
-        self,
-        client: Client,
-        kind: str,
-        guard: GuardSettings,
-        perturbation: PerturbationSettings | None,
-        exposure: AutoExposure | None,
-        *,
-        config: Dp2Config,
-        session: Session,
-    ) -> None:
-        super().__init__(client, kind, guard, perturbation, exposure)
+    def __init__(self, config: Dp2Config, session: Session, *settings: Any) -> None:
+        """`settings` are the arguments of CameraClient."""
+        super().__init__(*settings)
         assert config.dvs_rate_hz is not None
         sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
         self._session, self._noise_seed = session, config.sensor_seed

@@ -1,4 +1,4 @@
-"""Configuration of the experiment: environments, agents and how they were trained, and the delays that they meet."""
+"""Configuration of the experiment: environments, agents, their trainings and latencies; and the cases of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of the RL experiment's report, from its summary and the outcomes of its lanes."""
+"""The figures of the RL experiment: success, distance travelled, and the time of the trainings by phase."""
 
 from __future__ import annotations
 

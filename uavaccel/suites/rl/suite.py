@@ -1,4 +1,4 @@
-"""The suite `rl`: each case trains a policy and evaluates it; runs of several machines can be merged."""
+"""The suite `rl`: each case trains a policy and evaluates it, resumed where it stopped; runs can be merged."""
 
 from __future__ import annotations
 

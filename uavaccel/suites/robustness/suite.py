@@ -1,4 +1,4 @@
-"""The suite `robustness`: one policy evaluated over a grid of latency and ClockSpeed, with each command."""
+"""The suite `robustness`: one policy evaluated over a grid of latency and ClockSpeed, and where it collapses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The suite `sweep`: each case is an evaluation in which one condition departs from those of the training."""
+"""The suite `sweep`: evaluations in which one condition departs from those of the training, and their report."""
 
 from __future__ import annotations
 
