@@ -42,8 +42,8 @@ SMALL = (
     "evaluation.keys={games: 2, task.max_commands: 12, simulator: kernels}",
     "exact_seeds=1",
     "exact={experiment: evaluate, keys: {games: 2, task.max_commands: 12}}",
-    "training.keys={environments: 1, turns: 1, checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, task.observation: state, "
-    "task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
+    "training.keys={environments: 1, turns: 1, checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, "
+    "task.observation: state, task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
 )
 # Runs as the command line does, but dies without a word at the so-manieth row that any part writes.
 KILLED = """
