@@ -1,4 +1,4 @@
-"""The command line's shell: quick, complete, and one line for a mistake."""
+"""The command line's shell: quick, complete, one line for a mistake, and tables as wide as the terminal."""
 
 import os
 import subprocess
@@ -6,6 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from uavaccel.cli.completion import experiments, one_of
+from uavaccel.cli.run import columns_within
+from uavaccel.draw.document import Table
 
 ROOT = Path(__file__).parents[1]
 
@@ -87,3 +91,20 @@ def test_wrong_usage_is_one_line(arguments: list[str]) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("uavaccel: error: ")
     assert done.stderr.count("\n") == 1
+
+
+TABLE = Table(
+    ("command", "effective speed-up", "source"), [("ADSC", "11.23", "modelled"), ("TCSC", "-", "x")]
+)
+
+
+@pytest.mark.parametrize(("width", "columns"), [(80, 3), (28, 3), (27, 2), (18, 2), (17, 1), (3, 1)])
+def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> None:
+    """Of "command", "effective" and "modelled", two characters apart."""
+    assert columns_within(TABLE, width) == columns
+
+
+def test_words_of_options_and_experiments_are_completed() -> None:
+    assert one_of("wall", "virtual", "lockstep")("v") == ["virtual"]
+    assert experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
+    assert "claims" not in experiments("")

@@ -132,7 +132,7 @@ def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_same_bytes_whatever_jobs_and_interruptions(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once in one go; once in two processes, stopped, with a row cut short, and gone on with."""
+    """Once in one go; once in two processes, stopped, with a row cut short, and resumed in one."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     run_experiment(request(whole))
     with monkeypatch.context() as patch:
@@ -145,7 +145,7 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
     assert rows.count(b"\n") == 7
     (broken / "rows.jsonl").write_bytes(rows + b'{"case": "adsc-k10')
     (broken / "arrays" / "tcsc-k100-t0.2-r1-g01.npz").write_bytes(b"cut short")
-    run_experiment(request(broken, jobs=2, resume=True))
+    run_experiment(request(broken, resume=True))
     assert contents(broken) == contents(whole)
     assert [row["case"] for row in RunDirectory(whole).rows()] == [
         case.id for case in cases_of(paper_config(**SMALL, reference_games=2, timing="virtual"))

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from tests.dp1_games import line_arrays, line_row, quantile, synthetic_games
-from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.suites.dp1 import scores
 from uavaccel.suites.dp1.report import overview, table
-from uavaccel.suites.dp1.scores import cells_of, score_cells
 from uavaccel.suites.report import LoadArrays
 
 Row = Any
 
 
 def summarise(rows: list[Row], load_arrays: LoadArrays) -> Row:
-    return dp1_summary.summarise(rows, score_cells(cells_of(rows), load_arrays))
+    return scores.summarise(rows, scores.score_cells(scores.cells_of(rows), load_arrays))
 
 
 REFERENCES_M, GAMES_M = [0.0, 0.2, 0.5], [0.1, 0.9, 0.3, 0.35]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.drawing import headline, labelled, points
-from uavaccel.suites.rl.plots import (
+from uavaccel.suites.rl.figures import (
     SuccessLine,
     plot_distances,
     plot_success,

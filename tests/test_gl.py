@@ -148,11 +148,9 @@ def test_flying_needs_no_opengl() -> None:
 
 @needs_opengl
 def test_the_bench_measures_ours_and_the_bare_loop() -> None:
-    figures = frame_rates(rounds=1)
-    assert figures["frames_per_s"] > 0
-    assert figures["bare_frames_per_s"] > 0
-    assert (figures["width"], figures["height"]) == (256, 144)
-    assert figures["gl_software"] == gl.describe_renderer().software
+    ours, bare, ratio, renderer = frame_rates(rounds=1)
+    assert ratio == pytest.approx(ours / bare)  # of one pass
+    assert renderer == gl.describe_renderer()
 
 
 def test_a_gl_that_is_not_there_is_one_line_wherever_mujoco_is_imported() -> None:

@@ -26,8 +26,9 @@ from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
 from uavaccel.suites.parts import Part, part_suite
 from uavaccel.suites.rl.cases import EXACT, cases, evaluation_part, flights, training_part
 from uavaccel.suites.rl.config import RlConfig
+from uavaccel.suites.rl.figures import plot_training_time
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
-from uavaccel.suites.rl.plots import plot_training_time
+from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rl.suite import Rl
 from uavaccel.suites.rl.summary import KEY, gap_s, summarise
 
@@ -41,8 +42,8 @@ SMALL = (
     "evaluation.keys={games: 2, task.max_commands: 12, simulator: kernels}",
     "exact_seeds=1",
     "exact={experiment: evaluate, keys: {games: 2, task.max_commands: 12}}",
-    "training.keys={environments: 1, turns: 1, checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, task.observation: state, "
-    "task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
+    "training.keys={environments: 1, turns: 1, checkpoint_games: 1, channels: [4, 4], hidden: [16], mirror: false, "
+    "task.observation: state, task.max_commands: 12, options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}",
 )
 # Runs as the command line does, but dies without a word at the so-manieth row that any part writes.
 KILLED = """
@@ -230,7 +231,8 @@ def test_a_run_grows_by_seeds_and_what_builds_on_trainings_waits_for_all_of_them
 @pytest.mark.slow
 @needs_opengl
 def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
-    config = configured("rl_smoke", "games=2", "evaluation.keys.games=1", clock_speed=[5.0], command=["tcsc"])
+    cells = "cells=[{profile: airsim, command: [tcsc], clock_speed: [5], task: {max_commands: 24}}]"
+    config = configured("rl_smoke", "games=2", cells, "evaluation.keys={games: 1, task.max_commands: 12}")
     cell = run_into(tmp_path / "run", Rl(), config)["cells"][0]
     assert cell["phase_s"]["rendering"] > 0
     assert cell["training_speedup"] is None  # without the same at 1x
@@ -563,7 +565,7 @@ def table_below(page: str, heading: str) -> list[dict[str, str]]:
     return [dict(zip(numbered, line, strict=True)) for line in cells]
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     """Hours of hours, minutes of minutes, the test over seeds and McNemar's each in its own."""
     run = RunDirectory.create(tmp_path / "run", small(), {})
@@ -628,7 +630,14 @@ def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
     return run
 
 
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run `whole` draws them."""
+    monkeypatch.setattr(RlReport, "figures", lambda _: [])
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
     runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
     assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]

@@ -13,8 +13,14 @@ from tests.running import configured, run_into
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.robustness.report import collapse, maps, plot_success_maps, summarise
-from uavaccel.suites.robustness.suite import Robustness, RobustnessConfig
+from uavaccel.suites.robustness.suite import (
+    Robustness,
+    RobustnessConfig,
+    collapse,
+    maps,
+    plot_success_maps,
+    summarise,
+)
 
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.
 SMALL = ("agent=straight", "games=2", "latency_scale=[1, 0]", "evaluation.keys={task.max_commands: 6}")

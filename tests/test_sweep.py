@@ -18,8 +18,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.sweep.config import SweepConfig, keys_of, parse_sweep
-from uavaccel.suites.sweep.report import plot_sweeps, summarise, swept, table
-from uavaccel.suites.sweep.suite import Sweep
+from uavaccel.suites.sweep.suite import Sweep, plot_sweeps, summarise, swept, table
 
 # It sees nothing, so there are no pictures.
 SMALL = ("agent=straight", "games=3", "evaluation.keys={task.max_commands: 4}")

@@ -6,14 +6,14 @@ too: their difference is the floor of what a model can be blamed for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.bench.square import SquareGame, fly_square
+from uavaccel.bench.square import fly_square
 from uavaccel.commands import COMMANDS
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.wire.latency import LatencyConfig
@@ -27,7 +27,6 @@ MEDIAN_WITHIN = 0.20  # relative to the measured median
 TAIL_FACTOR = 1.5  # relative to the difference between the two measured runs
 
 Quantiles = NDArray[np.float64]
-OnGame = Callable[[int, int], None]
 
 
 class Agreement(NamedTuple):
@@ -57,32 +56,26 @@ class Agreement(NamedTuple):
         )
 
 
-def check_agreement(
-    latency: LatencyConfig, profile: str, games: int, on_game: OnGame = lambda done, total: None
-) -> Iterator[Agreement]:
+def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterator[Agreement]:
     """Fly `games` of each command, ClockSpeed and T_move on both clocks, and yield the agreement of gaps and errors.
 
     A gap is the simulated time in seconds between two commands, an error the RMSE in metres of a game against the
     flight without latency.
     """
-    cells = list(product(sorted(COMMANDS), CLOCK_SPEEDS, T_MOVES_S))
     with (
         WallSession("blocks", profile) as wall,
         VirtualSession("blocks", profile, latency) as virtual,
         VirtualSession("blocks", profile) as lockstep,
     ):
-        for number, (command, clock_speed, t_move_s) in enumerate(cells):
-            flown: list[list[SquareGame]] = [[], [], []]
-            for game in range(games):
-                sessions: list[Session] = [wall, virtual, wall]
-                for session, results in zip(sessions, flown, strict=True):
-                    results.append(fly_square(session, command, clock_speed, t_move_s, ROUNDS, game))
-                on_game(number * games + game + 1, len(cells) * games)
-            ideal = fly_square(lockstep, command, clock_speed, t_move_s, ROUNDS, 0)
-            gaps = [np.concatenate([game.gap_s for game in results]) for results in flown]
-            errors = [
-                mean_position_rmse([game.flight for game in results], [ideal.flight]) for results in flown
+        sessions: list[Session] = [wall, virtual, wall]
+        for cell in product(sorted(COMMANDS), CLOCK_SPEEDS, T_MOVES_S):
+            games_on_all = [
+                [fly_square(session, *cell, ROUNDS, game) for session in sessions] for game in range(games)
             ]
+            ideal = fly_square(lockstep, *cell, ROUNDS, 0).flight
+            flown = list(zip(*games_on_all, strict=True))
+            gaps = [np.concatenate([game.gap_s for game in results]) for results in flown]
+            errors = [mean_position_rmse([game.flight for game in results], [ideal]) for results in flown]
             for quantity, values in (("gap s", gaps), ("error m", errors)):
                 first, model, again = (np.quantile(each, LEVELS) for each in values)
-                yield Agreement(command, clock_speed, t_move_s, quantity, first, again, model)
+                yield Agreement(*cell, quantity, first, again, model)

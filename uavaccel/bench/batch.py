@@ -32,7 +32,7 @@ def proportional_mib(process_ids: Iterable[int]) -> float | None:
 
 WARM_UP = 3
 TILE_ROUNDS = 30
-COMMANDS = {"commands": 30, "pictures": 5}  # per lane, in each of the two measurements
+COMMANDS, COMMANDS_OF_PICTURES = 30, 5  # per lane, in the two measurements
 MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # 50 images per command: next to no physics
 
 
@@ -49,27 +49,22 @@ def bench_batch(size: BatchSize | None = None) -> Iterator[Measurement]:
     """Measure images per second of the batch and of the bare loop, and commands of 1 s with three frames each."""
     size = size or BatchSize()
     for lanes in size.lanes:
-        bare, who = bare_tiles(min(size.tiles or lanes, MOST_TILES))
-        for name, task in (("pictures", MANY_PICTURES), ("commands", {})):
-            per_s, processes, tiles, memory_mib = _fly(size, lanes, COMMANDS[name], task)
-            note = f"{processes} processes, {tiles} tiles, {size.renderer} renderer, {who}"
-            if name == "commands":
-                yield Measurement(f"{lanes} lanes: commands", per_s, "commands/s", None, note)
-                if memory_mib is not None:
-                    note = "proportional set size of all processes, this one included"
-                    yield Measurement(f"{lanes} lanes: memory", memory_mib, "MiB", None, note)
-                continue
-            frames = round(MANY_PICTURES["t_move_s"] / MANY_PICTURES["t_sample_s"])
-            yield Measurement(f"{lanes} lanes: pictures", per_s * frames, "frames/s", bare, note)
-            yield Measurement(
-                f"{lanes} lanes: over the bare loop", per_s * frames / bare, "", note="aim 0.8 on a GPU"
-            )
+        bare, renderer = bare_tiles(min(size.tiles or lanes, MOST_TILES))
+        commands_per_s, note, _ = _fly(size, lanes, COMMANDS_OF_PICTURES, MANY_PICTURES)
+        per_s = commands_per_s * round(MANY_PICTURES["t_move_s"] / MANY_PICTURES["t_sample_s"])
+        yield Measurement(f"{lanes} lanes: pictures", per_s, "frames/s", bare, f"{note}, {renderer}")
+        yield Measurement(f"{lanes} lanes: over the bare loop", per_s / bare, "", note="aim 0.8 on a GPU")
+        per_s, note, memory_mib = _fly(size, lanes, COMMANDS, {})
+        yield Measurement(f"{lanes} lanes: commands", per_s, "commands/s", None, f"{note}, {renderer}")
+        if memory_mib is not None:
+            note = "proportional set size of all processes, this one included"
+            yield Measurement(f"{lanes} lanes: memory", memory_mib, "MiB", None, note)
 
 
 def _fly(
     size: BatchSize, lanes: int, commands: int, task: dict[str, float]
-) -> tuple[float, int, int, float | None]:
-    """Return commands per second of all lanes together, processes, tiles and MiB."""
+) -> tuple[float, str, float | None]:
+    """Return commands per second of all lanes, a note of processes, tiles and renderer, and the memory in MiB."""
     random = np.random.default_rng(0)
     batch = EnvironmentBatch(ObstacleLane, lanes, size.processes, size.renderer, size.tiles, **task)  # type: ignore[arg-type]
 
@@ -84,7 +79,8 @@ def _fly(
         took_s = elapsed_s(lambda: fly(commands))
         renderer = [] if batch.service is None else [batch.service.process.pid]
         memory_mib = proportional_mib([os.getpid(), *batch.process_ids, *renderer])
-        return commands * lanes / took_s, batch.processes, batch.tiles, memory_mib
+        note = f"{batch.processes} processes, {batch.tiles} tiles, {size.renderer} renderer"
+        return commands * lanes / took_s, note, memory_mib
     finally:
         batch.close()
 

@@ -7,7 +7,8 @@ ADSC and TCSC, since the time in which an end wakes depends on what it did befor
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -25,7 +26,6 @@ BATCH = 24  # commands per reading of the server's trace
 STAY = VelocityGoal((0.0, 0.0, 0.0))
 
 Samples = dict[str, list[int]]
-OnBatch = Callable[[int, int], None]
 
 
 class Latencies:
@@ -54,7 +54,6 @@ class Latencies:
         }
 
     def counts(self) -> str:
-        """Return the numbers of samples in words."""
         request, reply = (
             sum(len(each) for name, each in samples.items() if "@" not in name)
             for samples in (self.request, self.reply)
@@ -67,22 +66,22 @@ def quantiles_us(samples_ns: Sequence[int]) -> list[float]:
     return [round(float(value) / 1e3, 1) for value in np.quantile(samples_ns, QUANTILES)]
 
 
-def calibrate(
-    profile: str, commands: int, images: bool, on_batch: OnBatch = lambda done, total: None
-) -> Latencies:
+def calibrate(profile: str, commands: int, images: bool) -> Latencies:
     """Fly about `commands` commands of each kind on this machine's clock, and return the latencies of their messages.
 
     With `images` as many images of the lane are requested too, rendering included; raises rpc.RpcError without OpenGL.
     """
     latencies = Latencies()
-    cells = [(name, k, t) for name in sorted(COMMANDS) for k in CLOCK_SPEEDS for t in T_MOVES_S]
-    batches = [cell for cell in cells for _ in range(max(round(commands / BATCH / (len(cells) / 2)), 1))]
+    batches = max(
+        round(commands / BATCH / (len(CLOCK_SPEEDS) * len(T_MOVES_S))), 1
+    )  # of each command, in each cell
     with WallSession("blocks", profile) as session:
-        for done, (name, clock_speed, t_move_s) in enumerate(batches, start=1):
+        for name, clock_speed, t_move_s, _ in product(
+            sorted(COMMANDS), CLOCK_SPEEDS, T_MOVES_S, range(batches)
+        ):
             client = session.start_game(clock_speed, np.random.SeedSequence(0))
             _fly_batch(client, name, t_move_s, latencies)
             _request(client, "ping", latencies)  # which stands for all calls without a channel of their own
-            on_batch(done, len(batches))
     if images:
         _take_images(profile, commands, latencies)
     return latencies

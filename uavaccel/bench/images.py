@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from statistics import median
-from typing import TypedDict
 
 import mujoco
 import numpy as np
@@ -18,7 +17,7 @@ from uavaccel.envs.sensors import EventCamera
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
-from uavaccel.sim.camera.gl import describe_renderer
+from uavaccel.sim.camera.gl import GlRenderer, describe_renderer
 from uavaccel.sim.lane.layout import draw_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.lane.scene import apply_layout
@@ -33,45 +32,21 @@ PLACES_M = range(0, 150, 10)  # along the lane, with many obstacles in view, and
 FRAMES_AT_EACH = 10
 
 
-class FrameRates(TypedDict):
-    """Frame rates of `Camera.colour` and of a bare loop, and the renderer."""
-
-    frames_per_s: float
-    bare_frames_per_s: float
-    ratio_to_bare: float
-    width: int
-    height: int
-    gl_backend: str
-    gl_renderer: str
-    gl_software: bool
-    lp_num_threads: str | None
-
-
-def frame_rates(rounds: int = 5) -> FrameRates:
-    """Measure frames per second of `Camera.colour` and of a bare loop, the best of `rounds` passes along the lane.
+def frame_rates(rounds: int = 5) -> tuple[float, float, float, GlRenderer]:
+    """Measure frames per second of `Camera.colour` and of a bare loop, and their ratio; return the renderer too.
 
     The bare loop is mjr_render and mjr_readPixels in the same GL context with the same settings; ours adds poses,
-    scene, field of view and flipping the image. The two take turns, so that both are under the same load. Raises
-    UserError without OpenGL.
+    scene, field of view and flipping the image. The two take turns, so that both are under the same load; rates are
+    those of the best of `rounds` passes along the lane, the ratio is the median. Raises UserError without OpenGL.
     """
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     data = mujoco.MjData(model)
     apply_layout(model, data, draw_layout(seed=0))
     with Camera(model) as camera:
-        passes = np.array([_pass(camera, data) for _ in range(rounds)])
-        frames = len(PLACES_M) * FRAMES_AT_EACH
-        bare, ours = (float(frames * NS_PER_S / passes[:, column].min()) for column in (0, 1))
-        return {
-            "frames_per_s": ours,
-            "bare_frames_per_s": bare,
-            "ratio_to_bare": float(np.median(passes[:, 0] / passes[:, 1])),
-            "width": camera.width,
-            "height": camera.height,
-            "gl_backend": camera.renderer.backend,
-            "gl_renderer": camera.renderer.name,
-            "gl_software": camera.renderer.software,
-            "lp_num_threads": os.environ.get("LP_NUM_THREADS"),
-        }
+        bare_ns, ours_ns = np.array([_pass(camera, data) for _ in range(rounds)]).T
+        frames_ns = len(PLACES_M) * FRAMES_AT_EACH * NS_PER_S
+        ratio = float(np.median(bare_ns / ours_ns))
+        return float(frames_ns / ours_ns.min()), float(frames_ns / bare_ns.min()), ratio, camera.renderer
 
 
 def _pass(camera: Camera, data: mujoco.MjData) -> tuple[int, int]:
@@ -102,12 +77,10 @@ COMMANDS = 5  # of 1 s each
 
 def bench_camera() -> Iterator[Measurement]:
     """Measure frames of the lane against a bare loop of MuJoCo's two calls, in one process."""
-    rates = frame_rates()
-    renderer = f"{rates['gl_renderer']}, LP_NUM_THREADS={rates['lp_num_threads']}"
-    yield Measurement(
-        "frames of 256x144", rates["frames_per_s"], "frames/s", rates["bare_frames_per_s"], renderer
-    )
-    yield Measurement("frames over the bare loop", rates["ratio_to_bare"], "", note="aim 0.9")
+    ours, bare, ratio, renderer = frame_rates()
+    note = f"{renderer.name}, LP_NUM_THREADS={os.environ.get('LP_NUM_THREADS')}"
+    yield Measurement("frames of 256x144", ours, "frames/s", bare, note)
+    yield Measurement("frames over the bare loop", ratio, "", note="aim 0.9")
 
 
 def bench_image() -> Iterator[Measurement]:
@@ -131,14 +104,11 @@ def bench_dvs() -> Iterator[Measurement]:
     frames = lane_frames()
     sensor = make_sensor(PRESETS["clean"], (144, 256), 0)
     state = init_state(sensor, frames[0])
-    took = []
+    clock, took = MonotonicClock(), []
     for index, frame in enumerate(frames[1:], start=1):
-
-        def count(frame: NDArray[np.uint8] = frame, t_s: float = index * T_SAMPLE_S) -> None:
-            nonlocal state
-            state, _, _ = step(sensor, state, frame, t_s)
-
-        took.append(elapsed_s(count))
+        start_ns = clock.now_ns()
+        state, _, _ = step(sensor, state, frame, index * T_SAMPLE_S)
+        took.append((clock.now_ns() - start_ns) / NS_PER_S)
     note = f"median of {len(took)} frames of a planned flight; bound: the aim"
     yield Measurement("DVS, per frame", median(took) * 1e3, "ms", 0.6, note)
 

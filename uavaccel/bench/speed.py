@@ -58,12 +58,10 @@ def bench_hot_loop() -> Iterator[Measurement]:
         world.reset()
         bare.append(STEPS / elapsed_s(lambda: mujoco.mj_step(world.model, world.data, nstep=STEPS)))
     ratio = median(a / b for a, b in zip(ours, bare, strict=True))
-    yield Measurement(
-        "hot loop", median(ours), "steps/s", median(bare), "bound: mj_step(nstep=100_000), same model"
-    )
-    yield Measurement(
-        "hot loop over mj_step", ratio, "", note="median of the ratios of neighbouring runs; aim 0.75"
-    )
+    note = "bound: mj_step(nstep=100_000), same model"
+    yield Measurement("hot loop", median(ours), "steps/s", median(bare), note)
+    note = "median of the ratios of neighbouring runs; aim 0.75"
+    yield Measurement("hot loop over mj_step", ratio, "", note=note)
 
 
 def bench_tcsc() -> Iterator[Measurement]:
@@ -78,15 +76,13 @@ def bench_tcsc() -> Iterator[Measurement]:
             speed = median(_speedup(session, "tcsc", t_move_s, t_move_s) for _ in range(REPEATS))
             note = f"{ROUNDS} rounds; bound: T/(T/k + {calls:g} calls x round trip)"
             yield Measurement(f"TCSC, T_move {t_move_s:g} s", speed, "x", bound, note)
-            yield Measurement(
-                f"TCSC over its bound, T_move {t_move_s:g} s", speed / bound, "", note="aim 0.95"
-            )
+            name = f"TCSC over its bound, T_move {t_move_s:g} s"
+            yield Measurement(name, speed / bound, "", note="aim 0.95")
             adsc = median(_speedup(session, "adsc", t_move_s, t_move_s) for _ in range(REPEATS))
             yield Measurement(f"ADSC, T_move {t_move_s:g} s", adsc, "x", CLOCK_SPEED)
         sampled = median(_speedup(session, "tcsc", 1.0, 0.05) for _ in range(REPEATS))
-        yield Measurement(
-            "TCSC, T_move 1 s, T_sample .05 s", sampled, "x", note="the client samples, not the recorder"
-        )
+        note = "the client samples, not the recorder"
+        yield Measurement("TCSC, T_move 1 s, T_sample .05 s", sampled, "x", note=note)
 
 
 def _calls_per_command(session: Session, t_move_s: float) -> float:
@@ -141,6 +137,5 @@ def bench_soak(duration_s: float, calls_per_s: float = 200.0) -> Iterator[Measur
                 memory.append(session.server.memory_mib())
         yield Measurement("achieved speed", client.speed()["real_time_factor"], "x", CLOCK_SPEED)
         settled = memory[len(memory) // 10 :]
-        yield Measurement(
-            "server memory at the end", settled[-1], "MiB", settled[0], "bound: after a tenth of the time"
-        )
+        note = "bound: after a tenth of the time"
+        yield Measurement("server memory at the end", settled[-1], "MiB", settled[0], note)

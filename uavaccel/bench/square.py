@@ -14,12 +14,11 @@ from uavaccel.wire.session import Session
 
 
 class SquareGame(NamedTuple):
-    """A game's trajectory, the simulated gaps between its commands, its wall time, and the time of its commands."""
+    """A game's trajectory, the simulated gaps between its commands, and its wall time."""
 
     flight: Trajectory
     gap_s: np.ndarray
     wall_s: float
-    commanded_s: float
 
 
 def fly_square(
@@ -33,13 +32,13 @@ def fly_square(
 ) -> SquareGame:
     """Fly the square of 1 m/s commands `rounds` times, one sample per command; `seed` is that of the latencies."""
     client = session.start_game(clock_speed, np.random.SeedSequence(seed))
-    command, path = COMMANDS[command_name], velocities("square", rounds)
+    command = COMMANDS[command_name]
     command.begin(client)
     start_ns = client.now_ns()
-    for velocity in path:
+    for velocity in velocities("square", rounds):
         for _ in command.fly(client, VelocityGoal(velocity), t_move_s, t_move_s, t_th_ns):
             pass
     wall_s = (client.now_ns() - start_ns) / NS_PER_S
     arrays = client.recording().arrays()
     gap_s = command_gaps_s(arrays["command_start_s"], arrays["command_end_s"])
-    return SquareGame(trajectory(arrays["time_s"], arrays["position_m"]), gap_s, wall_s, len(path) * t_move_s)
+    return SquareGame(trajectory(arrays["time_s"], arrays["position_m"]), gap_s, wall_s)

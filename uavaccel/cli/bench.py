@@ -47,26 +47,22 @@ def run_benches(names: list[str], soak_s: float, out: Path | None, batch: BatchS
     benches: dict[str, Bench] = {**BENCHES, "batch": partial(bench_batch, batch)}
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")
-    measurements = [each for name in names or BENCHES for each in _printed(_where_possible(benches[name]))]
+    measurements = [each for name in names or BENCHES for each in _measured(benches[name])]
     if soak_s:
-        measurements += _printed(bench.bench_soak(soak_s))
+        measurements += _measured(partial(bench.bench_soak, soak_s))
     if out is not None:
         manifest = describe_run(["bench", *names], 0, calendar_time()) | {"host_check": machine}
         kept = {"measurements": [each._asdict() for each in measurements], "manifest": manifest}
         out.write_text(json.dumps(kept, indent=2) + "\n")
 
 
-def _where_possible(work: Bench) -> Iterator[bench.Measurement]:
-    """The measurements, or one printed line that says why this machine has none."""
+def _measured(work: Bench) -> Iterator[bench.Measurement]:
+    """Print and yield each measurement; where this machine cannot make one, print why."""
     try:
-        yield from work()
+        for measurement in work():
+            value = f"{measurement.value:,.2f} {measurement.unit}"
+            bound = "" if measurement.bound is None else f"of {measurement.bound:,.2f}"
+            console.print(f"{measurement.name:38}  {value:22}  {bound:18}  {measurement.note}".rstrip())
+            yield measurement
     except UserError as error:
         console.print(f"left out: {error}")
-
-
-def _printed(measurements: Iterator[bench.Measurement]) -> Iterator[bench.Measurement]:
-    for measurement in measurements:
-        value = f"{measurement.value:,.2f} {measurement.unit}"
-        bound = "" if measurement.bound is None else f"of {measurement.bound:,.2f}"
-        console.print(f"{measurement.name:38}  {value:22}  {bound:18}  {measurement.note}".rstrip())
-        yield measurement

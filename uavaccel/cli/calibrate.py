@@ -44,14 +44,13 @@ def write_calibration(out: Path, commands: int, profile: str) -> None:
         f"# {host['cpu_model']}, {host['cores']} cores, {host['platform']}\n# {latencies.counts()}\n"
     )
     out.write_text(head + dump_yaml({"latency": block}))
-    names, middle = ("request_us", "reply_us"), block["quantiles"].index(0.5)
-    for kind in names:
-        for channel, table in block[kind].items():
-            if "@" in channel:
-                continue  # after waits of several lengths: in the file
-            console.print(
-                f"{kind[:-3]:8} {channel:13} median {table[middle]:7.1f} us, 99 % {table[-3]:7.1f} us"
-            )
+    middle = block["quantiles"].index(0.5)
+    for kind in ("request", "reply"):
+        for channel, table in block[f"{kind}_us"].items():
+            if "@" not in channel:  # the quantiles after a wait are in the file alone
+                console.print(
+                    f"{kind:8} {channel:13} median {table[middle]:7.1f} us, 99 % {table[-3]:7.1f} us"
+                )
     console.print(f"{out}: use it with --set latency={out}")
 
 
@@ -60,12 +59,10 @@ def show_agreement(latency: Path | None, profile: str, games: int) -> None:
     check_profile(profile)
     check_number("--games", games, 1, MOST_COMMANDS)
     model = shipped_latency() if latency is None else read_latency(latency)
-    console.print(
-        f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}"
-    )
-    table = Table(
-        "command", "clock", "T_move s", "", "wall", "wall again", "virtual", "", box=None, pad_edge=False
-    )
+    verdict = check_machine()["verdict"]
+    console.print(f"machine check: {verdict}; latency model: {latency or 'the shipped one'}")
+    header = ("command", "clock", "T_move s", "", "wall", "wall again", "virtual", "")
+    table = Table(*header, box=None, pad_edge=False)
     found = list(check_agreement(model, profile, games))
     for each in found:
         table.add_row(*_row(each))
@@ -81,11 +78,5 @@ def _row(each: Agreement) -> tuple[str, ...]:
         " ".join(f"{value:.3g}" for value in run) for run in (each.wall, each.wall_again, each.virtual)
     )
     verdict = "agrees" if each.agrees else f"differs, median by {each.median_off:.0%}"
-    return (
-        each.command.upper(),
-        f"{each.clock_speed:g}x",
-        f"{each.t_move_s:g}",
-        each.quantity,
-        *quantiles,
-        verdict,
-    )
+    cell = each.command.upper(), f"{each.clock_speed:g}x", f"{each.t_move_s:g}", each.quantity
+    return *cell, *quantiles, verdict

@@ -48,7 +48,6 @@ def check_number(option: str, value: float, least: float, most: float) -> None:
 
 
 def check_profile(profile: str) -> None:
-    """Raise UserError for an unknown profile."""
     from uavaccel.sim.profile import PROFILES  # heavy
 
     if profile not in PROFILES:

@@ -19,7 +19,7 @@ This page is made by `python -m uavaccel.cli.docs > cli.md`.
 
 
 def reference() -> str:
-    """The reference in Markdown: every command with its arguments, options and defaults."""
+    """Return the reference in Markdown: every command with its arguments, options and defaults."""
     command = get_command(app)
     context = typer.Context(command, info_name=NAME)
     return get_docs_for_click(obj=command, ctx=context, name=NAME).rstrip() + "\n" + EXIT_STATUS

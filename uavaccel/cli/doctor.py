@@ -74,15 +74,11 @@ def examine() -> None:
 
 
 def findings() -> Iterator[Finding]:
-    """All findings, the quick ones first."""
+    """Yield all findings, the quick ones first."""
     run = describe_run(["doctor"], 0, calendar_time())
     versions = run["versions"]
-    missing = [name for name, version in versions.items() if version is None]
-    yield Finding(
-        "versions",
-        ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items()),
-        bool(missing),
-    )
+    found = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
+    yield Finding("versions", found, None in versions.values())
     yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
     yield from measuring()
     yield hot_loop()
@@ -90,7 +86,7 @@ def findings() -> Iterator[Finding]:
 
 
 def measuring() -> Iterator[Finding]:
-    """Findings about cores and timers: whether this machine can measure on the wall clock."""
+    """Yield the findings about cores and timers: whether this machine can measure on the wall clock."""
     machine = check_machine()
     yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
     yield Finding(
@@ -102,7 +98,7 @@ def measuring() -> Iterator[Finding]:
 
 
 def hot_loop() -> Finding:
-    """Whether the simulator runs, and whether its compiled loop comes from numba's cache."""
+    """Return whether the simulator runs, and whether its compiled loop comes from numba's cache."""
     try:
         found = probe(HOT_LOOP)
     except ProbeError as error:
@@ -113,7 +109,7 @@ def hot_loop() -> Finding:
 
 
 def renderer() -> Finding:
-    """Which renderer would draw the camera's images."""
+    """Return which renderer would draw the camera's images."""
     try:
         found = probe(RENDERER)
     except ProbeError as error:

@@ -28,37 +28,25 @@ def export(
     if case is not None and mcap is None:
         raise UsageError("--case: goes with --mcap; the other formats take all games of a run")
     if onnx is not None:
-        _export_policy(source, onnx)
+        from uavaccel.rl.agents import policy_folder
+        from uavaccel.rl.onnx_file import write_onnx
+        from uavaccel.rl.policy import load_policy
+
+        about = write_onnx(load_policy(policy_folder(source)), onnx)
+        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
     for folder, kind in ((csv, "csv"), (parquet, "parquet")):
         if folder is not None:
-            _export_run(source, folder, kind)
+            from uavaccel.suites.tables import write_tables
+
+            for path in write_tables(RunDirectory(source), folder, kind):
+                console.print(str(path))
     if mcap is not None:
-        _export_logs(source, mcap, case)
+        from uavaccel.export.mcap_file import write_mcap
+
+        for path in write_mcap(RunDirectory(source), mcap, case):
+            console.print(str(path))
     if minari is not None:
         _export_dataset(source, minari)
-
-
-def _export_policy(source: str, path: Path) -> None:
-    from uavaccel.rl.agents import policy_folder
-    from uavaccel.rl.onnx_file import write_onnx
-    from uavaccel.rl.policy import load_policy
-
-    about = write_onnx(load_policy(policy_folder(source)), path)
-    console.print(f"{path}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
-
-
-def _export_run(source: str, folder: Path, kind: str) -> None:
-    from uavaccel.suites.tables import write_tables
-
-    for path in write_tables(RunDirectory(source), folder, kind):
-        console.print(str(path))
-
-
-def _export_logs(source: str, path: Path, case: str | None) -> None:
-    from uavaccel.export.mcap_file import write_mcap
-
-    for written in write_mcap(RunDirectory(source), path, case):
-        console.print(str(written))
 
 
 def _export_dataset(source: str, folder: Path) -> None:

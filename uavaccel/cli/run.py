@@ -26,6 +26,7 @@ from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain
 from uavaccel.limits import MOST_GAMES
 from uavaccel.manifest import describe_run
+from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
@@ -42,7 +43,7 @@ TABLE_WIDTH = 170  # where the output is no terminal
 def resumed_config(
     out: Path | None, resume: bool, suite_name: str | None
 ) -> tuple[AnySuite, dict[str, Plain]]:
-    """The suite and the configuration of the run in `out`.
+    """Return the suite and the configuration of the run in `out`.
 
     Raises UsageError if nothing says what to fly, UserError if the folder has no run of this suite.
     """
@@ -64,7 +65,7 @@ def resumed_config(
 
 
 def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
-    """Lines about a run that is resumed: from where, and which versions have changed since it was begun."""
+    """Yield lines about a run that is resumed: from where, and which versions have changed since it was begun."""
     yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
     manifest = run.manifest()
     before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
@@ -135,7 +136,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
-    """The suite and the configuration of a request; without an experiment those of the run that is resumed.
+    """Return the suite and the configuration of a request; without an experiment those of the run that is resumed.
 
     A shipped experiment with a single --clock is shortened, and measured on the wall clock.
     """
@@ -159,14 +160,12 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
 
 
 def place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
-    """The dotted key of an option, at the top of the configuration or in its task, and the value for that key.
+    """Return the dotted key of an option, at the top of the configuration or in its task, and the value for that key.
 
     Raises UsageError if the suite has no such key, or takes one value and was given several.
     """
-    option = (
-        f"--{name.replace('clock_speed', 'clock').removesuffix('_s').removesuffix('_run').replace('_', '-')}"
-    )
-    fields = suite.config.model_fields
+    short = name.replace("clock_speed", "clock").removesuffix("_s").removesuffix("_run")
+    option, fields = f"--{short.replace('_', '-')}", suite.config.model_fields
     task = fields["task"].annotation if "task" in fields else None
     holder: type[BaseModel] = suite.config
     if name not in fields and isinstance(task, type) and issubclass(task, BaseModel):
@@ -186,7 +185,7 @@ def _values(value: object) -> list[object]:
 
 
 def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
-    """The run's manifest, after checks of the machine and of the renderer if the suite needs one."""
+    """Return the run's manifest, after checks of the machine and of the renderer if the suite needs one."""
     name = None
     if suite.renders(config):
         from uavaccel.sim.camera.gl import describe_renderer
@@ -203,43 +202,32 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
 
 
 def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
-    """The planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
+    """Return the planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
     costs = [suite.cost(config, case) for case in cases]
-    wall_s = sum(
-        cost.wall_s / (1 if case.timing == "wall" else jobs) for case, cost in zip(cases, costs, strict=True)
-    )
+    parallel = (1 if case.timing == "wall" else jobs for case in cases)
+    wall_s = sum(cost.wall_s / each for cost, each in zip(costs, parallel, strict=True))
     clocks = Counter(case.timing for case in cases)
     by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
     simulated_s = sum(case.simulated_s() for case in cases)
     disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
     games = sum(suite.games(config, case) for case in cases)
     what = f"{games} games" if games == len(cases) else f"{games:,} games in {len(cases)} cells"
+    sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
     return (
-        f"{what} ({by_clock}: {_sources(clocks)}), {simulated_s:,.0f} simulated s: "
+        f"{what} ({by_clock}: {sources}), {simulated_s:,.0f} simulated s: "
         f"estimated {duration(wall_s)} and {max(disk_mb, 1):.0f} MB, into {out}"
     )
 
 
-def _sources(clocks: Mapping[str, int]) -> str:
-    return (
-        "measured" if set(clocks) == {"wall"} else "measured and modelled" if "wall" in clocks else "modelled"
-    )
-
-
 def duration(seconds: float) -> str:
-    """A duration in words, in the unit that suits it."""
+    """Return a duration in words, in the unit that suits it."""
     if seconds < 60:
         return "under a minute"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def fly(
-    suite: AnySuite,
-    config: Experiment,
-    cases: Sequence[Case],
-    run: RunDirectory,
-    jobs: int,
-    engine: str = LOKY,
+    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> None:
     """Fly the cases that have no row yet."""
     with Progress(cases, run.rows(), suite.status, console) as progress:
@@ -275,8 +263,7 @@ def report_run(run: RunDirectory) -> Summary:
     if table := report.overview():
         show_table(table)
     cells = summary.get("cells", ())
-    lost = [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]
-    if lost:
+    if lost := [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]:
         console.print(
             f"warning: the machine did not keep up: {sum(lost):.3f} s of wall time lost "
             f"in {len(lost)} of {len(cells)} cells"

@@ -42,9 +42,11 @@ class ServeOptions:
 def serve(options: ServeOptions) -> None:
     """Listen, print the address, and serve until SIGINT or SIGTERM. Raises UserError with one line."""
     settings = read_settings(options.settings) if options.settings else Settings()
-    host, clock_speed = address_of(options, settings), clock_speed_of(options, settings)
-    simulation = simulation_of(options, settings, clock_speed)
-    api = api_of(simulation, options, settings)
+    host, simulation = address_of(options, settings), simulation_of(options, settings)
+    try:
+        api = Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
+    except UserError as error:
+        raise UserError(f"{options.settings}: {error}") from None
     draw_once(api)
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
@@ -60,7 +62,7 @@ def serve(options: ServeOptions) -> None:
 
 
 def address_of(options: ServeOptions, settings: Settings) -> str:
-    """The address to listen on: beyond this machine only if the command line names it. Raises UserError."""
+    """Return the address to listen on: beyond this machine only if the command line names it. Raises UserError."""
     if options.host is not None:
         return options.host
     if not is_loopback(settings.address):
@@ -72,7 +74,7 @@ def address_of(options: ServeOptions, settings: Settings) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reachable from this machine only."""
+    """Return whether an address is reachable from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -80,29 +82,22 @@ def is_loopback(host: str) -> bool:
 
 
 def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
-    """The requested ClockSpeed; the simulation refuses 0 and below. Raises UserError if it is too high."""
+    """Return the requested ClockSpeed; the simulation refuses 0 and below. Raises UserError if it is too high."""
     speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
     if speed > FASTEST:
         raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
     return speed
 
 
-def simulation_of(options: ServeOptions, settings: Settings, clock_speed: float) -> Simulation:
-    """The simulation of the scene, settled and running. Raises UserError for an unknown scene or profile."""
+def simulation_of(options: ServeOptions, settings: Settings) -> Simulation:
+    """Return the simulation of the scene, settled and running. Raises UserError for an unknown scene or profile."""
+    clock_speed = clock_speed_of(options, settings)
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, clock_speed, airsim=True)
     settings.prepare(simulation.world)
     return simulation
-
-
-def api_of(simulation: Simulation, options: ServeOptions, settings: Settings) -> Api:
-    """The calls, with the settings' vehicles. Raises UserError that names the file and the key."""
-    try:
-        return Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
-    except UserError as error:
-        raise UserError(f"{options.settings}: {error}") from None
 
 
 def draw_once(api: Api) -> None:
@@ -116,7 +111,6 @@ def draw_once(api: Api) -> None:
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:
-    """The folder for recordings: AirSim's, unless another one is given."""
     given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
     return given or Path.home() / "Documents" / "AirSim"
 
@@ -142,7 +136,7 @@ def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
 
 
 def waiting(server: Server) -> str:
-    """The initial state of the vehicles, in words."""
+    """Return the initial state of the vehicles in words."""
     vehicles = server.api.simulation.world.vehicles
     lead = vehicles[0]
     how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
@@ -225,9 +219,5 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def add(one: Speed, other: Speed) -> Speed:
-    """The sum of two measurements of speed."""
-    return Speed(
-        one.simulated_ns + other.simulated_ns,
-        one.wall_ns + other.wall_ns,
-        one.lost_wall_ns + other.lost_wall_ns,
-    )
+    simulated_ns, wall_ns = one.simulated_ns + other.simulated_ns, one.wall_ns + other.wall_ns
+    return Speed(simulated_ns, wall_ns, one.lost_wall_ns + other.lost_wall_ns)

@@ -39,7 +39,7 @@ def schema(
 
 
 def schema_text(suite: str) -> str:
-    """The JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
+    """Return the JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
     import json
 
     from uavaccel.config import schema as schema_of

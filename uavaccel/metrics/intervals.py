@@ -15,18 +15,13 @@ from numpy.typing import ArrayLike
 
 RESAMPLES = 2000
 LEVEL = 0.95
-
-Statistic = Callable[..., np.ndarray]
+TAILS = (1.0 - LEVEL) / 2.0, 1.0 - (1.0 - LEVEL) / 2.0
 
 
 def bootstrap_interval(
-    samples: Sequence[ArrayLike],
-    statistic: Statistic,
-    seed: int,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
+    samples: Sequence[ArrayLike], statistic: Callable[..., np.ndarray], seed: int
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its own games.
+    """Return the 95 % percentile bootstrap interval of `statistic(*samples)`, each sample resampled over its games.
 
     `samples` holds arrays (games,) with one value per game: pairs of games are not independent and must be averaged
     before. `statistic` reduces the last axis. The same seed gives the same interval. Raises ValueError for a sample
@@ -38,15 +33,14 @@ def bootstrap_interval(
         values = np.asarray(sample, dtype=np.float64)
         if values.size == 0:
             raise ValueError("a bootstrap needs at least one game")
-        resampled.append(values[rng.integers(values.size, size=(resamples, values.size))])
-    tail = (1.0 - level) / 2.0
-    low, high = np.quantile(statistic(*resampled), (tail, 1.0 - tail))
+        resampled.append(values[rng.integers(values.size, size=(RESAMPLES, values.size))])
+    low, high = np.quantile(statistic(*resampled), TAILS)
     return float(low), float(high)
 
 
-def median_interval(values: ArrayLike, seed: int, level: float = LEVEL) -> tuple[float, float]:
+def median_interval(values: ArrayLike, seed: int) -> tuple[float, float]:
     """Return the bootstrap interval over games of the median of `values` (games,)."""
-    return bootstrap_interval((values,), partial(np.median, axis=-1), seed, level)
+    return bootstrap_interval((values,), partial(np.median, axis=-1), seed)
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ from math import comb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.metrics.intervals import LEVEL, RESAMPLES
+from uavaccel.metrics.intervals import RESAMPLES, TAILS
 
 MOST_EXACT = 200_000  # permutations that are enumerated; beyond, so many are sampled
 ROUNDING = 1e-12
 
 
 def hierarchical_interval(
-    samples: Sequence[ArrayLike], seed: int, level: float = LEVEL, resamples: int = RESAMPLES
+    samples: Sequence[ArrayLike], seed: int, resamples: int = RESAMPLES
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval of the mean over seeds of each seed's mean, for real-valued results.
+    """Return the 95 % percentile bootstrap interval of the mean over seeds of each seed's mean, of real-valued results.
 
     `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval
     lies in the range of the values and has no width where all are equal: for shares of games won take
@@ -36,8 +36,7 @@ def hierarchical_interval(
         here = resampled == number
         chosen = rng.integers(games.size, size=(int(here.sum()), games.size))
         means[here] = games[chosen].mean(axis=1)
-    tail = (1.0 - level) / 2.0
-    low, high = np.quantile(means.mean(axis=1), (tail, 1.0 - tail))
+    low, high = np.quantile(means.mean(axis=1), TAILS)
     return float(low), float(high)
 
 

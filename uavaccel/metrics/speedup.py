@@ -22,12 +22,13 @@ def effective_speedup(baseline_wall_s: ArrayLike, wall_s: ArrayLike) -> float:
     return float(baseline.mean() / cell.mean())
 
 
-def speedup_interval(
-    baseline_wall_s: ArrayLike, wall_s: ArrayLike, seed: int, level: float = 0.95
-) -> tuple[float, float]:
+def speedup_interval(baseline_wall_s: ArrayLike, wall_s: ArrayLike, seed: int) -> tuple[float, float]:
     """Return the bootstrap interval of `effective_speedup`; games of baseline and cell are resampled independently."""
-    baseline, cell = _checked(baseline_wall_s), _checked(wall_s)
-    return bootstrap_interval((baseline, cell), _ratio_of_means, seed, level)
+
+    def ratio_of_means(baseline: np.ndarray, cell: np.ndarray) -> np.ndarray:
+        return np.asarray(baseline.mean(axis=-1) / cell.mean(axis=-1))
+
+    return bootstrap_interval((_checked(baseline_wall_s), _checked(wall_s)), ratio_of_means, seed)
 
 
 def timing_provenance(timing: str) -> Provenance:
@@ -40,10 +41,6 @@ def combined_provenance(*parts: Provenance) -> Provenance:
     if not parts:
         raise ValueError("a combined provenance needs at least one part")
     return parts[0] if len(set(parts)) == 1 else "mixed"
-
-
-def _ratio_of_means(baseline: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    return np.asarray(baseline.mean(axis=-1) / cell.mean(axis=-1))
 
 
 def _checked(wall_s: ArrayLike) -> np.ndarray:

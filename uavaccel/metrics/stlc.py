@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from uavaccel.metrics.trajectory import FloatArray, Trajectory, distinct, mean_over_references, trajectory
+from uavaccel.metrics.trajectory import FloatArray, Trajectory, mean_over_references, trajectory
 
 
 def stlc(
@@ -35,16 +35,10 @@ def stlc(
 
 
 def mean_stlc(
-    games: Sequence[Trajectory],
-    references: Sequence[Trajectory],
-    exclude_self: bool = False,
-    lam: float = 0.5,
+    games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False
 ) -> FloatArray:
     """Return each game's STLC averaged over all references (games,); see `trajectory.mean_over_references`."""
-    unique_games, game_index = distinct(games)
-    unique_references, reference_index = distinct(references)
-    matrix = stlc_matrix(unique_games, unique_references, lam)
-    return mean_over_references(matrix, game_index, reference_index, exclude_self)
+    return mean_over_references(stlc_matrix, games, references, exclude_self)
 
 
 def stlc_matrix(

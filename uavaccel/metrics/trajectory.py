@@ -5,7 +5,7 @@ Times are seconds from the tick at which a game's first command was accepted; po
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,12 +63,11 @@ def mean_position_rmse(
     games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False
 ) -> FloatArray:
     """Return each game's `position_rmse` averaged over the references (games,); see `mean_over_references`."""
-    unique_games, game_index = distinct(games)
-    unique_references, reference_index = distinct(references)
-    matrix = np.array(
-        [[position_rmse(reference, game) for reference in unique_references] for game in unique_games]
-    )
-    return mean_over_references(matrix, game_index, reference_index, exclude_self)
+
+    def rmse_matrix(games: Sequence[Trajectory], references: Sequence[Trajectory]) -> FloatArray:
+        return np.array([[position_rmse(reference, game) for reference in references] for game in games])
+
+    return mean_over_references(rmse_matrix, games, references, exclude_self)
 
 
 def duration_error_s(reference_duration_s: ArrayLike, duration_s: ArrayLike) -> FloatArray:
@@ -107,17 +106,21 @@ def distinct(flights: Sequence[Trajectory]) -> tuple[list[Trajectory], IndexArra
 
 
 def mean_over_references(
-    matrix: FloatArray, game_index: IndexArray, reference_index: IndexArray, exclude_self: bool
+    measure: Callable[[Sequence[Trajectory], Sequence[Trajectory]], FloatArray],
+    games: Sequence[Trajectory],
+    references: Sequence[Trajectory],
+    exclude_self: bool,
 ) -> FloatArray:
-    """Return the mean over the references (games,) of a measure that is known for distinct flights only.
+    """Return the mean over the references (games,) of a measure, which is computed for distinct flights only.
 
-    `matrix` is (distinct games, distinct references). With `exclude_self` the games are the references, in
+    `measure` returns a matrix (games, references). With `exclude_self` the games are the references, in
     one order, and a game is not compared with itself; a lone reference has nothing to compare with: NaN.
     Raises ValueError if there are no references, or if `exclude_self` meets lists of different lengths.
     """
-    if reference_index.size == 0:
+    if not references:
         raise ValueError("a mean over references needs at least one reference")
-    full = matrix[np.ix_(game_index, reference_index)]
+    (unique_games, game_index), (unique_references, reference_index) = map(distinct, (games, references))
+    full = measure(unique_games, unique_references)[np.ix_(game_index, reference_index)]
     if not exclude_self:
         return np.asarray(full.mean(axis=1))
     if full.shape[0] != full.shape[1]:

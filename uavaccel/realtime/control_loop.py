@@ -1,4 +1,4 @@
-"""The control loop of an agent that needs time to think: what is flown meanwhile, then its actions."""
+"""The control loop of an agent that needs time to think: the environment goes on meanwhile, then its actions follow."""
 
 from __future__ import annotations
 
@@ -48,11 +48,7 @@ class LoopOptions:
                 raise UserError(f"{name}: must be {known}, not {getattr(self, name)!r}")
         for name in ("chunk", "execute"):
             value = getattr(self, name)
-            if (
-                not isinstance(value, int | None)
-                or isinstance(value, bool)
-                or (value is not None and value < 1)
-            ):
+            if not (value is None or (type(value) is int and value >= 1)):
                 raise UserError(f"{name}: must be a count of actions, 1 or more, not {value!r}")
         if self.execute is not None and self.execute > self.chunk:
             raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
@@ -60,11 +56,11 @@ class LoopOptions:
 
     @property
     def executed(self) -> int:
-        """How many actions of a chunk are applied before the next observation."""
+        """The number of a chunk's actions that are applied before the next observation."""
         return self.chunk if self.execute is None else self.execute
 
     def action_space(self, single: spaces.Space[Any]) -> spaces.Space[Any]:
-        """That of a chunk of actions. Raises UserError for a space whose actions do not stack."""
+        """Return the space of a chunk of actions. Raises UserError for a space whose actions do not stack."""
         if self.chunk == 1:
             return single
         if isinstance(single, spaces.Box):
@@ -75,7 +71,7 @@ class LoopOptions:
         raise UserError(f"chunk: actions of a {type(single).__name__} do not stack; use chunk=1")
 
     def idle_action(self, single: spaces.Space[Any]) -> Action:
-        """What is flown before the first action. Raises UserError where nothing is given and nothing is neutral."""
+        """Return the action before an agent's first one. Raises UserError without a default in a space but Box."""
         if self.default_action is not None:
             action = self.default_action
             if isinstance(single, spaces.Box):
@@ -89,7 +85,7 @@ class LoopOptions:
 
 
 class ControlLoop:
-    """One episode after another of a plant, under an agent's actions and what is flown meanwhile."""
+    """The loop that applies an agent's actions to a plant, and the planned or idle ones while the agent thinks."""
 
     def __init__(self, plant: Plant, options: LoopOptions, action_space: spaces.Space[Any]) -> None:
         self.plant, self.options = plant, options
@@ -103,27 +99,27 @@ class ControlLoop:
         self.begin()
 
     def begin(self) -> None:
-        """Nothing is planned, and the action applied last is the default one."""
+        """Begin an episode, with nothing planned and the default action as the last one."""
         self.plant.reset()
         self._planned: deque[tuple[Action, int]] = deque()
         self._idle = self._default
 
     def ticks_within(self, wall_ns: int) -> int:
-        """How many ticks pass while an agent thinks: an action waits for the end of the tick it arrives in."""
+        """Return the ticks that pass while an agent thinks: an action waits for the end of the tick it arrives in."""
         if not self.goes_on:
             return 0
         return ceil_div(wall_ns * self._numerator, self._tick_wall)
 
     def wall_ns(self, ticks: int) -> int:
-        """The wall time that so many ticks take."""
+        """Return the wall time of a number of ticks."""
         return -(-ticks * self._tick_wall // self._numerator)
 
     def act_ticks(self, thinking_ticks: int) -> int:
-        """How many ticks pass from an action's arrival to the next observation."""
+        """Return the ticks from an action's arrival to the next observation."""
         return max(self._act_ticks - thinking_ticks, 0) if self.options.overlap else self._act_ticks
 
     def step(self, action: Action) -> Period:
-        """A single action for its control period, before which nothing has passed."""
+        """Apply a single action for its control period; no time has passed since the last observation."""
         if self._planned:
             self._planned.clear()
         if self._holds:
@@ -131,7 +127,7 @@ class ControlLoop:
         return self.plant.step(action)
 
     def act(self, action: Action, ticks: int, before: Passed | None = None) -> Passed:
-        """The agent's actions have arrived: fly them for so many ticks, none if that took longer than they last."""
+        """Apply the agent's actions, which have just arrived, for a number of ticks; 0 if thinking outlasted them."""
         actions = [action] if self.options.chunk == 1 else action
         self._planned = deque((each, self.plant.period_ticks) for each in actions)
         if ticks == 0 and before is not None:
@@ -139,7 +135,7 @@ class ControlLoop:
         return self.advance(ticks, before)
 
     def advance(self, ticks: int, before: Passed | None = None) -> Passed:
-        """Let at least one tick pass, under what is planned; the result is summed up with what passed `before`."""
+        """Let at least one tick pass under the planned actions, and return the result added to that of `before`."""
         left = ticks
         while True:
             action, count = self._planned.popleft() if self._planned else (self._idle, left)
@@ -149,20 +145,19 @@ class ControlLoop:
             if self._holds:
                 self._idle = action
             passed = self.plant.advance(action, count)
-            before = passed if before is None else _summed(before, passed)
+            if before is not None:
+                total, ticks = before.reward + passed.reward, before.ticks + passed.ticks
+                passed = passed._replace(reward=total, ticks=ticks)
+            before = passed
             left -= count
             if left == 0 or passed.terminated or passed.truncated:
                 return before
 
 
-def _summed(before: Passed, after: Passed) -> Passed:
-    return after._replace(reward=before.reward + after.reward, ticks=before.ticks + after.ticks)
-
-
 class Extras:
-    """What may be added to an observation, which is flat then: how old the last one was, and the latest actions.
+    """Optional entries of an observation, which is flat then: the age of the last one, and the latest actions.
 
-    Raises UserError where observations are no arrays.
+    Raises UserError where observations are not arrays.
     """
 
     def __init__(
@@ -177,34 +172,27 @@ class Extras:
         if not isinstance(observation, spaces.Box):
             raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
         self._type = np.result_type(observation.dtype, np.float32)
-        low, high = [observation.low.ravel()], [observation.high.ravel()]
+        bounds = [(observation.low.ravel(), observation.high.ravel())]
         if age:
-            low, high = [*low, np.zeros(1)], [*high, np.full(1, np.inf)]
+            bounds.append((np.zeros(1), np.full(1, np.inf)))
         if actions:
             self._size = spaces.flatdim(action)
             flat: Any = spaces.flatten_space(action)
-            low, high = (
-                [*low, np.minimum(np.tile(flat.low, actions), 0)],
-                [*high, np.maximum(np.tile(flat.high, actions), 0)],
-            )
+            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * actions
         self._action = action
-        self.space = spaces.Box(
-            np.concatenate(low).astype(self._type),
-            np.concatenate(high).astype(self._type),
-            dtype=self._type.type,
-        )
+        low, high = (np.concatenate(ends).astype(self._type) for ends in zip(*bounds, strict=True))
+        self.space = spaces.Box(low, high, dtype=self._type.type)
 
     def begin(self) -> None:
-        """No action yet."""
+        """Begin an episode, with zeros for the latest actions."""
         self._latest = deque([np.zeros(self._size)] * self._count, maxlen=self._count)
 
     def note(self, action: Action) -> None:
-        """An action is on its way."""
         if self._count:
             self._latest.append(np.asarray(spaces.flatten(self._action, action), float))
 
     def added(self, observation: Any, age_s: float) -> Any:
-        """The observation with what is added: the last action's age in simulated seconds, then actions, latest last."""
+        """Return the observation with the age in simulated seconds and the latest actions, the last one last."""
         if not self._age and not self._count:
             return observation
         age = [np.array([age_s])] if self._age else []

@@ -1,4 +1,4 @@
-"""Environments whose simulated time passes by ticks: a physics step where MuJoCo's is known, else a control period."""
+"""Environments whose simulated time passes in ticks: physics steps in MuJoCo's environments, else control periods."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from uavaccel.units import NS_PER_S, exact
 
 Observation = Any
 Action = Any
-
-
 Period = tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]
-"""What became of a control period, as Gymnasium's `step` has it."""
+"""The result of a control period, as Gymnasium's `step` returns it."""
 
 
 class Passed(NamedTuple):
-    """What became of some ticks: Gymnasium's five, the reward being the sum, and how many ticks passed."""
+    """The result of some ticks: Gymnasium's five values, with the sum of the rewards, and how many ticks passed."""
 
     observation: Observation
     reward: float
@@ -30,7 +28,7 @@ class Passed(NamedTuple):
 
 
 class Plant(Protocol):
-    """An environment that can be let go on for any number of ticks."""
+    """An environment that can be advanced by any number of ticks."""
 
     tick_ns: int
     """Simulated time of one tick."""
@@ -38,7 +36,7 @@ class Plant(Protocol):
     """Ticks of a control period, for which an action is meant."""
 
     def reset(self) -> None:
-        """An episode has begun."""
+        """Begin an episode; called after the environment's own reset."""
         ...
 
     def step(self, action: Action) -> Period:
@@ -46,29 +44,37 @@ class Plant(Protocol):
         ...
 
     def advance(self, action: Action, ticks: int) -> Passed:
-        """Apply an action for at least one tick; an episode that ends on the way stops the count."""
+        """Apply an action for at least one tick, and stop where the episode ends."""
         ...
 
 
 class PeriodicPlant:
-    """Any environment: a tick is a control period, one call of `step`."""
+    """An environment of any kind: a tick is a control period, one call of `step`."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], period_s: float) -> None:
-        self.step, self.tick_ns, self.period_ticks = env.step, _period_ns(period_s), 1
+        self._env, self.tick_ns, self.period_ticks = env, _period_ns(period_s), 1
 
     def reset(self) -> None:
         pass
 
+    def step(self, action: Action) -> Period:
+        return self._env.step(action)
+
     def advance(self, action: Action, ticks: int) -> Passed:
         total, passed = 0.0, 0
         while True:
-            observation, reward, terminated, truncated, info = self.step(action)
-            total, passed = total + float(reward), passed + 1
+            count = min(ticks - passed, self.period_ticks)
+            observation, reward, terminated, truncated, info = self._part(action, count)
+            total, passed = total + float(reward) * count / self.period_ticks, passed + count
             if passed == ticks or terminated or truncated:
                 return Passed(observation, total, terminated, truncated, info, passed)
 
+    def _part(self, action: Action, ticks: int) -> Period:
+        """Apply an action for a part of a control period, or a whole one."""
+        return self.step(action)
 
-class MujocoPlant:
+
+class MujocoPlant(PeriodicPlant):
     """One of Gymnasium's MuJoCo environments: a tick is one physics step, of which `frame_skip` are a control period.
 
     Part of a period is one `step` with a smaller `frame_skip`, so that velocities, and what they earn, are those over
@@ -92,15 +98,6 @@ class MujocoPlant:
         self._ticks += self.period_ticks
         return self._env.step(action)
 
-    def advance(self, action: Action, ticks: int) -> Passed:
-        total, passed = 0.0, 0
-        while True:
-            count = min(ticks - passed, self.period_ticks)
-            observation, reward, terminated, truncated, info = self._part(action, count)
-            total, passed = total + float(reward) * count / self.period_ticks, passed + count
-            if passed == ticks or terminated or truncated:
-                return Passed(observation, total, terminated, truncated, info, passed)
-
     def _part(self, action: Action, ticks: int) -> Period:
         self._ticks += ticks
         if self._limit is not None:
@@ -113,37 +110,26 @@ class MujocoPlant:
 
 
 def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
-    """The environment's, by its physics step or, with `period_s` or where no physics is known, by its control period.
+    """Return the plant of an environment: by physics steps or, with `period_s` or without MuJoCo, by control periods.
 
-    Raises UserError where nobody says how long a step is.
+    Raises UserError where the duration of a step is not known.
     """
     inside: Any = env.unwrapped
     if period_s is not None:
         return PeriodicPlant(env, period_s)
     if hasattr(inside, "frame_skip") and hasattr(inside, "model") and hasattr(inside, "do_simulation"):
         return MujocoPlant(env)
-    for source in (_dm_control, _own):
-        if (found := source(inside)) is not None:
-            return PeriodicPlant(env, found)
+    of_dm_control = getattr(getattr(inside, "_env", None), "control_timestep", None)  # inside shimmy's
+    if callable(of_dm_control):
+        return PeriodicPlant(env, float(of_dm_control()))
+    for name in ("dt", "tau"):
+        value = getattr(inside, name, None)
+        if isinstance(value, int | float) and value > 0:
+            return PeriodicPlant(env, float(value))
     raise UserError(
         f"period_s: {type(inside).__name__} does not say how long a step is; "
         "give the simulated seconds of one, as in period_s=0.02"
     )
-
-
-def _dm_control(inside: Any) -> float | None:
-    """The control period of an environment of dm_control inside shimmy's."""
-    control = getattr(getattr(inside, "_env", None), "control_timestep", None)
-    return float(control()) if callable(control) else None
-
-
-def _own(inside: Any) -> float | None:
-    """What an environment says itself: `dt` or `tau`, in seconds."""
-    for name in ("dt", "tau"):
-        value = getattr(inside, name, None)
-        if isinstance(value, int | float) and value > 0:
-            return float(value)
-    return None
 
 
 def _time_limit(env: gymnasium.Env[Any, Any]) -> Any:
@@ -155,7 +141,7 @@ def _time_limit(env: gymnasium.Env[Any, Any]) -> Any:
 
 
 def _period_ns(period_s: float) -> int:
-    """Raises UserError for what is not a time, or is less than a nanosecond."""
+    """Return a period in nanoseconds. Raises UserError for anything else than 1 ns to 1e6 s."""
     if not isinstance(period_s, int | float) or not 1e-9 <= period_s <= 1e6:
         raise UserError(f"period_s: must be a number of seconds above 0, not {period_s!r}")
     return max(round(exact(period_s) * NS_PER_S), 1)

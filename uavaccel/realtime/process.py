@@ -1,4 +1,4 @@
-"""Real time on the machine's own clock: the environment lives in a process of its own, and waits for nobody."""
+"""Real time on the machine's own clock: the environment runs in a process of its own, whatever its agent does."""
 
 from __future__ import annotations
 
@@ -79,7 +79,6 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         return observation, passed.reward, passed.terminated, passed.truncated, info
 
     def close(self) -> None:
-        """End the process."""
         self._connection.close()
         self._process.join(5)
         if self._process.is_alive():
@@ -107,7 +106,7 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
 
 
 class _Server:
-    """The environment's side: it steps when a tick is due, whatever the agent does."""
+    """The side of the environment, which steps when a tick is due."""
 
     def __init__(self, connection: Connection, loop: ControlLoop, env: gymnasium.Env[Any, Any]) -> None:
         self._connection, self._loop, self._env = connection, loop, env
@@ -125,7 +124,7 @@ class _Server:
         return result
 
     def step(self, action: Any) -> tuple[Passed, int, int, int]:
-        """Its result, the thinking time, in ns and in ticks, and how late it is."""
+        """Return the result, the thinking time in ns and in ticks, and the lateness in ns."""
         loop, thought = self._loop, self._thought
         passed, thinking_ns = self._meanwhile, self._arrived_ns - self._since_ns
         if not loop.goes_on:
@@ -140,8 +139,11 @@ class _Server:
         return passed, thinking_ns, thought, late_ns
 
     def wait(self) -> tuple[Any, ...]:
-        """The agent's next message; the environment goes on until it comes."""
-        while self._goes_on() and not self._connection.poll(self._left_s()):
+        """Return the agent's next message; the environment goes on until it comes."""
+        while self._goes_on():
+            left_ns = self._pacer.wall_due(self._thought + 1) - self._clock.now_ns()
+            if self._connection.poll(max(left_ns, 0) / NS_PER_S):
+                break
             due = self._pacer.ticks_due(self._clock.now_ns()) - self._thought
             if due > 0:
                 self._go_on(due)
@@ -154,7 +156,7 @@ class _Server:
         return message
 
     def _hand_over(self, wall_ns: int) -> None:
-        """The agent has its observation, and thinks."""
+        """Begin to count the thinking time, as the agent has its observation."""
         self._since_ns = self._arrived_ns = wall_ns
         self._pacer.anchor(wall_ns, 0)
         self._thought, self._meanwhile = 0, None
@@ -164,16 +166,13 @@ class _Server:
         over = passed is not None and (passed.terminated or passed.truncated)
         return self._thinks and self._loop.goes_on and not over
 
-    def _left_s(self) -> float:
-        return max(self._pacer.wall_due(self._thought + 1) - self._clock.now_ns(), 0) / NS_PER_S
-
     def _go_on(self, ticks: int) -> None:
         self._meanwhile = self._loop.advance(ticks, self._meanwhile)
         self._thought = self._meanwhile.ticks
 
 
 def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, period_s: float | None) -> None:
-    """The process: until the agent's end of the connection is closed."""
+    """Run the environment's process until the agent's end of the connection is closed."""
     try:
         env = make_env()
         loop = ControlLoop(plant_of(env, period_s), options, env.action_space)

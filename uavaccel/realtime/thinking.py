@@ -1,4 +1,4 @@
-"""How long an agent thinks before an action: a number, a distribution, a calibration file, or what it really takes."""
+"""Thinking times of an agent: a constant, a distribution, a calibration file, or the time that it really takes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class ThinkingTime(Protocol):
     """A source of thinking times, in nanoseconds of wall time."""
 
     def observed(self) -> None:
-        """The agent has been handed an observation."""
+        """Note that the agent has received an observation."""
         ...
 
     def draw_ns(self, generator: np.random.Generator) -> int:
-        """The time from that observation to the action that has just arrived."""
+        """Return the time from that observation to the action that has just arrived."""
         ...
 
 
@@ -88,7 +88,7 @@ class Measured:
         return self.taken_ns[-1]
 
     def add_ns(self, taken_ns: int) -> None:
-        """Note one more thinking time."""
+        """Record a thinking time."""
         self.taken_ns.append(taken_ns)
 
     def save(self, path: str | Path, name: str = "measured thinking times") -> Path:
@@ -96,18 +96,15 @@ class Measured:
         if not self.taken_ns:
             raise UserError(f"{path}: no thinking time has been measured yet; take some steps first")
         taken_us = np.quantile(np.asarray(self.taken_ns) / 1e3, QUANTILES).tolist()
-        block = LatencyConfig(name=name, request_us={DEFAULT: tuple(taken_us)}).model_dump(mode="json")
-        keys = ("name", "quantiles", "request_us", "reply_us")
+        model = LatencyConfig(name=name, request_us={DEFAULT: tuple(taken_us)})
+        block = model.model_dump(mode="json", include={"name", "quantiles", "request_us", "reply_us"})
         written = Path(path)
-        written.write_text(
-            f"# {len(self.taken_ns)} thinking times\n"
-            + dump_yaml({"latency": {key: block[key] for key in keys}})
-        )
+        written.write_text(f"# {len(self.taken_ns)} thinking times\n{dump_yaml({'latency': block})}")
         return written
 
 
 def samples(times_s: Sequence[float]) -> ThinkingTime:
-    """Thinking times distributed as a sample of them, in seconds. Raises UserError if one is negative or not finite."""
+    """Return thinking times distributed as a sample, in seconds. Raises UserError if one is negative or not finite."""
     try:
         taken = np.sort(np.asarray(times_s, float))
     except (TypeError, ValueError):
@@ -120,7 +117,7 @@ def samples(times_s: Sequence[float]) -> ThinkingTime:
 
 
 def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
-    """Log-normal thinking times by their median and their 99th percentile, in seconds.
+    """Return log-normal thinking times with a median and a 99th percentile, in seconds.
 
     Raises UserError unless 0 < median_s <= p99_s.
     """
@@ -131,7 +128,7 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
 
 
 def calibrated(path: str | Path) -> ThinkingTime:
-    """A calibration file's: a message that brings the action and one that brings the observation.
+    """Return the thinking times of a calibration file: a message with the action and one with the observation.
 
     The channels are `move` on the way out and `image` on the way back, or "call" where the file has neither. Raises
     UserError that names the file and the key.
@@ -145,7 +142,7 @@ def calibrated(path: str | Path) -> ThinkingTime:
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:
-    """What `latency_s` of a wrapper names: seconds, a sample of seconds, a calibration file, "measured", or a source.
+    """Return the thinking times that a wrapper's `latency_s` names: seconds, a sample, a file, "measured", or a source.
 
     Raises UserError, one line, for anything else.
     """

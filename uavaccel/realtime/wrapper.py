@@ -15,9 +15,7 @@ from uavaccel.realtime.plant import plant_of
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.units import NS_PER_S
 
-_STREAM = (
-    0x7EA1  # thinking times have a generator of their own, so that the environment's draws stay as they are
-)
+_STREAM = 0x7EA1  # of the generator of thinking times, which leaves the environment's draws as they are
 
 
 @runtime_checkable
@@ -100,7 +98,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Think, then act: rewards are those of both."""
+        """Let the thinking time pass, then apply the action; the reward is the sum of both."""
         thinking_ns, loop = self.thinking.draw_ns(self._generator), self._loop
         if loop is None:
             return self._command(action, thinking_ns)
@@ -127,7 +125,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, float(reward), terminated, truncated, info
 
     def _command(self, action: Any, thinking_ns: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """A drone's: its own clocks say what it flies meanwhile."""
+        """Step a drone, whose own clocks are charged with the thinking time."""
         assert self._drone is not None
         self._drone.charge(thinking_ns / NS_PER_S)
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -140,7 +138,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
 
 def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions) -> HasWallClock | None:
-    """The environment that keeps its own clocks. Raises UserError where they are not those of the wrapper."""
+    """Return the environment that keeps its own clocks, if it is one. Raises UserError where these differ from ours."""
     inside = env.unwrapped
     if not isinstance(inside, HasWallClock):
         return None

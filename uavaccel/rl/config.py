@@ -97,7 +97,9 @@ class LearnerConfig(Config):
     @model_validator(mode="after")
     def _lanes_fit(self) -> LearnerConfig:
         if self.task.timing == "wall" and self.environments > 1:
-            raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
+            raise ValueError(
+                "environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock"
+            )
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
         if self.on_device and (self.algorithm != OWN or self.task.observation == "state"):

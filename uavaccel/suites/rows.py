@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict, TypeVar, cast
 
 import numpy as np
 
@@ -21,11 +21,10 @@ if TYPE_CHECKING:  # environments load Gymnasium, a client the simulation
 Row = Mapping[str, Plain]
 """A row as it is read back; suites declare the keys of their own rows as a `GameRow`."""
 
-DISTURBANCES: tuple[Literal["lost_wall_s", "stalled_wall_s", "restarts"], ...] = (
-    "lost_wall_s",
-    "stalled_wall_s",
-    "restarts",
-)
+Disturbance = Literal["lost_wall_s", "stalled_wall_s", "restarts"]
+DISTURBANCES: tuple[Disturbance, ...] = ("lost_wall_s", "stalled_wall_s", "restarts")
+Entry = TypeVar("Entry")
+Key = TypeVar("Key")
 
 
 class Disturbances(TypedDict, total=False):
@@ -98,6 +97,19 @@ class FlightCase:
         return f"{prefix}{self.command}-k{self.clock_speed:g}"
 
 
+def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
+    """Return the entries of a row under these keys."""
+    return {key: row[key] for key in keys}
+
+
+def grouped(entries: Iterable[Entry], key: Callable[[Entry], Key]) -> dict[Key, list[Entry]]:
+    """Return the entries that share a key, in order of their first ones."""
+    groups: dict[Key, list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(key(entry), []).append(entry)
+    return groups
+
+
 def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
     """Return the seed of a game by its name: the same in any subset of a run, and in any order."""
     return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
@@ -131,23 +143,12 @@ def flight_row(
 
 def lane_row(suite: str, case: str, ended: Info, t_move_s: float) -> LaneRow:
     """Return the row of a game in the lane from the info of its last step."""
-    row: LaneRow = {
-        "suite": suite,
-        "case": case,
-        "is_success": ended["is_success"],
-        "distance_m": ended["distance_m"],
-        "collision": ended["collision"],
-        "lane": ended["lane"],
-        "commands": ended["commands"],
-        "phase_s": ended["phase_s"],
-        "sim_time_s": ended["commands"] * t_move_s,
-    }
-    for key in DISTURBANCES:
-        if found := ended.get(key):
-            row[key] = found
+    row: Plain = {"suite": suite, "case": case, "sim_time_s": ended["commands"] * t_move_s}
+    row |= subset(ended, "is_success", "distance_m", "collision", "lane", "commands", "phase_s")
+    row |= {key: found for key in DISTURBANCES if (found := ended.get(key))}
     if "conditions" in ended:
         row["conditions"] = ended["conditions"]
-    return row
+    return cast(LaneRow, row)
 
 
 def disturbances(row: Row, restarts: int = 0) -> Disturbances:

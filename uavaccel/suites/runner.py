@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -93,40 +93,42 @@ def run_suite(
     """
     check_jobs(suite, config, jobs)
     clear_leftovers()
-    restarts = Counter[str]()
+    work, restarts = _Work(suite, config, run, jobs, engine), Counter[str]()
     while True:
-        left = _without_row(suite, config, run)
         try:
-            _fly(suite, config, left, run, jobs, on_game, restarts, engine)
+            _fly(work, on_game, restarts)
             suite.finish(config, run)
             return
         except ServerGoneError as error:
-            case = next((case.id for case in _without_row(suite, config, run)), "after the last game")
+            case = next((case.id for case in work.left()), "after the last game")
             restarts[case] += 1
             if restarts[case] > MOST_RESTARTS:
                 raise UserError(f"{case}: {error}, {restarts[case]} times; go on with --resume") from error
             suite.prepare(config, run)
 
 
-def _without_row(suite: AnySuite, config: Experiment, run: RunDirectory) -> list[Case]:
-    done = run.done_cases()
-    return [case for case in suite.cases(config) if case.id not in done]
+@dataclass(frozen=True)
+class _Work:
+    """A run and how its games are flown."""
+
+    suite: AnySuite
+    config: Experiment
+    run: RunDirectory
+    jobs: int
+    engine: str
+
+    def left(self) -> list[Case]:
+        done = self.run.done_cases()
+        return [case for case in self.suite.cases(self.config) if case.id not in done]
 
 
-def _fly(
-    suite: AnySuite,
-    config: Experiment,
-    cases: Sequence[Case],
-    run: RunDirectory,
-    jobs: int,
-    on_game: OnGame,
-    restarts: Mapping[str, int],
-    engine: str,
-) -> None:
-    for timing, group in _groups(suite, cases):
-        alone = timing == "wall" or (jobs == 1 and engine == LOKY)
-        fly_all = _fly_one_by_one if alone else _fly_in_parallel if engine == LOKY else _fly_on_cluster
-        for case, game in zip(group, fly_all(suite, config, group, run, jobs, engine), strict=True):
+def _fly(work: _Work, on_game: OnGame, restarts: Mapping[str, int]) -> None:
+    """Fly the cases without a row, and append their rows."""
+    run = work.run
+    for timing, group in _groups(work.suite, work.left()):
+        alone = timing == "wall" or (work.jobs == 1 and work.engine == LOKY)
+        fly_all = _fly_one_by_one if alone else _fly_in_parallel if work.engine == LOKY else _fly_on_cluster
+        for case, game in zip(group, fly_all(work, group), strict=True):
             row = dict(game.row)
             if timing == "wall":
                 row |= disturbances(row, restarts.get(case.id, 0))
@@ -143,30 +145,29 @@ def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[
         yield timing, list(group)
 
 
-def _fly_one_by_one(
-    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[GameResult]:
+def _fly_one_by_one(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
     from uavaccel.envs.environment_processes import BatchError
 
     try:
-        with suite.open(config, cases[0].timing, run) as opened:
+        with work.suite.open(work.config, cases[0].timing, work.run) as opened:
             for case in cases:
-                yield fly_case(suite, config, case, opened)
+                yield fly_case(work.suite, work.config, case, opened)
     except BatchError as error:
         raise UserError(f"{error}; go on with --resume") from error
 
 
-def _fly_in_parallel(
-    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[GameResult]:
+def _fly_in_parallel(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
     from joblib import Parallel, delayed, parallel_config
 
     # workers end with this process from the start, before they import what takes seconds
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
-        ahead = f"{suite.batch}*n_jobs"  # no queue of long games, which would delay an interruption
-        parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch=ahead, batch_size=suite.batch)
-        games = parallel(delayed(_fly_in_worker)(config, case, run.path) for case in cases)
+        batch, ahead = (
+            work.suite.batch,
+            f"{work.suite.batch}*n_jobs",
+        )  # a longer queue would delay an interruption
+        parallel = Parallel(work.jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)
+        games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path) for case in cases)
         try:
             yield from _check_workers(games)
         finally:
@@ -175,14 +176,12 @@ def _fly_in_parallel(
                 games.close()
 
 
-def _fly_on_cluster(
-    suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
-) -> Iterator[GameResult]:
+def _fly_on_cluster(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
     from joblib import delayed
 
-    folder = run.path.resolve()  # workers may have another working directory
-    calls = [delayed(_fly_in_worker)(config, case, folder) for case in cases]
-    yield from on_cluster(engine, jobs, suite.batch, calls)
+    folder = work.run.path.resolve()  # workers may have another working directory
+    calls = [delayed(_fly_in_worker)(work.config, case, folder) for case in cases]
+    yield from on_cluster(work.engine, work.jobs, work.suite.batch, calls)
 
 
 def _check_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:

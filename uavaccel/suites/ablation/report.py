@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
-from uavaccel.suites.dp1 import summary as dp1_summary
+from uavaccel.metrics.trajectory import quartiles
 from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC
 from uavaccel.suites.dp1.report import games_text
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.dp1.scores import summarise as summarise_dp1
 from uavaccel.suites.provenance import source_line
 from uavaccel.suites.report import Report, Summary, SummaryCell, Values, number
+from uavaccel.suites.rows import grouped
 
 _LINES = {"adsc": "-", "tcsc": "--"}
+SETTING = itemgetter("command", "clock_speed")
+LABELS = {
+    "stlc": "STLC, median",
+    "position_rmse_m": "position error, m (RMSE, median)",
+    "speedup": "effective speed-up",
+}
 
 
 @dataclass(frozen=True)
@@ -37,9 +44,6 @@ class VariantCurve:
 
 def curves(entries: Sequence[SummaryCell], times_clock_speed: bool) -> list[VariantCurve]:
     """Return a curve for each command and ClockSpeed; values without a reference are NaN."""
-    grouped: dict[tuple[str, float], list[SummaryCell]] = defaultdict(list)
-    for entry in entries:
-        grouped[entry["command"], entry["clock_speed"]].append(entry)
     return [
         VariantCurve(
             command,
@@ -49,7 +53,7 @@ def curves(entries: Sequence[SummaryCell], times_clock_speed: bool) -> list[Vari
             np.array([entry["position_rmse_m_median"] for entry in own], float),
             np.array([entry["effective_speedup"] for entry in own], float),
         )
-        for (command, clock_speed), own in sorted(grouped.items())
+        for (command, clock_speed), own in sorted(grouped(entries, SETTING).items())
     ]
 
 
@@ -62,54 +66,33 @@ def _place(name: str, factor: float) -> float | str:
 
 def plot_variants(curves: Sequence[VariantCurve], axis: str, title: str, source: str) -> Figure:
     """Plot STLC, position error and speed-up in three panels; places that are numbers are on a logarithmic axis."""
+    places = [place for curve in curves for place in curve.places]
+    numbers, names = (
+        [each for each in places if isinstance(each, float)],
+        list(dict.fromkeys(map(str, places))),
+    )
+    numeric = len(numbers) == len(places)
     with style.project_style():
         figure = style.new_figure(12, 4.2, title, source)
         panels = figure.subplots(1, 3)
         clocks = sorted({curve.clock_speed for curve in curves})
-        for axes, name, label in zip(
-            panels,
-            ("stlc", "position_rmse_m", "speedup"),
-            ("STLC, median", "position error, m (RMSE, median)", "effective speed-up"),
-            strict=True,
-        ):
+        for axes, (name, label) in zip(panels, LABELS.items(), strict=True):
             for curve in curves:
+                x = [place if numeric else names.index(str(place)) for place in curve.places]
                 colour = style.colour(clocks.index(curve.clock_speed))
                 text = f"{style.command_name(curve.command)} {style.clock_label(curve.clock_speed)}"
-                axes.plot(
-                    _places(curves, curve), getattr(curve, name), _LINES.get(curve.command, ":"),
-                    marker="o", markersize=4, color=colour, label=text,
-                )  # fmt: skip
+                line: style.LineStyle = {"marker": "o", "markersize": 4, "color": colour, "label": text}
+                axes.plot(x, getattr(curve, name), _LINES.get(curve.command, ":"), **line)
             axes.set(ylabel=label, xlabel=axis)
-            _set_axis(axes, curves)
+            above = [place for place in numbers if place > 0]
+            if not numeric:
+                axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+            elif above and max(above) / min(above) > 20:
+                axes.set_xscale("symlog", linthresh=min(above))
         panels[0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
         panels[2].set_yscale("log")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
         return figure
-
-
-def _numeric(curves: Sequence[VariantCurve]) -> bool:
-    return all(isinstance(place, float) for curve in curves for place in curve.places)
-
-
-def _names(curves: Sequence[VariantCurve]) -> list[str]:
-    return list(dict.fromkeys(str(place) for curve in curves for place in curve.places))
-
-
-def _places(curves: Sequence[VariantCurve], curve: VariantCurve) -> list[float]:
-    if _numeric(curves):
-        return [float(place) for place in curve.places]
-    names = _names(curves)
-    return [float(names.index(str(place))) for place in curve.places]
-
-
-def _set_axis(axes: Axes, curves: Sequence[VariantCurve]) -> None:
-    if not _numeric(curves):
-        names = _names(curves)
-        axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
-        return
-    above = [float(place) for curve in curves for place in curve.places if float(place) > 0]
-    if above and max(above) / min(above) > 20:
-        axes.set_xscale("symlog", linthresh=min(above))
 
 
 GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
@@ -124,7 +107,7 @@ class AblationReport(Report):
             own = [row for row in self.rows if row["variant"] == variant["name"]]
             if own:
                 scores = score_cells(cells_of(own), self.run.load_arrays)
-                entries += summarise(variant["name"], scores, dp1_summary.summarise(own, scores)["cells"])
+                entries += summarise(variant["name"], scores, summarise_dp1(own, scores)["cells"])
         title, seed = self.title(), self.config["seed"]
         return {"suite": "ablation", "title": title, "seed": seed, "entries": entries}
 
@@ -138,19 +121,13 @@ class AblationReport(Report):
         return [style.picture(figure, path, f"{self.title()}. {_READING}", source)]
 
     def headline(self) -> str:
-        """Return the range of each command's accuracy over the variants, at the highest ClockSpeed."""
         entries = [entry for entry in self.summary["entries"] if entry["stlc_quartiles"]]
         if not entries:
             return "no variant has games to compare"
         fastest = max(entry["clock_speed"] for entry in entries)
-        said = []
-        for command in sorted({entry["command"] for entry in entries}):
-            own = [
-                entry for entry in entries if (entry["command"], entry["clock_speed"]) == (command, fastest)
-            ]
-            by_stlc = sorted(own, key=lambda entry: float(entry["stlc_quartiles"][1]))
-            said += [_between(by_stlc[0], by_stlc[-1])] if by_stlc else []
-        return "; ".join(said)
+        by_stlc = sorted(entries, key=lambda entry: float(entry["stlc_quartiles"][1]))
+        compared = sorted(grouped(by_stlc, SETTING).items())
+        return "; ".join(_between(own[0], own[-1]) for (_, clock), own in compared if clock == fastest)
 
     def overview(self) -> Table:
         return table(self.summary)
@@ -164,10 +141,8 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Summar
 
     Games in lockstep are left out. The speed-up is the mean over the T_moves of the most rounds, as in the paper.
     """
-    pooled: dict[tuple[str, float], list[CellScores]] = defaultdict(list)
-    for score in scores:
-        if score.cell.key.timing != "lockstep":
-            pooled[score.cell.key.command, score.cell.key.clock_speed].append(score)
+    accelerated = [score for score in scores if score.cell.key.timing != "lockstep"]
+    pooled = grouped(accelerated, lambda score: (score.cell.key.command, score.cell.key.clock_speed))
     entries = []
     for (command, clock_speed), members in pooled.items():
         stlc = np.concatenate([member.stlc for member in members])
@@ -177,10 +152,11 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Summar
         speedups = [
             cell["effective_speedup"]
             for cell in cells
-            if (cell["command"], cell["clock_speed"], cell["rounds"]) == (command, clock_speed, most)
+            if (*SETTING(cell), cell["rounds"]) == (command, clock_speed, most)
             and cell["timing"] != "lockstep"
         ]
         known = stlc[np.isfinite(stlc)]
+        beyond = float(np.mean(gap_s > GOAL_TIMEOUT_S + 1e-9)) if gap_s.size else None
         entries.append(
             {
                 "variant": variant,
@@ -188,14 +164,10 @@ def summarise(variant: str, scores: Sequence[CellScores], cells: Sequence[Summar
                 "clock_speed": clock_speed,
                 "games": len(stlc),
                 "failed_games": sum(member.cell.failed for member in members),
-                "stlc_quartiles": [float(q) for q in np.quantile(known, (0.25, 0.5, 0.75))]
-                if known.size
-                else None,
+                "stlc_quartiles": list(quartiles(known)) if known.size else None,
                 "position_rmse_m_median": float(np.nanmedian(rmse_m)) if known.size else None,
                 "effective_speedup": float(np.mean(speedups)) if None not in speedups and speedups else None,
-                "share_beyond_goal_timeout": float(np.mean(gap_s > GOAL_TIMEOUT_S + 1e-9))
-                if gap_s.size
-                else None,
+                "share_beyond_goal_timeout": beyond,
             }
         )
     return entries

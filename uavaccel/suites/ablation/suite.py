@@ -62,7 +62,6 @@ class AblationConfig(Experiment):
 
     @property
     def timing(self) -> str:
-        """The timing of the games."""
         return str(self.base.get("timing", "virtual"))
 
     def experiment(self, variant: Variant) -> Dp1Config:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sized
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from uavaccel.commands.paths import PATHS
 from uavaccel.commands.slices import check_times
@@ -14,6 +14,10 @@ from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.experiment import FlightExperiment, Timing, within
 
 Path = Literal["square", "two_forward_one_back"]
+Rounds = Annotated[tuple[int, ...], AfterValidator(lambda rounds: within(rounds, 1, MOST_ROUNDS))]
+Duration = Annotated[float, AfterValidator(lambda time_s: within((time_s,), 0.0, MOST_SECONDS)[0])]
+Durations = Annotated[tuple[float, ...], AfterValidator(lambda times_s: within(times_s, 0.0, MOST_SECONDS))]
+Count = Annotated[int, AfterValidator(lambda games: within((games,), 1, MOST_GAMES)[0])]
 
 
 class Dp1Config(FlightExperiment):
@@ -26,38 +30,18 @@ class Dp1Config(FlightExperiment):
     """Speed on a named path."""
     height_m: Annotated[float, Field(ge=-MOST_HEIGHT_M, le=MOST_HEIGHT_M)] | None = None
     """NED z to hold, as moveByVelocityZ does; without it plain moveByVelocity is called, as in the paper."""
-    rounds: tuple[int, ...] = (1, 2, 4, 8, 16, 24)
+    rounds: Rounds = (1, 2, 4, 8, 16, 24)
     """How often the square path is flown in a game; each value is flown."""
-    t_move_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0)
+    t_move_s: Durations = (0.1, 0.2, 0.5, 1.0)
     """Simulated seconds of a command; each value is flown."""
-    t_sample_s: float | None = None
+    t_sample_s: Duration | None = None
     """How often the client itself gathers the state; without it once per command, beside the server's recorder."""
-    games: int = 20
+    games: Count = 20
     """Games of each cell, that is of each command, ClockSpeed, T_move and number of rounds."""
-    reference_games: int = 20
+    reference_games: Count = 20
     """Real-time ADSC games of each T_move and number of rounds, unless the run flies that cell anyway."""
     reference_timing: Timing = "virtual"
     """The timing of the reference flights, with ADSC at ClockSpeed 1."""
-
-    @field_validator("rounds")
-    @classmethod
-    def _can_be_held(cls, values: tuple[int, ...]) -> tuple[float, ...]:
-        return within(values, 1, MOST_ROUNDS)
-
-    @field_validator("t_move_s")
-    @classmethod
-    def _can_be_flown(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        return within(values, 0.0, MOST_SECONDS)
-
-    @field_validator("games", "reference_games")
-    @classmethod
-    def _can_be_counted(cls, value: int) -> float:
-        return within((value,), 1, MOST_GAMES)[0]
-
-    @field_validator("t_sample_s")
-    @classmethod
-    def _sample_can_be_flown(cls, value: float | None) -> float | None:
-        return None if value is None else within((value,), 0.0, MOST_SECONDS)[0]
 
     @field_validator("path")
     @classmethod

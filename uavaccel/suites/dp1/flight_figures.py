@@ -86,10 +86,8 @@ def plot_velocity(panels: Sequence[VelocityPanel], source: str, title: str) -> F
             _plot_velocity_panel(axes, panel, components)
         all_axes[-1].set_xlabel("simulated time, s")
         handles, _ = all_axes[0].get_legend_handles_labels()
-        handles += [
-            Line2D([], [], label="command ends", **_END),
-            Patch(color=_GAP_COLOUR, label="no command runs"),
-        ]
+        handles.append(Line2D([], [], label="command ends", **_END))
+        handles.append(Patch(color=_GAP_COLOUR, label="no command runs"))
         figure.legend(handles=handles, ncols=len(handles), loc="outside upper right")
         return figure
 
@@ -162,12 +160,9 @@ def _compared_flights(score: CellScores) -> list[tuple[Dp1Row, str]]:
 
 def _of_tcsc(scores: Sequence[CellScores], beside: CellScores) -> list[tuple[Dp1Row, str]]:
     """Return the replica of lowest STLC of the fastest TCSC cell that flew the same path, if there is one."""
-    path = beside.cell.key.t_move_s, beside.cell.key.rounds
-    own = [
-        score
-        for score in scores
-        if score.cell.key.command == "tcsc" and (score.cell.key.t_move_s, score.cell.key.rounds) == path
-    ]
+    wanted = "tcsc", beside.cell.key.t_move_s, beside.cell.key.rounds
+    keyed = [(score, score.cell.key) for score in scores]
+    own = [score for score, key in keyed if (key.command, key.t_move_s, key.rounds) == wanted]
     fastest = _fastest_cell(own, beside.cell.key.rounds)
     return [] if fastest is None else _compared_flights(fastest)[-1:]
 

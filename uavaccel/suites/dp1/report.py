@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
+from operator import itemgetter
 
 import joblib
 
@@ -14,11 +15,11 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.records import arrays_of
 from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC, accuracy_figure, speedup_figure
 from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
-from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.summary import summarise
+from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells, summarise
 from uavaccel.suites.dp1.trellis import trellis_figure
 from uavaccel.suites.provenance import source_line
-from uavaccel.suites.report import Report, Summary, SummaryCell
+from uavaccel.suites.report import Report, Summary, SummaryCell, number
+from uavaccel.suites.rows import grouped
 
 
 def table(summary: Summary) -> Table:
@@ -30,12 +31,12 @@ def table(summary: Summary) -> Table:
         ("T_move s", lambda cell: f"{cell['t_move_s']:g}"),
         ("rounds", lambda cell: str(cell["rounds"])),
         ("games", lambda cell: games_text(cell) + _disturbed([cell])),
-        ("STLC median [q25, q75]", lambda cell: or_dash(cell["stlc_median"], _with_quartiles(cell))),
+        ("STLC median [q25, q75]", _stlc),
         ("RMSE m", lambda cell: or_dash(cell["position_rmse_m"], _metres)),
         ("v. lockstep", lambda cell: or_dash(cell["position_rmse_vs_lockstep_m"], _metres)),
         ("duration s", lambda cell: or_dash(cell["duration_error_s"], _seconds)),
         ("speed-up", lambda cell: or_dash(cell["effective_speedup"], "{:.2f}".format) + _mixed(cell)),
-        ("achieved", lambda cell: or_dash(cell["real_time_factor"], "{:.2f}".format)),
+        number("achieved", "real_time_factor", "{:.2f}"),
         ("source", lambda cell: str(cell["provenance"])),
         folded=f"{len(summary['cells'])} cells",
     )
@@ -43,9 +44,7 @@ def table(summary: Summary) -> Table:
 
 def overview(summary: Summary) -> Table:
     """Return a table of each command, ClockSpeed and timing: the worst cell, and the range of speeds."""
-    groups: dict[tuple[str, float, str], list[SummaryCell]] = {}
-    for cell in summary["cells"]:
-        groups.setdefault((cell["command"], cell["clock_speed"], cell["timing"]), []).append(cell)
+    groups = grouped(summary["cells"], itemgetter("command", "clock_speed", "timing"))
     worst_m = "position_rmse_m", "position_rmse_vs_lockstep_m"
     return Table.of(
         list(groups.values()),
@@ -97,8 +96,9 @@ def games_text(cell: SummaryCell) -> str:
     return str(cell["games"]) + (f" ({cell['failed_games']} failed)" if cell["failed_games"] else "")
 
 
-def _with_quartiles(cell: SummaryCell) -> Callable[[float], str]:
-    return lambda median: f"{median:.3f} [{cell['stlc_q25']:.3f}, {cell['stlc_q75']:.3f}]"
+def _stlc(cell: SummaryCell) -> str:
+    known = cell["stlc_median"] is not None
+    return "{stlc_median:.3f} [{stlc_q25:.3f}, {stlc_q75:.3f}]".format_map(cell) if known else "-"
 
 
 def _disturbed(cells: Sequence[SummaryCell]) -> str:
@@ -174,7 +174,6 @@ class Dp1Report(Report):
         ]
 
     def headline(self) -> str:
-        """Return up to which ClockSpeed each command flies as in real time, and what the highest one costs."""
         return verdict(self.summary)
 
     def overview(self) -> Table:

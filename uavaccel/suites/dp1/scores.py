@@ -1,4 +1,4 @@
-"""DP1's scores: the accuracy of every game, cell by cell, which is the part of the report that takes time.
+"""DP1's scores, the accuracy of every game, which is the part of the report that takes time; and its summary.json.
 
 A cell is all games of one command, ClockSpeed, T_move, number of rounds and timing. Its references are the
 run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
@@ -6,24 +6,33 @@ run's ADSC games at 1x of the same T_move and rounds (paper, section III-C2a).
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
 
+from uavaccel.metrics.intervals import median_interval
+from uavaccel.metrics.speedup import (
+    combined_provenance,
+    effective_speedup,
+    speedup_interval,
+    timing_provenance,
+)
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import (
     FloatArray,
     Trajectory,
     command_gaps_s,
     distinct,
+    duration_error_s,
     mean_position_rmse,
+    quartiles,
     trajectory,
 )
 from uavaccel.suites.dp1.flights import Dp1Row
-from uavaccel.suites.report import Arrays, LoadArrays
+from uavaccel.suites.report import Arrays, LoadArrays, Values
+from uavaccel.suites.rows import Row, disturbed_games, grouped, subset
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +48,10 @@ class CellKey:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell's finished games and those that they are compared with: each other, where `is_reference`."""
+    """A cell's finished games and those that they are compared with: each other, where `is_reference`.
+
+    `lockstep_row` is the game without latency on the same path, that of the cell's own command if there are several.
+    """
 
     key: CellKey
     rows: tuple[Dp1Row, ...]
@@ -69,24 +81,24 @@ def cells_of(rows: Sequence[Dp1Row]) -> list[Cell]:
 
     Where a cell has references, these are its games, so that ADSC at 1x is not counted twice.
     """
-    grouped: dict[CellKey, list[Dp1Row]] = defaultdict(list)
-    for row in rows:
-        if row["role"] in ("game", "reference"):
-            speeds = float(row["clock_speed"]), float(row["t_move_s"])
-            grouped[CellKey(row["command"], *speeds, row["rounds"], row["timing"])].append(row)
-    return [_cell(key, grouped[key], rows) for key in sorted(grouped)]
+    flown = [row for row in rows if row["role"] in ("game", "reference")]
+    return [_cell(key, members, rows) for key, members in sorted(grouped(flown, _key_of).items())]
+
+
+def _key_of(row: Dp1Row) -> CellKey:
+    speeds = float(row["clock_speed"]), float(row["t_move_s"])
+    return CellKey(row["command"], *speeds, row["rounds"], row["timing"])
 
 
 def score_cells(cells: Sequence[Cell], load_arrays: LoadArrays, jobs: int = 1) -> list[CellScores]:
     """Return the scores of all cells, in their order; they do not depend on `jobs`, the number of processes."""
     if jobs == 1:
         return [score_cell(cell, load_arrays) for cell in cells]
-    longest_first = sorted(range(len(cells)), key=lambda i: -sum(row["duration_s"] for row in cells[i].rows))
+    longest_first = sorted(cells, key=lambda cell: -sum(row["duration_s"] for row in cell.rows))
     scored = Parallel(n_jobs=jobs, batch_size=1)(
-        delayed(score_cell)(cells[i], load_arrays) for i in longest_first
+        delayed(score_cell)(cell, load_arrays) for cell in longest_first
     )
-    in_order = dict(zip(longest_first, scored, strict=True))
-    return [in_order[i] for i in range(len(cells))]
+    return sorted(scored, key=lambda score: score.cell.key)
 
 
 def score_cell(cell: Cell, load_arrays: LoadArrays) -> CellScores:
@@ -114,14 +126,10 @@ def _cell(key: CellKey, cell_rows: Sequence[Dp1Row], rows: Sequence[Dp1Row]) -> 
     own_references = [row for row in cell_rows if row["role"] == "reference"]
     members = own_references or cell_rows
     finished = _finished(members)
-    return Cell(
-        key,
-        finished,
-        len(members) - len(finished),
-        references,
-        _lockstep_row(same_path, key.command),
-        is_reference=bool(own_references),
-    )
+    lockstep = _finished(row for row in same_path if row["role"] == "lockstep")
+    own_lockstep = [row for row in lockstep if row["command"] == key.command]
+    ideal = next(iter(own_lockstep or lockstep), None)
+    return Cell(key, finished, len(members) - len(finished), references, ideal, bool(own_references))
 
 
 def _finished(rows: Iterable[Dp1Row]) -> tuple[Dp1Row, ...]:
@@ -129,17 +137,109 @@ def _finished(rows: Iterable[Dp1Row]) -> tuple[Dp1Row, ...]:
     return tuple(sorted((row for row in rows if row.get("error") is None), key=lambda row: row["game"]))
 
 
-def _lockstep_row(rows: Sequence[Dp1Row], command: str) -> Dp1Row | None:
-    """Return the game without latency on the same path, that of the cell's own command if there are several."""
-    lockstep = _finished(row for row in rows if row["role"] == "lockstep")
-    own = [row for row in lockstep if row["command"] == command]
-    return next(iter(own or lockstep), None)
-
-
 def _flight(arrays: Arrays) -> Trajectory:
     return trajectory(arrays["time_s"], arrays["position_m"])
 
 
 def rows_of(scores: Sequence[CellScores]) -> list[Dp1Row]:
-    """Return the rows of all games of these cells."""
     return [row for score in scores for row in score.cell.rows]
+
+
+def summarise(rows: Sequence[Dp1Row], scores: Sequence[CellScores]) -> Values:
+    """Summarise a run's rows and the scores of their cells.
+
+    Accuracies are medians over games of each game's mean over the references; a reference is not compared with itself.
+    Durations and wall times are compared with the references' means. Intervals are 95 % bootstrap intervals over games.
+    Numbers that cannot be known (no reference in the run, a lone reference) are None. Raises ValueError without rows.
+    """
+    if not rows:
+        raise ValueError("a summary needs at least one row")
+    seed = int(rows[0]["seed"])
+    cells = [_cell_summary(score, seed) for score in scores]
+    return {"suite": "dp1", "profile": rows[0]["profile"], "seed": seed, "cells": cells}
+
+
+def _cell_summary(score: CellScores, seed: int) -> Values:
+    cell, key = score.cell, score.cell.key
+    head = {
+        **asdict(key),
+        "games": len(cell.rows),
+        "failed_games": cell.failed,
+        "distinct_games": score.distinct_games,
+        "provenance": timing_provenance(key.timing),
+        "seed": seed,
+        "reference": _reference(cell),
+    }
+    if disturbed := disturbed_games(cell.rows):
+        head["disturbed_games"] = disturbed
+    return head | _accuracy(score, seed) | _durations(score) | _speed(cell, seed)
+
+
+def _reference(cell: Cell) -> Values | None:
+    if not cell.reference_rows:
+        return None
+    first = cell.reference_rows[0]
+    return {
+        **subset(first, "command", "timing"),
+        "clock_speed": float(first["clock_speed"]),
+        "provenance": timing_provenance(first["timing"]),
+        "games": len(cell.reference_rows),
+        "is_this_cell": cell.is_reference,
+    }
+
+
+def _accuracy(score: CellScores, seed: int) -> Values:
+    q25, median, q75 = _quartiles(score.stlc)
+    return {
+        "stlc_median": median,
+        "stlc_q25": q25,
+        "stlc_q75": q75,
+        "stlc_median_interval": _interval(score.stlc, seed),
+        "position_rmse_m": _quartiles(score.position_rmse_m)[1],
+        "position_rmse_interval_m": _interval(score.position_rmse_m, seed),
+        "position_rmse_vs_lockstep_m": _quartiles(score.position_rmse_vs_lockstep_m)[1],
+    }
+
+
+def _durations(score: CellScores) -> Values:
+    cell, gaps = score.cell, score.command_gap_s
+    durations_s = [_column(rows, "duration_s") for rows in (cell.reference_rows, cell.rows)]
+    compared = cell.rows and cell.reference_rows
+    return {
+        "duration_error_s": float(np.median(duration_error_s(*durations_s))) if compared else None,
+        "command_gap_median_s": float(np.median(gaps)) if gaps.size else None,
+        "command_gap_q95_s": float(np.quantile(gaps, 0.95)) if gaps.size else None,
+    }
+
+
+def _speed(cell: Cell, seed: int) -> Values:
+    rows = cell.rows
+    speed: Values = {
+        "effective_speedup": None,
+        "effective_speedup_interval": None,
+        "effective_speedup_provenance": None,
+        "real_time_factor": float(np.mean(_column(rows, "real_time_factor"))) if rows else None,
+        "lost_wall_s": float(np.sum(_column(rows, "lost_wall_s"))) if rows else None,
+    }
+    if rows and cell.reference_rows:
+        baseline, wall_s = _column(cell.reference_rows, "wall_s"), _column(rows, "wall_s")
+        timings = (rows[0]["timing"], cell.reference_rows[0]["timing"])
+        speed["effective_speedup"] = effective_speedup(baseline, wall_s)
+        if not cell.is_reference:  # the baseline over itself is 1 by definition
+            speed["effective_speedup_interval"] = list(speedup_interval(baseline, wall_s, seed))
+        speed["effective_speedup_provenance"] = combined_provenance(*map(timing_provenance, timings))
+    return speed
+
+
+def _column(rows: Sequence[Row], name: str) -> np.ndarray:
+    return np.array([float(row[name]) for row in rows])
+
+
+def _quartiles(values: np.ndarray) -> tuple[float | None, float | None, float | None]:
+    if values.size == 0 or np.isnan(values).any():
+        return None, None, None
+    return quartiles(values)
+
+
+def _interval(values: np.ndarray, seed: int) -> list[float] | None:
+    return list(median_interval(values, seed)) if values.size and np.isfinite(values).all() else None

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -34,8 +34,7 @@ _RUNNING: style.LineStyle = {"color": style.ORANGE, "linewidth": 6, "solid_capst
 _LEGEND = {"call": _CALL, "answer": _ANSWER, "simulated time runs": _RUNNING}
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(NamedTuple):
     """An arrow of the trellis: the indices of the events at which it starts and ends."""
 
     sent: int
@@ -107,7 +106,7 @@ def messages(trace: Trace) -> list[Message]:
         returned = _indices(trace, "client", f"return {method}")
         arrows += [Message(a, b) for a, b in zip(called, handled, strict=False)]
         arrows += [Message(_answer(trace, a, b), b) for a, b in zip(handled, returned, strict=False)]
-    return sorted(arrows, key=lambda arrow: (arrow.sent, arrow.received))
+    return sorted(arrows)
 
 
 def running_spans(trace: Trace) -> list[tuple[int, int]]:
@@ -132,11 +131,8 @@ def _indices(trace: Trace, source: str, event: str) -> list[int]:
 
 
 def _answer(trace: Trace, handled: int, returned: int) -> int:
-    ends = [
-        i
-        for i in range(handled, returned)
-        if trace[i]["source"] == "server" and "end" in trace[i]["event"].split()
-    ]
+    events = list(enumerate(trace))[handled:returned]
+    ends = [i for i, e in events if e["source"] == "server" and "end" in e["event"].split()]
     return ends[-1] if ends else handled
 
 
@@ -150,7 +146,7 @@ def _plot_trace(axes: Axes, trace: Trace) -> None:
         axes.plot([_SERVER_X] * 2, span, **_RUNNING, zorder=1)
     places = {"client": _CLIENT_X, "server": _SERVER_X}
     for arrow in messages(trace):
-        start, end = ((places[trace[i]["source"]], i) for i in (arrow.sent, arrow.received))
+        start, end = ((places[trace[i]["source"]], i) for i in arrow)
         line = _CALL if trace[arrow.sent]["source"] == "client" else _ANSWER
         arrowprops = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 3, **line}
         axes.annotate("", xy=end, xytext=start, arrowprops=arrowprops)

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple, Self, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.camera_client import CameraClient, Sample
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.envs.task import rate_ticks
+from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
-from uavaccel.suites.dp2.event_client import Arrays, EventClient
 from uavaccel.suites.experiment import t_th_ns
 from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.dvs import luma
+from uavaccel.vision.dvs import PRESETS, luma, make_sensor
+from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, share_at
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Session
+
+Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
@@ -107,20 +112,18 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, d
     """Fly one game, and return its row, without the arrays' path, and its arrays (see `arrays_of`)."""
     seed = case.seed(config.seed)
     client = session.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
-    asked = (
-        client,
-        _picture(config, case),
-        config.guard.settings(),
-        _perturbation(config, case),
-        AutoExposure() if config.auto_exposure else None,
-    )
+    perturbation, exposure = _perturbation(config, case), AutoExposure() if config.auto_exposure else None
+    # in colour where colours may be perturbed, and once per run for the guard study
+    kind = "colour" if case.role == "lockstep" or perturbation else "gray"
+    settings = client, kind, config.guard.settings(), perturbation, exposure
     counts: Arrays = {}
     if config.dvs_rate_hz is None:
-        flight = fly_path(config, case, CameraClient(*asked))
+        flight = fly_path(config, case, CameraClient(*settings))
     else:
-        with EventClient(*asked, config=config, session=session) as camera:
+        with EventClient(config, session, *settings) as camera:
             flight = fly_path(config, case, camera)
             counts = camera.arrays(len(flight.samples))
+    end_m = flight.collision["position_m"] if flight.collision else flight.samples[-1].state.position_m
     shared, _ = flight_row("dp2", case, config, client, flight.wall_s)
     row: Dp2Row = {
         **shared,
@@ -129,7 +132,7 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, d
         "commands": flight.commands,
         "planned_commands": len(velocities(config)),
         "samples": len(flight.samples),
-        "distance_m": _north_m(flight) - flight.samples[0].state.position_m[0],
+        "distance_m": float(end_m[0]) - flight.samples[0].state.position_m[0],
         "collision": _collision(flight),
         "guard_retries": sum(sample.retries for sample in flight.samples),
     }
@@ -150,29 +153,13 @@ def fly_path(config: Dp2Config, case: Case, camera: CameraClient) -> Flight:
         # The last sample is always that of the command's end; ADSC may come too late for one before it.
         indices += [*range(first, first + len(flown) - 1), first + slots - 1]
         samples += flown
-        if _stands_still(samples) and camera.client.collision():
+        stands_still = samples[-1].state.position_m == samples[-2].state.position_m  # a collision freezes it
+        if stands_still and camera.client.collision():
             break
     wall_s = (camera.now_ns() - start_ns) / NS_PER_S
     collision = camera.client.collision()
-    kept = _before(collision, samples)
+    kept = sum(not collision or sample.state.time_ns <= collision["time_ns"] for sample in samples)
     return Flight(samples[:kept], indices[:kept], commands, wall_s, collision)
-
-
-def _stands_still(samples: list[Sample]) -> bool:
-    """Whether the vehicle has not moved between the last two samples: a collision freezes it."""
-    return samples[-1].state.position_m == samples[-2].state.position_m
-
-
-def _before(collision: Collision | None, samples: list[Sample]) -> int:
-    """Return how many samples were taken before the collision; the others show the frozen vehicle."""
-    if not collision:
-        return len(samples)
-    return sum(sample.state.time_ns <= collision["time_ns"] for sample in samples)
-
-
-def _picture(config: Dp2Config, case: Case) -> str:
-    """Return the kind of image: colour where colours may be perturbed, and once per run for the guard study."""
-    return "colour" if case.role == "lockstep" or _perturbation(config, case) else "gray"
 
 
 def _perturbation(config: Dp2Config, case: Case) -> PerturbationSettings | None:
@@ -183,20 +170,11 @@ def _perturbation(config: Dp2Config, case: Case) -> PerturbationSettings | None:
     return PerturbationSettings(share, model.kinds, seed)
 
 
-def _north_m(flight: Flight) -> float:
-    collision = flight.collision
-    return float(collision["position_m"][0] if collision else flight.samples[-1].state.position_m[0])
-
-
 def _collision(flight: Flight) -> Dp2Collision | None:
-    if not flight.collision:
+    if (hit := flight.collision) is None:
         return None
-    since_start_ns = flight.collision["time_ns"] - flight.samples[0].state.time_ns
-    return {
-        "object": flight.collision["object"],
-        "time_s": since_start_ns / NS_PER_S,
-        "position_m": list(flight.collision["position_m"]),
-    }
+    time_s = (hit["time_ns"] - flight.samples[0].state.time_ns) / NS_PER_S
+    return {"object": hit["object"], "time_s": time_s, "position_m": list(hit["position_m"])}
 
 
 def arrays_of(flight: Flight, flown: tuple[Velocity, ...]) -> dict[str, np.ndarray]:
@@ -217,3 +195,41 @@ def arrays_of(flight: Flight, flown: tuple[Velocity, ...]) -> dict[str, np.ndarr
     if images.ndim == 3:
         return arrays | {"image": images}
     return arrays | {"image": np.stack([luma(image) for image in images]), "colour": images}
+
+
+class EventClient(CameraClient):
+    """A camera client that counts events between samples, inside the simulation, without messages or wall time."""
+
+    def __init__(self, config: Dp2Config, session: Session, *settings: Any) -> None:
+        """`settings` are the arguments of CameraClient."""
+        super().__init__(*settings)
+        assert config.dvs_rate_hz is not None
+        sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
+        self._session, self._noise_seed = session, config.sensor_seed
+        self._counter = EventCounter(sensor)
+        self._counts: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
+        self._stop = session.watch(rate_ticks(config.dvs_rate_hz, config.profile), self._look)
+
+    def _look(self, time_ns: int) -> None:
+        self._counter.look(self._session.picture(), time_ns)
+
+    def gather(self, state: Kinematics) -> Sample:
+        """Return the sample, and count the events since the last one; the first sample begins the game."""
+        if not self._counts:
+            self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
+        elif not self._counter.has_seen(state.time_ns):
+            self._look(state.time_ns)
+        self._counts.append(self._counter.take())
+        return super().gather(state)
+
+    def arrays(self, samples: int) -> Arrays:
+        """Return `dvs_on` and `dvs_off` (n, 144, 256) of the first n samples: uint8, or uint16 beyond 255 events."""
+        both = np.array(self._counts[:samples])
+        both = both.astype(np.uint8 if both.max() < 256 else np.uint16)
+        return {"dvs_on": both[:, 0], "dvs_off": both[:, 1]}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()

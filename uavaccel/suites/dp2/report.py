@@ -8,10 +8,9 @@ from functools import cached_property
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
-from uavaccel.suites.dp2 import guard as dp2_guard
 from uavaccel.suites.dp2.flights import Dp2Row
 from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
-from uavaccel.suites.dp2.scores import GameScore, score_games, summary_of
+from uavaccel.suites.dp2.scores import GameScore, score_games, study_guard, summary_of
 from uavaccel.suites.provenance import source_line
 from uavaccel.suites.report import Report, Summary, SummaryCell
 from uavaccel.suites.rows import Row
@@ -65,13 +64,9 @@ def _pair(cell: SummaryCell, name: str, digits: int) -> str:
 
 def _exact_number(value: float | None, digits: int) -> str:
     """Format a number so that only an exact 0 is "0", and one too small for the digits is written with an exponent."""
-
-    def form(known: float) -> str:
-        if known == 0:
-            return "0"
-        return f"{known:.{digits}f}" if known >= 10.0**-digits else f"{known:.0e}"
-
-    return or_dash(value, form)
+    if not value:
+        return "-" if value is None else "0"
+    return f"{value:.{digits}f}" if value >= 10.0**-digits else f"{value:.0e}"
 
 
 class Dp2Report(Report):
@@ -93,7 +88,7 @@ class Dp2Report(Report):
         if row is None:
             return None
         images = self.run.load_arrays(row)["colour"]
-        return dp2_guard.study(images, GuardSettings(**self.config["guard"]), self.config["seed"])
+        return study_guard(images, GuardSettings(**self.config["guard"]), self.config["seed"])
 
     def title(self) -> str:
         return f"DP2, {self.summary['profile']} profile, seed {self.summary['seed']}"
@@ -116,12 +111,10 @@ class Dp2Report(Report):
         return [style.picture(plot_images(clouds, source), path, caption, source)]
 
     def headline(self) -> str:
-        """Return how far the images of each command's highest ClockSpeed lie from those at 1x."""
         cells = [cell for cell in self.summary["cells"] if cell["position_error_m_max"] is not None]
         flown = [cell for cell in cells if cell["clock_speed"] > 1 and cell["timing"] != "lockstep"]
-        fastest = {
-            cell["command"]: cell for cell in sorted(flown, key=lambda cell: float(cell["clock_speed"]))
-        }
+        by_clock = sorted(flown, key=lambda cell: float(cell["clock_speed"]))
+        fastest = {cell["command"]: cell for cell in by_clock}
         said = [_verdict(cell) for _, cell in sorted(fastest.items())]
         return "; ".join(said) or f"{len(self.rows)} games, none of them accelerated and comparable with 1x"
 
@@ -140,13 +133,40 @@ class Dp2Report(Report):
         ]
 
 
+def guard_table(guard: Summary) -> Table:
+    """Return a table with a row for each kind of perturbation, and one for all."""
+    kinds = [(kind.replace("_", " "), [counts]) for kind, counts in guard["by_kind"].items()]
+    return Table.of(
+        [*kinds, ("all", list(guard["by_kind"].values()))],
+        ("kind of perturbation", lambda kind: kind[0]),
+        ("perturbed images sent", lambda kind: str(sum(counts["on"]["sent"] for counts in kind[1]))),
+        ("pass without guard", lambda kind: _share_passed(kind[1], "off")),
+        ("pass the guard", lambda kind: _share_passed(kind[1], "on")),
+    )
+
+
+def _share_passed(counts: Sequence[Summary], guard: str) -> str:
+    sent, passed = (sum(each[guard][key] for each in counts) for key in ("sent", "passed"))
+    return f"{passed / sent:.1%}" if sent else "-"
+
+
+def guard_sentence(guard: Summary) -> str:
+    """Return the false alarms and the perturbed share of all accepted images, in a sentence."""
+    handed_on = guard["perturbed_share_handed_on"]
+    return (
+        f"False alarms: {guard['clean_false_alarms']} of {guard['images']} clean images. "
+        f"With {guard['share']:.0%} of the images perturbed, {handed_on['off']:.1%} of those handed on are "
+        f"perturbed without the guard and {handed_on['on']:.1%} with it."
+    )
+
+
 def _guard_blocks(guard: Summary | None) -> list[Block]:
     if guard is None:
         return []
     return [
         Heading("Image guard (modelled)"),
-        Table(dp2_guard.HEADER, dp2_guard.table(guard)),
-        Paragraph(dp2_guard.sentence(guard)),
+        guard_table(guard),
+        Paragraph(guard_sentence(guard)),
         Paragraph(
             f"The images are those of the game without latency, sent {guard['streams']} times with another seed. "
             "MuJoCo renders every image correctly: the perturbations are a model of a renderer short of time, whose "
@@ -157,18 +177,15 @@ def _guard_blocks(guard: Summary | None) -> list[Block]:
 
 
 def _warnings(rows: Sequence[Dp2Row], summary: Summary, config: Row) -> list[str]:
-    failed = [row["case"] for row in rows if row["error"] is not None]
-    hit = [(row, collision) for row in rows if (collision := row["collision"])]
-    lost_s = sum(row["lost_wall_s"] for row in rows)
-    drawing_known = "image" in config["latency"]["reply_us"]
     warnings = [
         f"{row['case']} hit {collision['object']} after {row['distance_m']:.1f} m and stood still from there: "
         f"its images count up to that moment."
-        for row, collision in hit
+        for row in rows
+        if (collision := row["collision"])
     ]
-    if failed:
+    if failed := [row["case"] for row in rows if row["error"] is not None]:
         warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")
-    if lost_s:
+    if lost_s := sum(row["lost_wall_s"] for row in rows):
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
     if disturbed := [row["case"] for row in rows if row.get("disturbed")]:
         warnings.append(
@@ -180,7 +197,7 @@ def _warnings(rows: Sequence[Dp2Row], summary: Summary, config: Row) -> list[str
             f"{', fewer where the ClockSpeed is low' if config['perturbation'].get('half_excess') else ''}; "
             "those of the runs at 1x that they are compared with were not."
         )
-    if not drawing_known and any(row["timing"] == "virtual" for row in rows):
+    if "image" not in config["latency"]["reply_us"] and any(row["timing"] == "virtual" for row in rows):
         warnings.append(
             "The modelled wall times leave out drawing the images: the latency model has no channel for them."
         )

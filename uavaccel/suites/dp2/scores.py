@@ -17,11 +17,15 @@ from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.dp2.flights import Dp2Row
 from uavaccel.suites.report import Arrays, LoadArrays, Summary, Values
-from uavaccel.suites.rows import Row
+from uavaccel.suites.rows import Row, subset
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.vision.guard_study import guard_study
+from uavaccel.vision.perturb import PerturbationKind
 
 Counts = NDArray[np.unsignedinteger]
+ERRORS = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
 
 
 @dataclass(frozen=True)
@@ -54,12 +58,8 @@ class GameScore:
 
     def by_image(self) -> dict[str, Any]:
         """Return the errors of every image for scores.json, with the keys that identify the game."""
-        return {
-            **{key: self.row[key] for key in ("command", "clock_speed", "role")},
-            "position_error_m": self.position_error_m.tolist(),
-            "attitude_error_deg": self.attitude_error_deg.tolist(),
-            "dvs_ed_percent": self.dvs_ed_percent.tolist(),
-        }
+        errors = {name: getattr(self, name).tolist() for name in ERRORS}
+        return subset(self.row, "command", "clock_speed", "role") | errors
 
 
 def count_events(
@@ -141,10 +141,7 @@ def summary_of(config: Row, scores: Sequence[GameScore], guard: Summary | None) 
     """
     return {
         "suite": "dp2",
-        "profile": config["profile"],
-        "seed": config["seed"],
-        "dvs_preset": config["dvs_preset"],
-        "sensor_seed": config["sensor_seed"],
+        **subset(config, "profile", "seed", "dvs_preset", "sensor_seed"),
         "perturbed_share": config["perturbation"]["share"],
         "cells": [_cell(score) for score in scores],
         "guard_study": guard,
@@ -153,50 +150,65 @@ def summary_of(config: Row, scores: Sequence[GameScore], guard: Summary | None) 
 
 def _cell(score: GameScore) -> Values:
     row = score.row
-    return {
-        "command": row["command"],
-        "clock_speed": row["clock_speed"],
-        "t_move_s": row["t_move_s"],
-        "timing": row["timing"],
+    cell = subset(
+        row, "command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"
+    )
+    cell |= subset(row, "wall_s", "real_time_factor", "lost_wall_s")
+    cell |= {key: row[key] for key in ("disturbed", "stalled_wall_s", "restarts") if key in row}
+    for name in ERRORS:
+        values = getattr(score, name)
+        cell[f"{name}_median"] = float(np.median(values)) if values.size else None
+        cell[f"{name}_max"] = float(np.max(values)) if values.size else None
+    return cell | {
         "provenance": timing_provenance(row["timing"]),
         "reference": _reference_of(score),
         "images": row["samples"],
         "paired_images": len(score.position_error_m),
-        "position_error_m_median": _median(score.position_error_m),
-        "position_error_m_max": _maximum(score.position_error_m),
-        "attitude_error_deg_median": _median(score.attitude_error_deg),
-        "attitude_error_deg_max": _maximum(score.attitude_error_deg),
-        "dvs_ed_percent_median": _median(score.dvs_ed_percent),
-        "dvs_ed_percent_max": _maximum(score.dvs_ed_percent),
         "poses_equal_lockstep": score.equal_poses,
         "dvs_counts_equal_lockstep": score.equal_counts,
-        "guard_retries": row["guard_retries"],
-        "collision": row["collision"],
-        "distance_m": row["distance_m"],
-        "wall_s": row["wall_s"],
         "simulated_s_per_wall_s": row["duration_s"] / row["wall_s"] if row["wall_s"] > 0 else None,
-        "real_time_factor": row["real_time_factor"],
-        "lost_wall_s": row["lost_wall_s"],
-        **{key: row[key] for key in ("disturbed", "stalled_wall_s", "restarts") if key in row},
     }
 
 
 def _reference_of(score: GameScore) -> Values | None:
     if score.reference is None:
         return None
-    timing = score.reference["timing"]
     return {
-        "case": score.reference["case"],
-        "clock_speed": score.reference["clock_speed"],
-        "timing": timing,
-        "provenance": timing_provenance(timing),
+        **subset(score.reference, "case", "clock_speed", "timing"),
+        "provenance": timing_provenance(score.reference["timing"]),
         "is_this_cell": score.reference["case"] == score.row["case"],
     }
 
 
-def _median(values: NDArray[np.float64]) -> float | None:
-    return float(np.median(values)) if values.size else None
+SHARE, STREAMS = 0.05, 20  # of the perturbed images; of the guard study
 
 
-def _maximum(values: NDArray[np.float64]) -> float | None:
-    return float(np.max(values)) if values.size else None
+def study_guard(images: NDArray[np.uint8], settings: GuardSettings, seed: int) -> Values:
+    """Count what the guard accepts (MODELLED) where a share of the run's own images (n, H, W, 3) is perturbed, by kind.
+
+    The images are sent `STREAMS` times, perturbed with another seed each time, as one stream has too few of each kind.
+    An image that the guard requests again may be perturbed again, so with the guard more are sent.
+    """
+    streams = [guard_study(list(images), SHARE, seed + stream, settings) for stream in range(STREAMS)]
+    return {
+        "modelled": True,
+        "images": len(images),
+        "share": SHARE,
+        "streams": STREAMS,
+        "by_kind": {str(kind): _by_kind(streams, str(kind)) for kind in PerturbationKind},
+        "perturbed_share_handed_on": {
+            guard: float(np.mean([stream[guard]["perturbed_share_handed_on"] for stream in streams]))
+            for guard in ("off", "on")
+        },
+        "clean_false_alarms": streams[0]["clean"]["false_alarms"],
+        "clean_retries": streams[0]["clean"]["retries"],
+    }
+
+
+def _by_kind(streams: list[Values], kind: str) -> Values:
+    result = {}
+    for guard in ("off", "on"):
+        counts = [stream[guard]["by_kind"][kind] for stream in streams]
+        sent, passed = (sum(count[key] for count in counts) for key in ("sent", "passed"))
+        result[guard] = {"sent": sent, "passed": passed, "share_passed": passed / sent if sent else None}
+    return result

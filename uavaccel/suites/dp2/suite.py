@@ -20,29 +20,11 @@ from uavaccel.suites.suite import Cost, GameResult, Suite, choose_row, flying_s
 from uavaccel.wire.session import Session, open_session
 
 
-def film_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
-    """Return the name and film of a case, by default of the fastest game, TCSC before ADSC.
-
-    Raises UserError where the run has no images.
-    """
-    row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
-    config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
-    arrays = run.load_arrays(row)
-    if "image" not in arrays:
-        raise UserError(f"{run.path / row['arrays']}: holds no images")
-    on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
-    images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
-    position_m, layout = arrays["position_m"], config.layout()
-    chase = ChaseView(layout, position_m, arrays["orientation_wxyz"], PANEL)
-    film = Film(_film_title(row), arrays["time_s"], images, on, off, position_m, layout, chase)
-    return row["case"], film
-
-
 def _interest(row: Dp2Row) -> tuple[bool, bool, float]:
     return row["role"] == "game", row["command"] == "tcsc", row["clock_speed"]
 
 
-def _film_title(row: Dp2Row) -> str:
+def _title(row: Dp2Row) -> str:
     if row["timing"] == "lockstep":
         return f"{command_name(row['command'])} in lockstep, without latency"
     clock = f"{command_name(row['command'])} at ClockSpeed {clock_label(row['clock_speed'])}"
@@ -80,4 +62,17 @@ class Dp2(Suite[Dp2Config, Case]):
         return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        return film_game(run, case)
+        """Return the name and film of a case, by default of the fastest game, TCSC before ADSC.
+
+        Raises UserError where the run has no images.
+        """
+        row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
+        config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
+        arrays = run.load_arrays(row)
+        if "image" not in arrays:
+            raise UserError(f"{run.path / row['arrays']}: holds no images")
+        on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
+        images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
+        position_m, layout = arrays["position_m"], config.layout()
+        chase = ChaseView(layout, position_m, arrays["orientation_wxyz"], PANEL)
+        return row["case"], Film(_title(row), arrays["time_s"], images, on, off, position_m, layout, chase)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from uavaccel.metrics.equivalence import Estimate, Interval, mean_estimate, rati
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.records import RunDirectory
 from uavaccel.suites.report import SummaryCell
+from uavaccel.suites.rows import Row, grouped
 
 FloatArray = NDArray[np.float64]
 Trained = tuple[str, float]
@@ -264,10 +266,11 @@ def _kind(cell: SummaryCell) -> tuple[str, str, str]:
 
 
 def _ended(run: RunDirectory, wanted: tuple[str, str, str]) -> dict[Trained, FloatArray]:
-    ended: dict[Trained, list[FloatArray]] = {}
-    for row in run.rows():
-        if _kind(row) == wanted and "training" in row:  # the others fly the same lanes in the exact simulator
-            arrays, command = run.load_arrays(row), row["command"]
-            lost = ~arrays[f"{command}_is_success"]
-            ended.setdefault((command, row["clock_speed"]), []).append(arrays[f"{command}_distance_m"][lost])
-    return {trained: np.concatenate(distances) for trained, distances in ended.items()}
+    def ended_m(row: Row) -> FloatArray:
+        arrays, command = run.load_arrays(row), row["command"]
+        return np.asarray(arrays[f"{command}_distance_m"][~arrays[f"{command}_is_success"]])
+
+    # the other rows fly the same lanes in the exact simulator
+    trained = [row for row in run.rows() if _kind(row) == wanted and "training" in row]
+    by_training = grouped(trained, itemgetter("command", "clock_speed"))
+    return {key: np.concatenate([ended_m(row) for row in rows]) for key, rows in by_training.items()}

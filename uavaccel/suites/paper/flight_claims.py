@@ -91,14 +91,10 @@ def accuracy_falls_with_length(dp1: Trajectories) -> Finding:
 
 def tcsc_beats_adsc(dp1: Trajectories) -> Finding:
     """TCSC's pooled median is above ADSC's at each ClockSpeed above 1."""
-    text = ", ".join(
-        f"{dp1.median('tcsc', k).value:.3f} v {dp1.median('adsc', k).value:.3f}" for k in dp1.clocks
-    )
-    above = [
-        exceeds(_difference(dp1, *(dp1.stlc_by_cell(command, k) for command in ("tcsc", "adsc"))), 0.0)
-        for k in dp1.clocks
-    ]
-    return Finding(text, all_of(above))
+    medians = {k: [dp1.median(command, k).value for command in ("tcsc", "adsc")] for k in dp1.clocks}
+    text = ", ".join(f"{tcsc:.3f} v {adsc:.3f}" for tcsc, adsc in medians.values())
+    cells = {k: [dp1.stlc_by_cell(command, k) for command in ("tcsc", "adsc")] for k in dp1.clocks}
+    return Finding(text, all_of(exceeds(_difference(dp1, *each), 0.0) for each in cells.values()))
 
 
 def tcsc_above_1_8(dp1: Trajectories) -> Finding:
@@ -138,14 +134,10 @@ def adsc_speedup_grows_with_duration(dp1: Trajectories) -> Finding:
 
 def callback_costs_most(dp1: Trajectories) -> Finding:
     """ADSC's commands take more wall time beyond their flight at 100x than TCSC's, on the longest path."""
+    speedups = (dp1.longest(command, FASTEST, LONGEST_S) for command in ("adsc", "tcsc"))
     adsc, tcsc = (
-        Estimate(
-            *(
-                1e3 * LONGEST_S * (1 / each - 1 / FASTEST)
-                for each in (speedup.value, speedup.high, speedup.low)
-            )
-        )
-        for speedup in (dp1.longest(command, FASTEST, LONGEST_S) for command in ("adsc", "tcsc"))
+        Estimate(*(1e3 * LONGEST_S * (1 / each - 1 / FASTEST) for each in (value, high, low)))
+        for value, low, high in speedups
     )
     more = exceeds((adsc.low - tcsc.high, adsc.high - tcsc.low), 0.0)
     return Finding(f"{adsc.value:.3g} v {tcsc.value:.3g} ms", more)

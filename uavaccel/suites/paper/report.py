@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
 from uavaccel.config import validate
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
+from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
 from uavaccel.draw.style import clock_label
 from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import fisher_exact_p
@@ -26,7 +26,7 @@ from uavaccel.suites.paper.evidence import (
     Undecided,
 )
 from uavaccel.suites.parts import part_run
-from uavaccel.suites.report import Report, Summary, SummaryCell
+from uavaccel.suites.report import Report, Summary, SummaryCell, number
 
 
 def training_phases(rl: Policies) -> list[dict[str, float]]:
@@ -62,27 +62,25 @@ def _phase_hours(rl: Policies, clock_speed: float, hour_s: float) -> dict[str, f
 
 def phase_table(rows: Sequence[SummaryCell]) -> Table:
     """Return the table of `training_phases`, with the paper's whole training where it gives its speed-up."""
+    speedups = {1.0: 1.0, **paper_results.TRAINING_SPEEDUP}
+
+    def whole(row: SummaryCell) -> SummaryCell:
+        speedup, ours = speedups.get(row["clock_speed"]), ("simulation", *BESIDE_SIMULATION)
+        paper_h = speedup and paper_results.REAL_TIME_S / 3600 / speedup
+        return {**row, "whole_h": sum(row[f"{each}_h"] for each in ours), "paper_whole_h": paper_h}
+
     return Table.of(
-        rows,
+        [whole(row) for row in rows],
         ("ClockSpeed", lambda row: clock_label(row["clock_speed"])),
-        ("simulation, h", lambda row: f"{row['simulation_h']:.1f}"),
-        ("simulation, the paper's", lambda row: f"{row['paper_simulation_h']:.1f}"),
-        ("image processing, h", lambda row: f"{row['image_processing_h']:.1f}"),
-        ("inference, h", lambda row: f"{row['inference_h']:.1f}"),
-        ("learning, h", lambda row: f"{row['learning_h']:.1f}"),
-        ("all three, the paper's", lambda row: f"{row['paper_beside_h']:.1f}"),
-        (
-            "whole, h",
-            lambda row: f"{row['simulation_h'] + sum(row[f'{each}_h'] for each in BESIDE_SIMULATION):.1f}",
-        ),
-        ("whole, the paper's", lambda row: or_dash(_paper_whole_h(row["clock_speed"]), "{:.1f}".format)),
+        number("simulation, h", "simulation_h", "{:.1f}"),
+        number("simulation, the paper's", "paper_simulation_h", "{:.1f}"),
+        number("image processing, h", "image_processing_h", "{:.1f}"),
+        number("inference, h", "inference_h", "{:.1f}"),
+        number("learning, h", "learning_h", "{:.1f}"),
+        number("all three, the paper's", "paper_beside_h", "{:.1f}"),
+        number("whole, h", "whole_h", "{:.1f}"),
+        number("whole, the paper's", "paper_whole_h", "{:.1f}"),
     )
-
-
-def _paper_whole_h(clock_speed: float) -> float | None:
-    """Return 182 hours over the speed-up that the paper gives for the whole training."""
-    speedup = 1.0 if clock_speed == 1.0 else paper_results.TRAINING_SPEEDUP.get(clock_speed)
-    return None if speedup is None else paper_results.REAL_TIME_S / 3600 / speedup
 
 
 PHASE_NOTE = (

@@ -73,33 +73,31 @@ class _Returns(BaseCallback):
         return True
 
     def last(self) -> float:
-        """The mean of the last ones; NaN where no episode was finished."""
+        """Return the mean return of the last episodes; NaN where none was finished."""
         return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else float("nan")
 
 
 class Policy:
-    """A trained agent as it decides: the mean of its actions' distribution, or the likeliest one."""
+    """A trained agent, which takes the mean of its distribution of actions, or the most likely one."""
 
     def __init__(self, env: Env, agent: AgentBlock, weights: Mapping[str, NDArray[Any]]) -> None:
         th.set_num_threads(1)
         self._mean, self._var = weights["observation.mean"], weights["observation.var"]
         space = env.observation_space
-        policy = PPO.policy_aliases["MlpPolicy"](
-            space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden)
-        )
-        state = {name: th.as_tensor(weights[name]) for name in policy.state_dict()}
-        policy.load_state_dict(state)
+        kind = PPO.policy_aliases["MlpPolicy"]
+        policy = kind(space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden))
+        policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
         self._policy = policy.eval()
 
     def act(self, observation: NDArray[Any]) -> Any:
-        """The action upon an observation of the environment."""
+        """Return the action for an observation."""
         normalised = (np.asarray(observation, float) - self._mean) / np.sqrt(self._var + EPSILON)
         seen = np.clip(normalised, -CLIPPED, CLIPPED).astype(np.float32)
         return self._policy.predict(seen, deterministic=True)[0]
 
 
 class LookAhead:
-    """Decides upon the observation that the simulator predicts for the moment at which the action will be applied.
+    """An agent that acts on the observation predicted for the moment at which its action will be applied.
 
     The model is the simulator itself, from the present state on: an upper bound of what any model brings. `env` is a
     timed one of Gymnasium's MuJoCo environments.
@@ -118,11 +116,10 @@ class LookAhead:
         self._held = self._idle
 
     def begin(self) -> None:
-        """An episode has begun."""
         self._held = self._idle
 
     def act(self, observation: NDArray[Any]) -> Any:
-        """The action upon what is predicted."""
+        """Return the action for the predicted observation."""
         if self._ticks:
             real: Any = self._real
             self._model.set_state(real.data.qpos.copy(), real.data.qvel.copy())

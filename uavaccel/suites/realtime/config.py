@@ -1,7 +1,10 @@
-"""Configuration of the experiment: environments, agents and how they were trained, and the delays that they meet."""
+"""Configuration of the experiment: environments, agents, their trainings and latencies; and the cases of a run."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -55,7 +58,7 @@ class AgentBlock(Config):
         return self
 
     def training_keys(self) -> dict[str, Any]:
-        """What its training depends on."""
+        """Return the keys on which its training depends."""
         return self.model_dump(exclude={"look_ahead", "latency_factor"})
 
 
@@ -96,5 +99,107 @@ class RealtimeConfig(Experiment):
         return self
 
     def delay_s(self, agent: str, latency_s: float) -> float:
-        """Wall time for which an agent thinks where others think for `latency_s`."""
+        """Return the wall time for which an agent thinks where others think for `latency_s`."""
         return latency_s * self.agents[agent].latency_factor
+
+
+EPISODE_S = 20.0  # simulated seconds of an evaluation's episode, about
+TRAIN_RATE = 2_500.0  # decisions of a training per wall second, about
+EVALUATE_RATE = 40.0  # simulated seconds of an evaluation per wall second, about
+
+
+@dataclass(frozen=True)
+class TrainingCase:
+    """A training of an agent."""
+
+    environment: str
+    agent: str
+    seed: int
+    steps: int
+    timing: str = "virtual"
+
+    @property
+    def id(self) -> str:
+        return f"{self.environment}-{self.agent}-s{self.seed}"
+
+    def simulated_s(self) -> float:
+        """Return 0: the length of a training's episodes is not known beforehand."""
+        return 0.0
+
+    def wall_s(self) -> float:
+        return self.steps / TRAIN_RATE
+
+
+@dataclass(frozen=True)
+class EvaluationCase:
+    """The evaluation of a trained agent under one latency, ClockSpeed and command."""
+
+    training: TrainingCase
+    agent: str
+    """Agents whose trainings do not differ share the one of the first of them."""
+    latency_s: float
+    clock_speed: float
+    command: str
+    timing: str
+    episodes: int
+
+    @property
+    def environment(self) -> str:
+        return self.training.environment
+
+    @property
+    def seed(self) -> int:
+        return self.training.seed
+
+    @property
+    def id(self) -> str:
+        trained = f"{self.environment}-{self.agent}-s{self.seed}"
+        return f"{trained}-{self.command}-{self.latency_s * 1e3:g}ms-{self.clock_speed:g}x"
+
+    def simulated_s(self) -> float:
+        return self.episodes * EPISODE_S
+
+    def wall_s(self) -> float:
+        return self.simulated_s() / (self.clock_speed if self.timing == "wall" else EVALUATE_RATE)
+
+
+def cases(config: RealtimeConfig) -> Iterator[TrainingCase | EvaluationCase]:
+    """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
+    known: dict[tuple[str, str], list[TrainingCase]] = {}
+    pairs = list(product(config.environments, config.agents))
+    for environment, agent in pairs:
+        if trained_as(config, environment, agent) == agent:
+            steps = config.environments[environment].train_steps
+            known[environment, agent] = [
+                TrainingCase(environment, agent, seed, steps) for seed in range(config.seeds)
+            ]
+            yield from known[environment, agent]
+    for environment, agent in pairs:
+        for training in known.get((environment, trained_as(config, environment, agent)), ()):
+            yield from _evaluations(config, training, agent)
+
+
+def _evaluations(config: RealtimeConfig, training: TrainingCase, agent: str) -> Iterator[EvaluationCase]:
+    for command in config.command:
+        latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
+        for latency_s, speed in product(latencies_s, config.clock_speed):
+            yield EvaluationCase(training, agent, latency_s, speed, command, config.timing, config.episodes)
+
+
+def trained_as(config: RealtimeConfig, environment: str, agent: str) -> str:
+    """Return the first agent with the same training in the environment; empty where the agent cannot fly there."""
+    if not flies(config, environment, agent):
+        return ""
+    training = config.agents[agent].training_keys()
+    return next(
+        other
+        for other, block in config.agents.items()
+        if block.training_keys() == training and flies(config, environment, other)
+    )
+
+
+def flies(config: RealtimeConfig, environment: str, agent: str) -> bool:
+    """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
+    block = config.agents[agent]
+    drone = config.environments[environment].id.startswith(DRONES)
+    return not (drone and (block.chunk > 1 or block.look_ahead))

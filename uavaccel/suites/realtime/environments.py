@@ -1,4 +1,4 @@
-"""The environments as agents meet them: in training, under drawn delays; in an evaluation, under one of them."""
+"""The environments: in training with a random delay in each episode, in an evaluation with one latency."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMAND: Command = "adsc"  # of trainings: their delays are of simulated time
 
 
 def make(block: EnvironmentBlock, command: str, clock_speed: float) -> Env:
-    """The environment itself. A drone's flies the command under that ClockSpeed."""
+    """Return the environment without delays; a drone's flies with the command at the ClockSpeed."""
     mujoco.set_mju_user_warning(_warned)
     keys = dict(block.keys)
     if block.id.startswith(DRONES):
@@ -28,13 +28,13 @@ def make(block: EnvironmentBlock, command: str, clock_speed: float) -> Env:
 
 
 def _warned(text: str) -> None:
-    """MuJoCo's warnings, but for one about how Gymnasium's own models are written, which it repeats for each."""
+    """Print MuJoCo's warnings, but for one about how Gymnasium's own models are written."""
     if "settotalmass" not in text:
         print(f"MuJoCo: {text}", file=sys.stderr)
 
 
 def options(block: EnvironmentBlock, agent: AgentBlock) -> dict[str, Any]:
-    """What of the control loop belongs to the agent; it applies one action of a chunk before it looks again."""
+    """Return the agent's options of the control loop; it applies one action of a chunk before it observes again."""
     chosen = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
     chosen |= {"observe_age": agent.observe_age, "observe_actions": agent.observe_actions}
     return {**chosen, "period_s": block.period_s, "default_action": block.default_action}
@@ -43,23 +43,19 @@ def options(block: EnvironmentBlock, agent: AgentBlock) -> dict[str, Any]:
 def timed(
     block: EnvironmentBlock, agent: AgentBlock, latency_s: float, command: str, clock_speed: float
 ) -> Env:
-    """The environment of an evaluation on the simulated wall clock."""
+    """Return the environment of an evaluation on the simulated wall clock."""
     env = make(block, command, clock_speed)
     return RealTime(env, latency_s, command, clock_speed, **options(block, agent))  # type: ignore[arg-type]
 
 
 def measured(block: EnvironmentBlock, agent: AgentBlock, command: str, clock_speed: float) -> RealTimeProcess:
-    """The same on the machine's own clock, in a process of its own."""
-    return RealTimeProcess(
-        partial(make, block, command, clock_speed),
-        command,  # type: ignore[arg-type]
-        clock_speed,
-        **options(block, agent),
-    )
+    """Return the environment of an evaluation on the machine's own clock, in a process of its own."""
+    made = partial(make, block, command, clock_speed)
+    return RealTimeProcess(made, command, clock_speed, **options(block, agent))  # type: ignore[arg-type]
 
 
 class DelayPerEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Draws the delay of each episode of a training from a range of simulated seconds."""
+    """A wrapper that draws the delay of each episode of a training from a range of simulated seconds."""
 
     def __init__(self, env: RealTime, delay_s: tuple[float, float], seed: int) -> None:
         super().__init__(env)
@@ -71,6 +67,6 @@ class DelayPerEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def training(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Env:
-    """One environment of a training."""
+    """Return one of the environments of a training."""
     env = RealTime(make(block, COMMAND, 1.0), 0.0, COMMAND, **options(block, agent))
     return DelayPerEpisode(env, agent.training_delay_s, seed)

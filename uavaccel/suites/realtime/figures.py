@@ -1,4 +1,4 @@
-"""Figures of the experiment: return over delay, rankings over ClockSpeed, and the measured beside the modelled."""
+"""Figures: return over delay, rankings over ClockSpeed, and measured returns over modelled ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _panels(names: Sequence[str], title: str, source: str) -> tuple[Figure, Mapp
 
 
 def plot_returns(cells: Sequence[Cell], title: str, source: str) -> Figure:
-    """A panel for each environment: return over the simulated delay, a line an agent with its 95 % interval."""
+    """Plot return over the simulated delay, a panel per environment and a line per agent with its 95 % interval."""
     names, agents = _distinct(cells, "environment"), _distinct(cells, "agent")
     with style.project_style():
         figure, panels = _panels(names, title, source)
@@ -40,15 +40,13 @@ def plot_returns(cells: Sequence[Cell], title: str, source: str) -> Figure:
                 )
                 if not own:
                     continue
-                colour = style.CYCLE[number % len(style.CYCLE)]
-                delays = [delay for delay, _ in own]
+                colour, delays = style.colour(number), [delay for delay, _ in own]
                 means, low, high = (
                     np.array([cell[key] for _, cell in own])
                     for key in ("return_mean", "return_low", "return_high")
                 )
-                axes.plot(
-                    delays, means, marker="o", markersize=3.5, color=colour, label=agent.replace("_", " ")
-                )
+                line: style.LineStyle = {"marker": "o", "markersize": 3.5, "color": colour}
+                axes.plot(delays, means, **line, label=agent.replace("_", " "))
                 axes.fill_between(delays, low, high, color=colour, alpha=0.15, linewidth=0)
             axes.set_xscale("symlog", linthresh=0.01)
             axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(0, None))
@@ -57,7 +55,7 @@ def plot_returns(cells: Sequence[Cell], title: str, source: str) -> Figure:
 
 
 def plot_rankings(rankings: Sequence[Ranking], title: str, source: str) -> Figure:
-    """A panel for each environment: Kendall's tau against the slowest ClockSpeed, a line a latency."""
+    """Plot Kendall's tau against the slowest ClockSpeed, a panel per environment and a line per latency."""
     names = list(dict.fromkeys(ranking["environment"] for ranking in rankings))
     latencies = sorted({ranking["latency_s"] for ranking in rankings})
     with style.project_style():
@@ -65,7 +63,7 @@ def plot_rankings(rankings: Sequence[Ranking], title: str, source: str) -> Figur
         for ranking in rankings:
             axes = panels[ranking["environment"]]
             taus = [np.nan if tau is None else tau for tau in ranking["kendall_tau"]]
-            colour = style.CYCLE[latencies.index(ranking["latency_s"]) % len(style.CYCLE)]
+            colour = style.colour(latencies.index(ranking["latency_s"]))
             label = f"{1e3 * ranking['latency_s']:g} ms"
             axes.plot(ranking["clock_speeds"], taus, marker="o", markersize=3.5, color=colour, label=label)
         for axes in panels.values():
@@ -76,9 +74,8 @@ def plot_rankings(rankings: Sequence[Ranking], title: str, source: str) -> Figur
 
 
 def plot_agreement(pairs: Sequence[tuple[Cell, Cell]], title: str, source: str) -> Figure:
-    """A panel for each environment: mean return on the machine's clock over that on the simulated one."""
-    names = list(dict.fromkeys(cell["environment"] for cell, _ in pairs))
-    agents = list(dict.fromkeys(cell["agent"] for cell, _ in pairs))
+    """Plot the mean return on the machine's clock over that on the simulated one, a panel per environment."""
+    names, agents = (_distinct([cell for cell, _ in pairs], key) for key in ("environment", "agent"))
     with style.project_style():
         figure, panels = _panels(names, title, source)
         for number, agent in enumerate(agents):
@@ -86,8 +83,8 @@ def plot_agreement(pairs: Sequence[tuple[Cell, Cell]], title: str, source: str) 
                 own = [pair for pair in pairs if (pair[0]["environment"], pair[0]["agent"]) == (name, agent)]
                 modelled = [cell["return_mean"] for cell, _ in own]
                 measured = [cell["return_mean"] for _, cell in own]
-                colour = style.CYCLE[number % len(style.CYCLE)]
-                axes.plot(modelled, measured, "o", markersize=4, color=colour, label=agent.replace("_", " "))
+                label, colour = agent.replace("_", " "), style.colour(number)
+                axes.plot(modelled, measured, "o", markersize=4, color=colour, label=label)
         for axes in panels.values():
             low, high = axes.get_xlim()
             axes.plot((low, high), (low, high), color=style.GREY, linewidth=0.8, linestyle="--")
@@ -97,7 +94,7 @@ def plot_agreement(pairs: Sequence[tuple[Cell, Cell]], title: str, source: str) 
 
 
 def _by_delay(cells: Sequence[Cell]) -> list[tuple[float, Cell]]:
-    """Cells under ADSC by rising delay; of equal delays one, since they are one flight."""
+    """Return ADSC's cells by rising delay; of those with equal delays one, since their flights are identical."""
     by_delay = {round(cell["delay_s"], 6): cell for cell in cells if cell["command"] == "adsc"}
     return sorted(by_delay.items())
 

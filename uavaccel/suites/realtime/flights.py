@@ -10,8 +10,7 @@ import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.suites.realtime.agents import LookAhead, Policy, Weights, train
-from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase
-from uavaccel.suites.realtime.config import RealtimeConfig
+from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase
 from uavaccel.suites.realtime.environments import Env, measured, timed
 from uavaccel.suites.rows import GameRow
 from uavaccel.units import seconds_to_ns
@@ -20,7 +19,7 @@ EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than 
 
 
 class TrainingRow(GameRow):
-    """A training."""
+    """The row of a training."""
 
     kind: Literal["training"]
     environment: str
@@ -32,7 +31,7 @@ class TrainingRow(GameRow):
 
 
 class EvaluationRow(GameRow):
-    """Episodes of one trained agent under one latency, ClockSpeed and command."""
+    """The row of the episodes of one trained agent under one latency, ClockSpeed and command."""
 
     kind: Literal["evaluation"]
     timing: str
@@ -50,7 +49,7 @@ class EvaluationRow(GameRow):
 
 
 def fly_training(config: RealtimeConfig, case: TrainingCase) -> tuple[TrainingRow, Weights]:
-    """Train an agent: its row, and its weights."""
+    """Train an agent, and return its row and its weights."""
     block, agent = config.environments[case.environment], config.agents[case.agent]
     trained = train(block, agent, config.seed + case.seed)
     row: TrainingRow = {
@@ -68,7 +67,7 @@ def fly_training(config: RealtimeConfig, case: TrainingCase) -> tuple[TrainingRo
 
 
 def fly_evaluation(config: RealtimeConfig, case: EvaluationCase, weights: Weights) -> EvaluationRow:
-    """Let a trained agent meet the delays of a cell."""
+    """Fly the episodes of a trained agent under the latency, ClockSpeed and command of a case, and return their row."""
     block, agent = config.environments[case.environment], config.agents[case.agent]
     delay_s, wall = config.delay_s(case.agent, case.latency_s), case.timing == "wall"
     if wall:
@@ -76,16 +75,12 @@ def fly_evaluation(config: RealtimeConfig, case: EvaluationCase, weights: Weight
     else:
         env = timed(block, agent, delay_s, case.command, case.clock_speed)
     policy = Policy(env, agent, weights)
-    look_ahead = None
+    actor: Policy | LookAhead = policy
     if agent.look_ahead and case.command == "adsc":
-        look_ahead = LookAhead(policy, env, block, delay_s, case.clock_speed)
+        actor = LookAhead(policy, env, block, delay_s, case.clock_speed)
+    thinks_s, first = delay_s if wall else 0.0, EVALUATION_SEED + config.seed
     try:
-        episodes = [
-            _episode(
-                env, policy, look_ahead, EVALUATION_SEED + config.seed + number, delay_s if wall else 0.0
-            )
-            for number in range(config.episodes)
-        ]
+        episodes = [_episode(env, actor, seed, thinks_s) for seed in range(first, first + config.episodes)]
     finally:
         env.close()
     returns, delays_s, late_s = (list(each) for each in zip(*episodes, strict=True))
@@ -106,18 +101,16 @@ def fly_evaluation(config: RealtimeConfig, case: EvaluationCase, weights: Weight
     }
 
 
-def _episode(
-    env: Env, policy: Policy, look_ahead: LookAhead | None, seed: int, thinks_s: float
-) -> tuple[float, float, float]:
-    """Return, median delay and lateness of an episode, of an agent that really takes `thinks_s` on the wall clock."""
+def _episode(env: Env, actor: Policy | LookAhead, seed: int, thinks_s: float) -> tuple[float, float, float]:
+    """Fly an episode of decisions that take `thinks_s` of wall time; return its return, median delay and lateness."""
     clock = MonotonicClock()
     observation, _ = env.reset(seed=seed)
-    if look_ahead is not None:
-        look_ahead.begin()
+    if isinstance(actor, LookAhead):
+        actor.begin()
     total, delays_s, late_s, over = 0.0, list[float](), 0.0, False
     while not over:
         since_ns = clock.now_ns()
-        action = (look_ahead or policy).act(observation)
+        action = actor.act(observation)
         if thinks_s:
             clock.sleep_until(since_ns + seconds_to_ns(thinks_s))
         observation, reward, terminated, truncated, info = env.step(action)

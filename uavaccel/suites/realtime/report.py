@@ -1,8 +1,9 @@
-"""The report of the experiment: who is best under which delay, and how fast one may simulate before that changes."""
+"""The report: which agent is best under which delay, and up to which ClockSpeed that does not change."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import cast
 
@@ -18,6 +19,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.realtime.figures import plot_agreement, plot_rankings, plot_returns
 from uavaccel.suites.realtime.flights import EvaluationRow
 from uavaccel.suites.realtime.summary import (
+    CONDITIONS,
     Cell,
     Ranking,
     cells_of,
@@ -28,10 +30,14 @@ from uavaccel.suites.realtime.summary import (
     tcsc_equal,
 )
 from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.rows import grouped, subset
+
+OF_TRAINING = ("environment", "agent", "seed", "steps", "last_return", "weights_sha256")
+key_of = itemgetter(*CONDITIONS)
 
 
 class RealtimeReport(Report):
-    """Of `uavaccel run realtime`."""
+    """The report of `uavaccel run realtime`."""
 
     def summarise(self) -> Summary:
         rows = self._evaluations()
@@ -43,14 +49,7 @@ class RealtimeReport(Report):
             "cells": cells,
             "rankings": rankings_of(cells),
             "tcsc_equal_at_every_clock_speed": tcsc_equal(rows),
-            "trainings": [
-                {
-                    key: row[key]
-                    for key in ("environment", "agent", "seed", "steps", "last_return", "weights_sha256")
-                }
-                for row in self.rows
-                if row["kind"] == "training"
-            ],
+            "trainings": [subset(row, *OF_TRAINING) for row in self.rows if row["kind"] == "training"],
         }
 
     def _evaluations(self) -> list[EvaluationRow]:
@@ -62,8 +61,10 @@ class RealtimeReport(Report):
         return "Agents that need time to think"
 
     def headline(self) -> str:
-        """How far rankings hold, and what TCSC does to them."""
-        said = [_of_speed(ranking) for ranking in _at_middle_latency(self._rankings())]
+        rankings = self._rankings()
+        latencies = sorted({ranking["latency_s"] for ranking in rankings})
+        middle = latencies[len(latencies) // 2] if latencies else 0.0
+        said = [_up_to_which_speed(ranking) for ranking in rankings if ranking["latency_s"] == middle]
         equal = self.summary["tcsc_equal_at_every_clock_speed"]
         if equal is not None:
             how = "are the same to the bit" if equal else "DIFFER"
@@ -71,26 +72,19 @@ class RealtimeReport(Report):
         return "; ".join(said)
 
     def overview(self) -> Table:
-        return _returns_table(_at_middle_latency_cells(self._cells()))
+        return _returns_table(_slowest_with_and_without_latency(self._cells()))
 
     def figures(self) -> list[Picture]:
         cells, rankings, source = self._cells(), self._rankings(), self._source()
-        returns, held = "Return over the delay from observation to action", "Rankings over ClockSpeed"
-        drawn = [
-            Picture(
-                style.save(plot_returns(cells, returns, source), self.run.file("figures/returns.png")),
-                f"{returns}, means with 95 % intervals over trainings and episodes. Source: {source}.",
-            )
-        ]
-        if max(len(ranking["clock_speeds"]) for ranking in rankings or [EMPTY]) > 1:
-            drawn.append(
-                Picture(
-                    style.save(plot_rankings(rankings, held, source), self.run.file("figures/rankings.png")),
-                    f"{held}: Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each "
-                    f"latency. Source: {source}.",
-                )
-            )
-        return drawn
+        title = "Return over the delay from observation to action"
+        path = self.run.file("figures/returns.png")
+        caption = f"{title}, means with 95 % intervals over trainings and episodes."
+        pictures = [style.picture(plot_returns(cells, title, source), path, caption, source)]
+        if max((len(ranking["clock_speeds"]) for ranking in rankings), default=0) > 1:
+            title, path = "Rankings over ClockSpeed", self.run.file("figures/rankings.png")
+            caption = f"{title}: Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
+            pictures.append(style.picture(plot_rankings(rankings, title, source), path, caption, source))
+        return pictures
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         held = [ranking for ranking in self._rankings() if len(ranking["clock_speeds"]) > 1]
@@ -116,21 +110,12 @@ class RealtimeReport(Report):
         return f"{self.summary['provenance']} · {counts} · seed {self.summary['seed']}"
 
 
-EMPTY: Ranking = {
-    "environment": "", "latency_s": 0.0, "clock_speeds": [], "orders": [], "kendall_tau": [], "holds_to": 0.0,
-    "reversals": [],
-}  # fmt: skip
-
-
 def compare_clocks(modelled: RunDirectory, measured: RunDirectory) -> list[Path]:
-    """The machine's clock against the simulated one: a figure and agreement.json, in the second run's folder."""
-    both = [
-        cells_of(
-            evaluations([row for row in run.rows() if row.get("suite") == "realtime"]), run.config()["seed"]
-        )
-        for run in (modelled, measured)
-    ]
-    by_key = [{_key(cell): cell for cell in cells} for cells in both]
+    """Write a figure and agreement.json of a simulated clock against the machine's, in the second run's folder."""
+    by_key = []
+    for run in (modelled, measured):
+        rows = evaluations([row for row in run.rows() if row.get("suite") == "realtime"])
+        by_key.append({key_of(cell): cell for cell in cells_of(rows, run.config()["seed"])})
     pairs = [(by_key[0][key], by_key[1][key]) for key in by_key[0] if key in by_key[1]]
     if not pairs:
         raise UserError(f"{measured.path}: has no cell that {modelled.path} has too")
@@ -141,11 +126,9 @@ def compare_clocks(modelled: RunDirectory, measured: RunDirectory) -> list[Path]
 
 
 def agreement(pairs: Sequence[tuple[Cell, Cell]]) -> dict[str, Plain]:
-    """Ratios of returns and of delays, and Kendall's tau of the agents' rankings, for each environment and cell."""
-    groups: dict[tuple[str, str, float, float], list[tuple[Cell, Cell]]] = {}
-    for modelled, measured in pairs:
-        key = (modelled["environment"], modelled["command"], modelled["latency_s"], modelled["clock_speed"])
-        groups.setdefault(key, []).append((modelled, measured))
+    """Return how far returns, delays and the agents' rankings (Kendall's tau) agree between modelled and measured."""
+    without_agent = itemgetter("environment", "command", "latency_s", "clock_speed")
+    groups = grouped(pairs, lambda pair: without_agent(pair[0]))
     taus = [
         kendall_tau(means_of([each[0] for each in group]), means_of([each[1] for each in group]))
         for group in groups.values()
@@ -167,12 +150,8 @@ def _relative(modelled: float, measured: float) -> float:
     return (measured - modelled) / max(abs(modelled), 1e-9)
 
 
-def _key(cell: Cell) -> tuple[str, str, str, float, float]:
-    return cell["environment"], cell["agent"], cell["command"], cell["latency_s"], cell["clock_speed"]
-
-
-def _of_speed(ranking: Ranking) -> str:
-    """hopper, 50 ms: the ranking holds up to 5x; at 20x naive is behind aware, of which it was ahead"""
+def _up_to_which_speed(ranking: Ranking) -> str:
+    """Return up to which ClockSpeed a ranking holds, as in "hopper, 50 ms: the ranking holds up to 5x; at 20x ..."."""
     where = f"{ranking['environment']}, {1e3 * ranking['latency_s']:g} ms"
     speeds, reversals = ranking["clock_speeds"], ranking["reversals"]
     if len(speeds) < 2:
@@ -196,23 +175,16 @@ def _rankings_table(rankings: Sequence[Ranking]) -> Table:
         ("environment", lambda ranking: ranking["environment"]),
         ("latency, ms", lambda ranking: f"{1e3 * ranking['latency_s']:g}"),
         ("ranking holds up to", lambda ranking: clock_label(ranking["holds_to"])),
-        (f"Kendall's tau at {speeds}", lambda ranking: ", ".join(map(_tau, ranking["kendall_tau"][1:]))),
+        (
+            f"Kendall's tau at {speeds}",
+            lambda ranking: ", ".join(or_dash(tau, "{:.2f}".format) for tau in ranking["kendall_tau"][1:]),
+        ),
         ("first change", lambda ranking: _first_change(ranking) if ranking["reversals"] else "none"),
     )
 
 
-def _tau(tau: float | None) -> str:
-    return or_dash(tau, "{:.2f}".format)
-
-
-def _at_middle_latency(rankings: Sequence[Ranking]) -> list[Ranking]:
-    latencies = sorted({ranking["latency_s"] for ranking in rankings})
-    middle = latencies[len(latencies) // 2] if latencies else 0.0
-    return [ranking for ranking in rankings if ranking["latency_s"] == middle]
-
-
-def _at_middle_latency_cells(cells: Sequence[Cell]) -> list[Cell]:
-    """Those at the slowest ClockSpeed under ADSC, at no latency and at the middle one."""
+def _slowest_with_and_without_latency(cells: Sequence[Cell]) -> list[Cell]:
+    """Return ADSC's cells at the slowest ClockSpeed, at the least latency and at the middle one."""
     own = [cell for cell in cells if cell["command"] == "adsc"]
     slowest = min((cell["clock_speed"] for cell in own), default=0.0)
     latencies = sorted({cell["latency_s"] for cell in own})

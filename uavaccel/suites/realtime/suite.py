@@ -1,17 +1,17 @@
-"""The experiment as a suite: trainings first, whose weights the evaluations load from the run."""
+"""The suite `realtime`: agents that need time to think are trained, then evaluated with weights from the run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
+from itertools import product
 from pathlib import Path
-from typing import cast
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.realtime.cases import EvaluationCase, TrainingCase, cases, flies
-from uavaccel.suites.realtime.config import RealtimeConfig
+from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase, cases, flies
 from uavaccel.suites.report import Report
+from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite
 
 AnyCase = TrainingCase | EvaluationCase
@@ -32,30 +32,29 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         return RealtimeReport
 
     def check(self, config: RealtimeConfig) -> None:
-        """Every environment can be made, and every agent can act in it."""
+        """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
         from uavaccel.suites.realtime.environments import timed
 
-        for name, block in config.environments.items():
-            for agent in (agent for agent in config.agents if flies(config, name, agent)):
-                try:
-                    timed(block, config.agents[agent], 0.0, "adsc", 1.0).close()
-                except UserError as error:
-                    raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
-                except Exception as error:  # whatever an environment of anybody's raises
-                    said = (str(error) or type(error).__name__).splitlines()[0]
-                    raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
+        for name, agent in product(config.environments, config.agents):
+            if not flies(config, name, agent):
+                continue
+            block = config.environments[name]
+            try:
+                timed(block, config.agents[agent], 0.0, "adsc", 1.0).close()
+            except UserError as error:
+                raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
+            except Exception as error:  # whatever an environment of anybody's raises
+                said = (str(error) or type(error).__name__).splitlines()[0]
+                raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
 
     def cases(self, config: RealtimeConfig) -> Iterator[AnyCase]:
         return cases(config)
 
     def stage(self, case: AnyCase) -> int:
-        """An agent is trained before it is evaluated."""
         return int(isinstance(case, EvaluationCase))
 
     def why_serial(self, config: RealtimeConfig) -> str:
-        if config.timing == "wall":
-            return "neighbours would spoil the measurement on the wall clock"
-        return ""
+        return "neighbours would spoil the measurement on the wall clock" if config.timing == "wall" else ""
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("seeds",)
@@ -79,7 +78,7 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         return GameResult(fly_evaluation(config, case, opened.load_arrays(row)))
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        """A run on the simulated clock and one on the machine's, in whatever order."""
+        """Compare a run on the simulated clock with one on the machine's, in either order."""
         from uavaccel.suites.realtime.report import compare_clocks
 
         by_timing = {str(run.config()["timing"]): run for run in runs}
@@ -87,6 +86,5 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
             raise UserError("realtime: compares a run with timing virtual and one with timing wall")
         return compare_clocks(by_timing["virtual"], by_timing["wall"])
 
-    def status(self, rows: Sequence[object]) -> str:
-        row = cast("dict[str, object]", rows[-1])
-        return f"{row['case']}"
+    def status(self, rows: Sequence[Row]) -> str:
+        return str(rows[-1]["case"])

@@ -1,23 +1,23 @@
-"""What the rows show: returns with intervals over seeds and episodes, rankings, and how far they hold."""
+"""The summary of a run: returns with intervals over seeds and episodes, rankings of agents, and how far these hold."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from operator import itemgetter
 from typing import TypedDict, cast
 
 import numpy as np
 
 from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.suites.realtime.flights import EvaluationRow
+from uavaccel.suites.rows import grouped, subset
 
-Key = tuple[str, str, str, float, float]
-"""Environment, agent, command, latency, ClockSpeed."""
+CONDITIONS = ("environment", "agent", "command", "latency_s", "clock_speed")
 
 
 class Cell(TypedDict):
-    """All trainings of one agent under one latency, ClockSpeed and command."""
+    """The results of all trainings of one agent under one latency, ClockSpeed and command."""
 
     environment: str
     agent: str
@@ -35,48 +35,37 @@ class Cell(TypedDict):
 
 
 class Reversal(TypedDict):
-    """Two agents in one order at the slowest ClockSpeed and in the other here, neither's interval in the other's."""
+    """Two agents whose order at this ClockSpeed is not that at the slowest; their intervals are disjoint both times."""
 
     clock_speed: float
     ahead: str
-    """Who is ahead here."""
     behind: str
 
 
 class Ranking(TypedDict):
-    """The agents of one environment under one latency and ADSC, over ClockSpeed."""
+    """The ranking of the agents in one environment under one latency and ADSC, at each ClockSpeed."""
 
     environment: str
     latency_s: float
     clock_speeds: list[float]
     orders: list[list[str]]
-    """Best first, for each ClockSpeed."""
+    """Agents, best first, for each ClockSpeed."""
     kendall_tau: list[float | None]
-    """Against the slowest ClockSpeed; None where there is one agent."""
+    """Correlation with the order at the slowest ClockSpeed; None for a single agent."""
     holds_to: float
     """The largest ClockSpeed up to which no two agents change places."""
     reversals: list[Reversal]
 
 
 def cells_of(rows: Sequence[EvaluationRow], seed: int) -> list[Cell]:
-    """One cell for each agent, latency, ClockSpeed and command, in the order of the rows."""
-    grouped: dict[Key, list[EvaluationRow]] = defaultdict(list)
-    for row in rows:
-        key = row["environment"], row["agent"], row["command"], row["latency_s"], row["clock_speed"]
-        grouped[key].append(row)
-    return [_cell(key, own, seed) for key, own in grouped.items()]
+    """Return a cell for each agent, latency, ClockSpeed and command, in the order of the rows."""
+    return [_cell(own, seed) for own in grouped(rows, itemgetter(*CONDITIONS)).values()]
 
 
-def _cell(key: Key, rows: Sequence[EvaluationRow], seed: int) -> Cell:
+def _cell(rows: Sequence[EvaluationRow], seed: int) -> Cell:
     returns = [row["returns"] for row in rows]
     low, high = hierarchical_interval(returns, seed)
-    environment, agent, command, latency_s, clock_speed = key
-    return {
-        "environment": environment,
-        "agent": agent,
-        "command": command,
-        "latency_s": latency_s,
-        "clock_speed": clock_speed,
+    cell = subset(rows[0], *CONDITIONS) | {
         "delay_s": float(np.median([delay for row in rows for delay in row["delays_s"]])),
         "seeds": len(rows),
         "episodes": sum(map(len, returns)),
@@ -85,51 +74,41 @@ def _cell(key: Key, rows: Sequence[EvaluationRow], seed: int) -> Cell:
         "return_high": high,
         "late_s": max(row["late_s"] for row in rows),
     }
+    return cast(Cell, cell)
 
 
 def rankings_of(cells: Sequence[Cell]) -> list[Ranking]:
-    """One for each environment and latency under ADSC."""
-    grouped: dict[tuple[str, float], dict[float, list[Cell]]] = defaultdict(lambda: defaultdict(list))
-    for cell in cells:
-        if cell["command"] == "adsc":
-            grouped[cell["environment"], cell["latency_s"]][cell["clock_speed"]].append(cell)
-    return [
-        _ranking(environment, latency_s, dict(sorted(by_speed.items())))
-        for (environment, latency_s), by_speed in grouped.items()
-    ]
+    """Return a ranking for each environment and latency under ADSC."""
+    by_adsc = [cell for cell in cells if cell["command"] == "adsc"]
+    return [_ranking(own) for own in grouped(by_adsc, itemgetter("environment", "latency_s")).values()]
 
 
-def _ranking(environment: str, latency_s: float, by_speed: Mapping[float, Sequence[Cell]]) -> Ranking:
-    speeds = list(by_speed)
+def _ranking(cells: Sequence[Cell]) -> Ranking:
+    by_speed = dict(sorted(grouped(cells, itemgetter("clock_speed")).items()))
+    speeds, means = list(by_speed), [means_of(own) for own in by_speed.values()]
     slowest = by_speed[speeds[0]]
     reversals = [
         reversal for speed in speeds[1:] for reversal in reversals_between(slowest, by_speed[speed], speed)
     ]
     broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
     return {
-        "environment": environment,
-        "latency_s": latency_s,
+        "environment": cells[0]["environment"],
+        "latency_s": cells[0]["latency_s"],
         "clock_speeds": speeds,
-        "orders": [order_of(by_speed[speed]) for speed in speeds],
-        "kendall_tau": [kendall_tau(means_of(slowest), means_of(by_speed[speed])) for speed in speeds],
+        "orders": [sorted(here, key=lambda agent: -here[agent]) for here in means],
+        "kendall_tau": [kendall_tau(means[0], here) for here in means],
         "holds_to": max(speed for speed in speeds if speed < broken),
         "reversals": reversals,
     }
 
 
 def means_of(cells: Sequence[Cell]) -> dict[str, float]:
-    """Mean returns by agent."""
+    """Return the mean return of each agent."""
     return {cell["agent"]: cell["return_mean"] for cell in cells}
 
 
-def order_of(cells: Sequence[Cell]) -> list[str]:
-    """Agents by mean return, best first."""
-    means = means_of(cells)
-    return sorted(means, key=lambda agent: -means[agent])
-
-
 def kendall_tau(first: Mapping[str, float], second: Mapping[str, float]) -> float | None:
-    """Kendall's tau-b of two rankings of the same agents; None where either ranks nothing."""
+    """Return Kendall's tau-b of the agents in both rankings; None where either ranks nothing."""
     from scipy.stats import kendalltau
 
     agents = sorted(set(first) & set(second))
@@ -140,31 +119,26 @@ def kendall_tau(first: Mapping[str, float], second: Mapping[str, float]) -> floa
 
 
 def reversals_between(before: Sequence[Cell], after: Sequence[Cell], clock_speed: float) -> list[Reversal]:
-    """Pairs of agents whose order is the other one, and whose intervals are apart both times."""
+    """Return the pairs of agents whose order is reversed and whose intervals are disjoint both times."""
     here, there = ({cell["agent"]: cell for cell in cells} for cells in (before, after))
     found: list[Reversal] = []
     for pair in combinations([agent for agent in here if agent in there], 2):
         for ahead, behind in (pair, pair[::-1]):
-            if _apart(here[behind], here[ahead]) and _apart(there[ahead], there[behind]):
+            was_behind = here[behind]["return_low"] > here[ahead]["return_high"]
+            if was_behind and there[ahead]["return_low"] > there[behind]["return_high"]:
                 found.append({"clock_speed": clock_speed, "ahead": ahead, "behind": behind})
     return found
 
 
-def _apart(better: Cell, worse: Cell) -> bool:
-    return better["return_low"] > worse["return_high"]
-
-
 def tcsc_equal(rows: Sequence[EvaluationRow]) -> bool | None:
-    """Whether under TCSC every agent's returns are equal at all ClockSpeeds, to the bit; None: there is one speed."""
-    grouped: dict[tuple[str, str, int], list[list[float]]] = defaultdict(list)
-    for row in rows:
-        if row["command"] == "tcsc":
-            grouped[row["environment"], row["agent"], row["seed"]].append(row["returns"])
-    if not grouped or max(map(len, grouped.values())) < 2:
+    """Return whether under TCSC every agent's returns are bit-identical at all ClockSpeeds; None for a single one."""
+    by_tcsc = [row for row in rows if row["command"] == "tcsc"]
+    groups = grouped(by_tcsc, itemgetter("environment", "agent", "seed")).values()
+    if max(map(len, groups), default=0) < 2:
         return None
-    return all(returns == group[0] for group in grouped.values() for returns in group)
+    return all(row["returns"] == group[0]["returns"] for group in groups for row in group)
 
 
 def evaluations(rows: Sequence[Mapping[str, object]]) -> list[EvaluationRow]:
-    """Rows of evaluations."""
-    return [cast("EvaluationRow", row) for row in rows if row["kind"] == "evaluation"]
+    """Return the rows of evaluations."""
+    return [cast(EvaluationRow, row) for row in rows if row["kind"] == "evaluation"]

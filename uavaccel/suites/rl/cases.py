@@ -85,7 +85,6 @@ class TrainingCase:
 
     @property
     def trained(self) -> str:
-        """The training's name."""
         names = [self.variant, self.profile, self.clock, self.command, f"{self.clock_speed:g}x"]
         return "-".join([name for name in names if name] + [f"seed{self.seed}"])
 
@@ -108,17 +107,9 @@ def cases(config: RlConfig) -> Iterator[TrainingCase]:
             for block in config.cells:
                 for clock_speed, command in pairs(block):
                     if config.selects(block, (clock_speed, command)):
-                        yield TrainingCase(
-                            block.variant,
-                            block.profile,
-                            block.timing,
-                            command,
-                            clock_speed,
-                            seed,
-                            task={f"task.{key}": value for key, value in block.task.items()},
-                            learner=block.training,
-                            exact=exact,
-                        )
+                        task = {f"task.{key}": value for key, value in block.task.items()}
+                        kind = block.variant, block.profile, block.timing, command, clock_speed, seed
+                        yield TrainingCase(*kind, task=task, learner=block.training, exact=exact)
 
 
 def training_part(config: RlConfig, cell: TrainingCase) -> Part:
@@ -126,14 +117,16 @@ def training_part(config: RlConfig, cell: TrainingCase) -> Part:
     keys = {
         **config.training.keys,
         "games": config.games,
-        "task.command": cell.command,
-        "task.clock_speed": cell.clock_speed,
-        "task.timing": cell.clock,
-        "task.profile": cell.profile,
+        **_clock_keys(cell, cell.command, cell.clock_speed),
         **cell.task,
         **cell.learner,
     }
     return Part(experiment=config.training.experiment, keys=keys)
+
+
+def _clock_keys(cell: TrainingCase, command: CommandName, clock_speed: float) -> dict[str, Any]:
+    keys = {"command": command, "clock_speed": clock_speed, "timing": cell.clock, "profile": cell.profile}
+    return {f"task.{key}": value for key, value in keys.items()}
 
 
 class Flight(NamedTuple):
@@ -158,7 +151,6 @@ def flights(config: RlConfig, cell: TrainingCase) -> list[Flight]:
 
 
 def other_command(command: CommandName) -> CommandName:
-    """Return the other one of the two commands."""
     return "adsc" if command == "tcsc" else "tcsc"
 
 
@@ -169,10 +161,7 @@ def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent:
     keys = {
         **part.keys,
         "agent": str(agent),
-        "task.command": flight.command,
-        "task.clock_speed": flight.clock_speed,
-        "task.timing": cell.clock,
-        "task.profile": cell.profile,
+        **_clock_keys(cell, flight.command, flight.clock_speed),
         **own,
         **{key: cell.learner[key] for key in OF_DECISIONS if key in cell.learner},
     }

@@ -81,11 +81,8 @@ class RlConfig(Experiment):
 
     @model_validator(mode="after")
     def _names_each_cell_once(self) -> RlConfig:
-        names = [
-            (block.variant, block.profile, block.timing, *each)
-            for block in self.cells
-            for each in pairs(block)
-        ]
+        kinds = [((block.variant, block.profile, block.timing), pairs(block)) for block in self.cells]
+        names = [(*kind, *pair) for kind, each in kinds for pair in each]
         for name in names:
             if names.count(name) > 1:
                 _, profile, timing, clock_speed, command = name

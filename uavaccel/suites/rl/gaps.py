@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 from uavaccel.draw.style import command_name
 from uavaccel.suites.report import SummaryCell
+from uavaccel.suites.rows import grouped
 
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
 LEAST_GAPS = 3  # that a run needs for a figure
@@ -33,9 +36,8 @@ def over_gaps(pooled: Sequence[SummaryCell]) -> list[GapLine]:
     virtual = [cell for cell in pooled if cell["timing"] == "virtual"]
     if len({cell["gap_s"] for cell in virtual}) < LEAST_GAPS:
         return []
-    lines: dict[tuple[str, str], list[SummaryCell]] = {}
-    for cell in sorted(virtual, key=lambda cell: (cell["gap_s"], cell["clock_speed"])):
-        lines.setdefault((lane_of(cell), cell["command"]), []).append(cell)
+    by_gap = sorted(virtual, key=itemgetter("gap_s", "clock_speed"))
+    lines = grouped(by_gap, lambda cell: (lane_of(cell), cell["command"]))
     return [
         GapLine(command, lane, cells)
         for (lane, command), cells in sorted(lines.items())
@@ -51,28 +53,19 @@ def lane_of(cell: SummaryCell) -> str:
 
 def collapse(lines: Sequence[GapLine]) -> str:
     """Return in words from which gap on success stays below half of the lane's best."""
-    sentences = []
+    best: dict[str, float] = defaultdict(float)
     for line in lines:
-        if len({cell["gap_s"] for cell in line.cells}) >= LEAST_GAPS:
-            best = max(
-                cell["success_ratio"] for each in lines if each.lane == line.lane for cell in each.cells
-            )
-            sentences.append(f"{line.label}: {_from(line.cells, best)}.")
-    return " ".join(sentences)
-
-
-def collapse_gap_s(cells: Sequence[SummaryCell], best: float) -> float | None:
-    """Return the smallest gap from which success stays below half of `best`, of cells by rising gap, if any."""
-    above = [cell["gap_s"] for cell in cells if cell["success_ratio"] >= COLLAPSED * best]
-    below = [cell["gap_s"] for cell in cells if not above or cell["gap_s"] > above[-1]]
-    return min(below, default=None)
+        best[line.lane] = max(best[line.lane], *(cell["success_ratio"] for cell in line.cells))
+    shown = [line for line in lines if len({cell["gap_s"] for cell in line.cells}) >= LEAST_GAPS]
+    return " ".join(f"{line.label}: {_from(line.cells, best[line.lane])}." for line in shown)
 
 
 def _from(cells: Sequence[SummaryCell], best: float) -> str:
-    gap_s, half = collapse_gap_s(cells, best), f"half of the best cell's {best:.1%}"
-    if gap_s is None:
-        longest_s = cells[-1]["gap_s"]
-        return (
-            f"no gap was flown, up to {longest_s:.2f} s, from which success in real time stays below {half}"
-        )
-    return f"success in real time stays below {half} from a gap of {gap_s:.2f} simulated seconds on"
+    """Return in words the smallest gap from which success stays below half of `best`, of cells by rising gap."""
+    half = f"half of the best cell's {best:.1%}"
+    above = [cell["gap_s"] for cell in cells if cell["success_ratio"] >= COLLAPSED * best]
+    below = [cell["gap_s"] for cell in cells if not above or cell["gap_s"] > above[-1]]
+    if below:
+        return f"success in real time stays below {half} from a gap of {below[0]:.2f} simulated seconds on"
+    longest_s = cells[-1]["gap_s"]
+    return f"no gap was flown, up to {longest_s:.2f} s, from which success in real time stays below {half}"

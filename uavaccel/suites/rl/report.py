@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
@@ -14,6 +15,7 @@ from uavaccel.suites.report import Column, Report, Summary, SummaryCell, listed,
 from uavaccel.suites.rl.figures import panel_name, plot_figures, plot_gaps
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.summary import CellKey, key_of, summarise
+from uavaccel.suites.rows import grouped
 
 Minutes = Mapping[CellKey, float]
 """Minutes of training on this machine, by the conditions of the training."""
@@ -78,17 +80,14 @@ class RlReport(Report):
         if summary["as_trained"]:
             table = _as_trained_table(summary["as_trained"])
             blocks += [Heading("Flown at the ClockSpeed of the training"), table]
-        if summary["exact"]:
-            blocks += [
-                Heading("The same policies in the exact simulator"),
-                *_in_both_simulators(summary["exact"]),
-            ]
+        if exact := summary["exact"]:
+            blocks += [Heading("The same policies in the exact simulator"), *_in_both_simulators(exact)]
         minutes = _machine_minutes(self.run, self.rows)
         return [
             *blocks,
             Heading("Time of the training"),
             _time_table(pooled, minutes),
-            Paragraph(_saved(pooled, minutes)),
+            Paragraph(_time_saved(pooled, minutes)),
             Paragraph(_HOW_TIME_IS_MODELLED),
             *figures[2:],
             Heading("Each training"),
@@ -117,18 +116,16 @@ _TRAINED: Sequence[Column] = (*_CELL, ("seeds", lambda cell: listed(cell["seeds"
 
 def _slowest_and_fastest(pooled: Sequence[SummaryCell]) -> list[str]:
     """Return, for each kind of training without a variant, success after its slowest and its fastest ClockSpeed."""
-    kinds = defaultdict[str, list[SummaryCell]](list)
-    for cell in sorted(pooled, key=lambda cell: float(cell["clock_speed"])):
-        if not cell["variant"]:
-            kinds[panel_name(cell)].append(cell)
-    return [
-        f"{name}: {', '.join(_success_at(cell) for cell in (own[0], own[-1])[: len(own)])}"
-        for name, own in kinds.items()
-    ]
+    plain = [cell for cell in pooled if not cell["variant"]]
+    ends = {
+        name: (own[0], own[-1])[: len(own)]
+        for name, own in grouped(sorted(plain, key=itemgetter("clock_speed")), panel_name).items()
+    }
 
+    def success_at(cell: SummaryCell) -> str:
+        return f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
 
-def _success_at(cell: SummaryCell) -> str:
-    return f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
+    return [f"{name}: {', '.join(map(success_at, cells))}" for name, cells in ends.items()]
 
 
 def _success_table(pooled: Sequence[SummaryCell]) -> Table:
@@ -249,7 +246,7 @@ def _machine_minutes(run: RunDirectory, rows: Sequence[SummaryCell]) -> Minutes:
     return minutes
 
 
-def _saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
+def _time_saved(pooled: Sequence[SummaryCell], minutes: Minutes) -> str:
     """Compare the modelled real time of the trainings with the time that they took on this machine."""
     both = [cell for cell in pooled if cell["real_time_s"] is not None and key_of(cell) in minutes]
     if not both:

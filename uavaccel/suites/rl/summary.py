@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +17,15 @@ from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.suites import paper_results
 from uavaccel.suites.report import Arrays, LoadArrays, Values
 from uavaccel.suites.rl.cases import EXACT, RlRow, other_command
-from uavaccel.suites.rows import Row
+from uavaccel.suites.rows import Row, grouped, subset
 
-KEY: tuple[Literal["variant", "profile", "timing", "command", "clock_speed"], ...] = (
-    "variant",
-    "profile",
-    "timing",
-    "command",
-    "clock_speed",
-)
-"""The conditions of a training; trainings that have them in common differ in their seed alone."""
 CellKey = tuple[object, ...]
 Groups = Mapping[CellKey, list[RlRow]]
 """Trainings by `KEY`, a row for each seed."""
+KEY = ("variant", "profile", "timing", "command", "clock_speed")
+"""The conditions of a training; trainings that have them in common differ in their seed alone."""
+key_of: Callable[[Row | RlRow], CellKey] = itemgetter(*KEY)
+"""Returns the values of `KEY` of a row or of an entry of the summary."""
 WITHOUT_IMAGES = tuple(phase for phase in PHASES if phase != "rendering")  # ADSC takes its images in a pause
 SIMULATION = ("simulation", "rendering")  # the paper's "simulation" renders the images
 
@@ -39,7 +33,9 @@ SIMULATION = ("simulation", "rendering")  # the paper's "simulation" renders the
 def summarise(config: Row, rows: Sequence[RlRow], load: LoadArrays) -> Values:
     """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
     load = _cached(load)
-    groups, exact = (_by_training(rows, trained) for trained in (True, False))
+    groups, exact = (
+        grouped([row for row in rows if ("training" in row) == trained], key_of) for trained in (True, False)
+    )
     pooled = list(groups.values())
     return {
         "suite": "rl",
@@ -70,20 +66,6 @@ def _cached(load: LoadArrays) -> LoadArrays:
     return cached
 
 
-def key_of(cell: Row | RlRow) -> CellKey:
-    """Return the values of `KEY` of a row or of an entry of the summary."""
-    return tuple(cell[name] for name in KEY)
-
-
-def _by_training(rows: Sequence[RlRow], trained: bool) -> dict[CellKey, list[RlRow]]:
-    """Group the rows of trainings, or of their policies in the exact simulator, by `KEY`."""
-    groups: dict[CellKey, list[RlRow]] = defaultdict(list)
-    for row in rows:
-        if ("training" in row) == trained:
-            groups[key_of(row)].append(row)
-    return groups
-
-
 def _at_1x(row: RlRow, groups: Groups, command: str) -> list[RlRow]:
     """Return the trainings with that command at 1x; none in lockstep, or where they were not run.
 
@@ -95,8 +77,7 @@ def _at_1x(row: RlRow, groups: Groups, command: str) -> list[RlRow]:
 def _cell(row: RlRow, arrays: Arrays, baseline: Sequence[RlRow]) -> Values:
     trained = row["training"]
     return {
-        **dict(zip(KEY, key_of(row), strict=True)),
-        "seed": row["seed"],
+        **subset(row, *KEY, "seed"),
         **Proportion.of(row["evaluations"][0]).as_summary(),
         "distance_m_median": float(np.median(arrays[f"{row['command']}_distance_m"])),
         "trained_games": trained["games"],
@@ -128,7 +109,7 @@ def _pooled(members: Sequence[RlRow], groups: Groups, load: LoadArrays) -> Value
 
 def _identity(members: Sequence[RlRow]) -> Values:
     """Return the conditions of a group of trainings, and its seeds."""
-    return {**dict(zip(KEY, key_of(members[0]), strict=True)), "seeds": [row["seed"] for row in members]}
+    return {**subset(members[0], *KEY), "seeds": [row["seed"] for row in members]}
 
 
 def pooled_success(members: Sequence[RlRow], flight: int) -> Values:
@@ -137,7 +118,7 @@ def pooled_success(members: Sequence[RlRow], flight: int) -> Values:
     `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
     trainings with other seeds would have given (`success_estimate`).
     """
-    evaluated = [Proportion.of(row["evaluations"][flight]) for row in members]
+    evaluated = _evaluated(members, flight)
     over_seeds = success_estimate(evaluated)
     pooled = Proportion.pooled(evaluated).as_summary()
     return {**pooled, "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
@@ -145,7 +126,7 @@ def pooled_success(members: Sequence[RlRow], flight: int) -> Values:
 
 def ratios(members: Sequence[RlRow], flight: int) -> NDArray[np.float64]:
     """Return the success of each seed in one of their flights, (seeds,)."""
-    return np.array([Proportion.of(row["evaluations"][flight]).ratio for row in members])
+    return np.array([each.ratio for each in _evaluated(members, flight)])
 
 
 def compare(members: Sequence[RlRow], others: Sequence[RlRow], flight: int, load: LoadArrays) -> Values:
@@ -157,17 +138,16 @@ def compare(members: Sequence[RlRow], others: Sequence[RlRow], flight: int, load
     if not others:
         return {"permutation_p": None, "fisher_p": None, "mcnemar_p": None}
     first, second = paired(members, others, (flight, flight), load)
-    won, games = zip(*(_sums(group, flight) for group in (members, others)), strict=True)
+    mine, theirs = (Proportion.pooled(_evaluated(group, flight)) for group in (members, others))
     return {
         "permutation_p": permutation_p(ratios(members, flight), ratios(others, flight)),
-        "fisher_p": fisher_exact_p((won[0], games[0]), (won[1], games[1])),
+        "fisher_p": fisher_exact_p((mine.successes, mine.games), (theirs.successes, theirs.games)),
         "mcnemar_p": mcnemar_exact(first, second).p_value if len(first) else None,
     }
 
 
-def _sums(members: Sequence[RlRow], flight: int) -> tuple[int, int]:
-    pooled = Proportion.pooled([Proportion.of(row["evaluations"][flight]) for row in members])
-    return pooled.successes, pooled.games
+def _evaluated(members: Sequence[RlRow], flight: int) -> list[Proportion]:
+    return [Proportion.of(row["evaluations"][flight]) for row in members]
 
 
 def paired(
@@ -185,14 +165,9 @@ def paired(
 
 
 def _outcomes(row: RlRow, flight: int, load: LoadArrays) -> dict[int, bool]:
-    """Return whether each lane was won."""
     flown, real_time = row["evaluations"][flight], row["evaluations"][0]["clock_speed"]
-    name = (
-        flown["command"]
-        if flown["clock_speed"] == real_time
-        else f"{flown['command']}-{flown['clock_speed']:g}x"
-    )
-    name, arrays = name if "training" in row else EXACT, load(row)
+    at = "" if flown["clock_speed"] == real_time else f"-{flown['clock_speed']:g}x"
+    name, arrays = f"{flown['command']}{at}" if "training" in row else EXACT, load(row)
     return dict(zip(arrays[f"{name}_lane"].tolist(), arrays[f"{name}_is_success"].tolist(), strict=True))
 
 
@@ -245,8 +220,8 @@ def gap_s(members: Sequence[RlRow]) -> float:
 
 def _flight(row: RlRow, command: str, clock_speed: float) -> int | None:
     """Return the index of a flight among those of a row; None where it was not flown."""
-    flown: list[tuple[str, float]] = [(each["command"], each["clock_speed"]) for each in row["evaluations"]]
-    return flown.index((command, clock_speed)) if (command, clock_speed) in flown else None
+    flown = [(each["command"], each["clock_speed"]) for each in row["evaluations"]]
+    return next((n for n, each in enumerate(flown) if each == (command, clock_speed)), None)
 
 
 def _interchange(
@@ -313,17 +288,15 @@ def side_by_side(members: Sequence[RlRow], exact: Sequence[RlRow], load: LoadArr
 
 def _same_weights(groups: Groups) -> list[Values]:
     """Return how many seeds learned the same weights at all ClockSpeeds that a command was trained at, if several."""
-    families: dict[CellKey, dict[Any, list[RlRow]]] = defaultdict(partial(defaultdict, list))
-    for key, members in groups.items():
-        families[key[:-1]][key[-1]] += members
     found = []
-    for key, by_clock in families.items():
-        if len(by_clock) > 1:
-            hashes: dict[int, list[str]] = defaultdict(list)
-            for row in (row for members in by_clock.values() for row in members):
-                hashes[row["seed"]].append(row["training"]["weights_sha256"])
-            whole = sorted(seed for seed, each in hashes.items() if len(each) == len(by_clock))
-            equal = [seed for seed in whole if len(set(hashes[seed])) == 1]
-            conditions: Values = dict(zip(KEY[:-1], key, strict=True))
-            found.append(conditions | {"clock_speed": sorted(by_clock), "seeds": whole, "equal": equal})
+    for family in grouped(groups.values(), lambda members: key_of(members[0])[:-1]).values():
+        if len(family) > 1:
+            rows = [row for members in family for row in members]
+            by_seed = sorted(grouped(rows, itemgetter("seed")).items())
+            hashes = {seed: {row["training"]["weights_sha256"] for row in own} for seed, own in by_seed}
+            whole = [seed for seed, own in by_seed if len(own) == len(family)]
+            equal = [seed for seed in whole if len(hashes[seed]) == 1]
+            clocks = sorted(members[0]["clock_speed"] for members in family)
+            conditions = subset(rows[0], *KEY[:-1])
+            found.append({**conditions, "clock_speed": clocks, "seeds": whole, "equal": equal})
     return found
