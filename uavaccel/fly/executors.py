@@ -119,7 +119,7 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadClasse
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
-    """A copy of a module in which some names mean `own` for a script's calls."""
+    """Return a copy of a module in which some names mean `own` for a script's calls."""
 
     def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
@@ -138,7 +138,7 @@ def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
 
 
 def _is_no_end(record: logging.LogRecord) -> bool:
-    """Whether a log record is about anything but the end of the flight."""
+    """Return whether a log record is about anything but the end of the flight."""
     return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
 
 

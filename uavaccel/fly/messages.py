@@ -98,12 +98,12 @@ class MessageLog:
 
 
 def differs(call: int, first: str, second: str) -> DifferenceError:
-    """The error for the user, with the number of the last call and the two lines."""
+    """Return the error for the user, with the number of the last call and the two lines."""
     return DifferenceError(f"the flights differ at call {call}\n  first:  {first}\n  second: {second}")
 
 
 def brief(value: object) -> object:
-    """The value itself, or the length and a digest of one that is long on the wire."""
+    """Return the value itself, or the length and a digest of one that is long on the wire."""
     packed = msgpack.packb(value)
     if len(packed) <= LONG_BYTES:
         return value

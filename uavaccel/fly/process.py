@@ -115,7 +115,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def settings_of(options: FlightOptions) -> Settings | None:
-    """The settings of the options' file, if any. Raises UserError if a file that was named is invalid."""
+    """Return the settings of the options' file, if any. Raises UserError if a file that was named is invalid."""
     if options.settings is None:
         return None
     from uavaccel.wire.settings import read_settings

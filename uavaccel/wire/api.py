@@ -72,7 +72,7 @@ class Api:
             self.methods |= group(self._context).bound()
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """The result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
+        """Return the result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation must have been advanced to `wall_ns`.
         """
@@ -113,7 +113,7 @@ class Api:
         return error
 
     def _failed(self, method: str, params: Sequence[object], error: Exception) -> rpc.RpcError:
-        """The error for the client. One that is not the client's mistake is logged, once per method and exception."""
+        """Return the error for the client; log one that is not its mistake, once per method and exception."""
         if isinstance(error, ValueError | UserError):
             return rpc.threw(method, len(params), str(error))
         if (method, type(error)) not in self._logged:

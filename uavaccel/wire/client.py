@@ -90,24 +90,24 @@ class Client:
         self.call("uavaccelSetLane", lane)
 
     def image(self, kind: str) -> AnyImage:
-        """The front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
+        """Return the front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
 
         The known state stays known.
         """
         return decode_image(self.call("uavaccelImage", kind))
 
     def collision(self) -> Collision | None:
-        """The vehicle's first collision since the start of the game, if any. The known state stays known."""
+        """Return the vehicle's first collision since the start of the game, if any. The known state stays known."""
         collision: Collision | None = self.call("uavaccelCollision") or None
         return collision
 
     def speed(self) -> SpeedReport:
-        """The requested and the achieved speed since the start of the game."""
+        """Return the requested and the achieved speed since the start of the game."""
         speed: SpeedReport = self.call("uavaccelSpeed")
         return speed
 
     def recording(self) -> Recording:
-        """The game's samples and command log so far."""
+        """Return the game's samples and command log so far."""
         reply = self.call("uavaccelRecording")
         samples = np.frombuffer(reply["samples"], "<f8").reshape(-1, 14)
         commands = np.frombuffer(reply["commands"], "<i8").reshape(-1, 2)

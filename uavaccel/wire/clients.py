@@ -95,7 +95,7 @@ class Answer(NamedTuple):
     result: object
 
     def pack(self) -> bytes:
-        """The message; an error in place of a result that cannot be packed or is too long."""
+        """Return the message; an error in place of a result that cannot be packed or is too long."""
         result = self.result
         try:
             if isinstance(result, DeferredReply):

@@ -87,7 +87,7 @@ class Server:
         self.clients.close()
 
     def _wake_ns(self, simulation: Simulation) -> int:
-        """The wall time until which to sleep; in the past if it is time to poll."""
+        """Return the wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
         if now < self._busy_until_ns or self._queue:
             return now
@@ -182,7 +182,7 @@ class Server:
         self._estimates.took(method, piece, took_ns)
 
     def _expected_ns(self, connection: Connection) -> int:
-        """How long a client's next request is expected to take."""
+        """Return how long a client's next request is expected to take."""
         return self._estimates.expected_ns(connection.method, connection.begun is not None)
 
     def _answer(self, answer: Answer) -> None:

@@ -89,7 +89,7 @@ class WatchedServer:
         return line
 
     def memory_mib(self) -> float:
-        """The process's resident memory (Linux only)."""
+        """Return the process's resident memory (Linux only)."""
         pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
