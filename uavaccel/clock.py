@@ -166,13 +166,20 @@ def epoch_s() -> float:
     return time.time()
 
 
+def changed(module: ModuleType, **names: object) -> ModuleType:
+    """Return a copy of a module with some of its names replaced."""
+    copy = ModuleType(module.__name__, module.__doc__)
+    vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
+    vars(copy).update(names)
+    return copy
+
+
 def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None]) -> ModuleType:
     """Return a stand-in for the module `time`, for programs that shall live on another clock.
 
     `epoch_now_ns` is read for every clock of the module, in ns since 1970 in UTC; `sleep` waits so many seconds.
     """
-    module = ModuleType("time", time.__doc__)
-    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+    module = changed(time)
     for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
         setattr(module, f"{name}_ns", lambda: epoch_now_ns())
         setattr(module, name, lambda: epoch_now_ns() / NS_PER_S)
@@ -197,16 +204,13 @@ def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None])
 
 
 def counted_time_module(slept: Callable[[float], None]) -> ModuleType:
-    """Return the machine's module `time`; `slept` hears how many seconds each sleep was to last."""
-    module = ModuleType("time", time.__doc__)
-    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+    """Return the machine's module `time`; `slept` is called with the seconds of each sleep."""
 
     def sleep(seconds: float) -> None:
         time.sleep(seconds)
         slept(seconds)
 
-    vars(module).update(sleep=sleep)
-    return module
+    return changed(time, sleep=sleep)
 
 
 def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
@@ -232,7 +236,4 @@ def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
 
     for own, original in ((Date, datetime.date), (DateTime, datetime.datetime)):
         own.__name__, own.__qualname__, own.__module__ = original.__name__, original.__qualname__, "datetime"
-    module = ModuleType("datetime", datetime.__doc__)
-    vars(module).update({name: value for name, value in vars(datetime).items() if not name.startswith("__")})
-    vars(module).update(date=Date, datetime=DateTime)
-    return module
+    return changed(datetime, date=Date, datetime=DateTime)

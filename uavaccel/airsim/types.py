@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from numbers import Real
@@ -72,7 +72,8 @@ class _Components(MsgpackMixin):
     """Base of vectors and quaternions: the arithmetic that they share, component by component."""
 
     def __iter__(self) -> Iterator[float]:
-        return (getattr(self, name) for name in _fields(type(self)))  # a map from the wire has any order
+        names: Iterable[str] = _fields(type(self))  # type: ignore[arg-type]
+        return (getattr(self, name) for name in names)  # in this order: maps from the wire have another
 
     def containsNan(self) -> bool:
         return any(math.isnan(value) for value in self)
@@ -124,7 +125,7 @@ class Vector3r(_Components):
 
     def to_Quaternionr(self) -> Quaternionr:
         """Return the quaternion without a scalar part."""
-        return Quaternionr(*self, 0.0)
+        return Quaternionr(self.x_val, self.y_val, self.z_val, 0.0)
 
 
 class Quaternionr(_Components):

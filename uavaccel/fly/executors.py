@@ -16,19 +16,18 @@ from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from uavaccel.clock import changed
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.threads import ThreadClasses, changed
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     import asyncio
 
-FREE_TURNS = (
-    100  # iterations of a loop while the clock stands; each further one reads the clock, so that polling ends
-)
+FREE_TURNS = 100  # of a loop while the clock stands; each further one reads the clock, so that polling ends
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
@@ -127,7 +126,7 @@ def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], tu
             *arguments, **options
         )
 
-    return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
+    return changed(module, **{name: chosen(name, kind) for name, kind in own.items()})
 
 
 def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
@@ -155,7 +154,7 @@ def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
             super().__init__()
             self._condition = condition()
 
-    patches.set(module, "_base", changed(module._base, {"Future": Future}))
+    patches.set(module, "_base", changed(module._base, Future=Future))
 
 
 def _thread_pool(original: type, turns: Turns) -> type:

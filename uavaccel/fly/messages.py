@@ -14,10 +14,7 @@ import msgpack
 from uavaccel.errors import UserError, naming
 
 FILE_NAME = "messages.jsonl"
-LONG_BYTES = (
-    200  # longer values, such as states and images, are logged as digests: a script may poll millions
-)
-
+LONG_BYTES = 200  # longer values, such as images, are logged as digests: a script may poll millions
 
 _encode = json.JSONEncoder(ensure_ascii=False, default=bytes.hex).encode
 

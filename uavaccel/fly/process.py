@@ -87,9 +87,7 @@ def fly(options: FlightOptions) -> int:
     with Patches() as patches:
         if (seed := options.seed) is not None:
             random.seed(seed)
-            patches.when_imported(
-                "numpy", lambda numpy: numpy.random.seed(seed)
-            )  # the generator that scripts use
+            patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # which scripts use
         outcome = flight.run()
     for kind in (signal.SIGINT, signal.SIGTERM):  # nothing interrupts writing what was flown
         signal.signal(kind, signal.SIG_IGN)

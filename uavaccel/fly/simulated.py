@@ -31,9 +31,7 @@ READING_NS = 10_000  # what reading the clock costs the script, so that a loop t
 # for a state ends.
 FREE_CALLS = 100
 POLL_NS = round(THINK_S["virtual"] * NS_PER_S)
-PATIENCE_NS = (
-    3600 * NS_PER_S
-)  # simulated duration of a wait that is reported: AirSim's commands have no time-out
+PATIENCE_NS = 3600 * NS_PER_S  # simulated wait that is reported: AirSim's commands have no time-out
 
 
 class SimulatedFlight:

@@ -13,6 +13,7 @@ from functools import partial
 from types import ModuleType
 from typing import TypeVar
 
+from uavaccel.clock import changed
 from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
 
@@ -256,12 +257,4 @@ class ThreadClasses:
 
     def modules(self) -> dict[str, ModuleType]:
         """Return the modules `threading` and `queue` for a script."""
-        return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
-
-
-def changed(module: ModuleType, names: Mapping[str, object]) -> ModuleType:
-    """Return a copy of a module with some of its names replaced."""
-    copy = ModuleType(module.__name__, module.__doc__)
-    vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
-    vars(copy).update(names)
-    return copy
+        return {module.__name__: changed(module, **kinds) for module, kinds in self.own.items()}

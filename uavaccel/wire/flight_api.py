@@ -18,7 +18,6 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.flight.tasks import (
     AT_REST_M_S,
-    FlightTask,
     FollowPath,
     Land,
     MoveByManual,
@@ -79,7 +78,7 @@ class FlightApi(Calls, title="Flight"):
     @command("land")
     def land(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Sink at 0.2 m/s until the ground stops the vehicle."""
-        return self._start(self._taken(vehicle), Land(timeout_sec))
+        return self._taken(vehicle).start(Land(timeout_sec), self.wall_ns)
 
     @command("goHome")
     def go_home(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
@@ -142,7 +141,7 @@ class FlightApi(Calls, title="Flight"):
         points = np.array([pilot.kinematics().position_m, *path])
         turn = (yaw_mode.value, yaw_mode.is_rate)
         follow = FollowPath(points, velocity, timeout_sec, forward_only, *turn, ahead, adaptive_lookahead)
-        return self._start(pilot, follow)
+        return pilot.start(follow, self.wall_ns)
 
     # --- to a heading -----------------------------------------------------------------------------
 
@@ -156,7 +155,8 @@ class FlightApi(Calls, title="Flight"):
             return True
         heading = math.remainder(math.radians(yaw), 2 * math.pi)
         place_m = pilot.kinematics().position_m
-        return self._start(pilot, RotateToYaw(place_m, heading, math.radians(margin), timeout_sec))
+        task = RotateToYaw(place_m, heading, math.radians(margin), timeout_sec)
+        return pilot.start(task, self.wall_ns)
 
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
@@ -219,24 +219,21 @@ class FlightApi(Calls, title="Flight"):
             return True
         turn = (yaw_mode.value, yaw_mode.is_rate, pilot.kinematics().orientation_wxyz)
         task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, *turn)
-        return self._start(pilot, task)
+        return pilot.start(task, self.wall_ns)
 
     # --- in common --------------------------------------------------------------------------------
 
     def _taken(self, vehicle: str) -> Pilot:
         """Cancel the vehicle's running command, and return its pilot."""
         pilot = self.scenery.flying_pilot(vehicle)
-        pilot.cancel(self.wall_ns)
+        pilot.end(False, self.wall_ns)
         return pilot
-
-    def _start(self, pilot: Pilot, task: FlightTask) -> Answer:
-        return pilot.start(task, self.wall_ns)
 
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:
         points = np.array([pilot.kinematics().position_m, place])
         ahead = check_lookahead(AUTO_LOOKAHEAD, velocity_m_s, ADAPTIVE)
         follow = FollowPath(points, velocity_m_s, timeout_s, False, 0.0, True, ahead, ADAPTIVE)
-        return self._start(pilot, follow)
+        return pilot.start(follow, self.wall_ns)
 
 
 def fly_for(
@@ -247,7 +244,7 @@ def fly_for(
     Raises UserError if an exact duration does not fit the profile.
     """
     if duration_s <= 0:
-        pilot.cancel(wall_ns)
+        pilot.end(False, wall_ns)
         return at_once
     profile = pilot.vehicle.profile
     ticks = profile.command_ticks(duration_s) if exact else profile.nearest_ticks(duration_s)

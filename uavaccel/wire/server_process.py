@@ -30,9 +30,7 @@ def main() -> None:
     simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
     simulation.pause(MonotonicClock().now_ns())
     server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
-    with contextlib.suppress(
-        BrokenPipeError
-    ):  # whoever started it has gone: then standard input has ended too
+    with contextlib.suppress(BrokenPipeError):  # the session has gone: standard input has ended too
         print(json.dumps({"port": server.address[1]}), flush=True)
     server.serve()
 
