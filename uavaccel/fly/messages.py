@@ -79,7 +79,8 @@ class MessageLog:
 
     def _refuse(self, error: OSError) -> NoReturn:
         if not self._file.closed:
-            self.abandon()  # closing the file would fail again
+            self.abandon()  # or closing the file would fail again
+            self._file.close()
         try:
             with naming(self._path):
                 raise error
