@@ -30,18 +30,8 @@ from uavaccel.wire.vehicles import populate
 from uavaccel.wire.world_api import WorldApi
 
 GROUPS: tuple[type[Calls], ...] = (
-    SimulatorApi,
-    VehicleApi,
-    FlightApi,
-    AttitudeApi,
-    ImageApi,
-    CameraApi,
-    ObjectApi,
-    DetectionApi,
-    SensorApi,
-    WorldApi,
-    RecordingApi,
-    GameApi,
+    *(SimulatorApi, VehicleApi, FlightApi, AttitudeApi, ImageApi, CameraApi, ObjectApi, DetectionApi),
+    *(SensorApi, WorldApi, RecordingApi, GameApi),
 )
 CALLS: dict[str, WireCall] = {name: call for group in GROUPS for name, call in group.calls.items()}
 _LOG = logging.getLogger(__name__)

@@ -161,9 +161,8 @@ class FlightApi(Calls, title="Flight"):
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
         """Turn at a rate in degrees per second without moving."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        goal = goals.position(pilot.kinematics().position_m, Yaw(math.radians(yaw_rate)))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        place_m = self.scenery.flying_pilot(vehicle).kinematics().position_m
+        return _fly(self, goals.position(place_m, Yaw(math.radians(yaw_rate))), duration, vehicle)
 
     # --- by velocity ------------------------------------------------------------------------------
 
@@ -192,10 +191,9 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "",
     ) -> Answer:  # fmt: skip
         """Fly in the frame of the vehicle's heading at the start of the command."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        north, east = turned(pilot.kinematics(), vx, vy)
+        north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
         goal = goals.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        return _fly(self, goal, duration, vehicle)
 
     @command("moveByVelocityZBodyFrame")
     def move_by_velocity_z_body_frame(
@@ -203,10 +201,9 @@ class FlightApi(Calls, title="Flight"):
         vehicle: VehicleName = "",
     ) -> Answer:  # fmt: skip
         """Fly at a height in the frame of the vehicle's heading at the start of the command."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        north, east = turned(pilot.kinematics(), vx, vy)
+        north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
         goal = goals.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        return _fly(self, goal, duration, vehicle)
 
     @command("moveByManual")
     def move_by_manual(
