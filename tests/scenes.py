@@ -13,6 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.lane.scene import object_name
+
 Scene = tuple[mujoco.MjModel, mujoco.MjData]
 ROWS, COLUMNS = 144, 256
 
@@ -26,6 +28,11 @@ BLOCKS = {
     "block_north_west": ((35.0, -35.0, -8.0), (3.0, 3.0, 8.0)),
     "ground": ((0.0, 0.0, 1.0), (100.0, 100.0, 1.0)),
 }
+
+
+def object_names(model: mujoco.MjModel, geoms: NDArray[np.int32]) -> list[str]:
+    """The names of the objects in a segmentation, sorted, without the sky."""
+    return sorted({object_name(model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
 
 class Pose(NamedTuple):

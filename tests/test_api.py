@@ -75,7 +75,7 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
             continue
         if isinstance(result, DeferredReply):
             api.simulation.pause(wall_ns)
-            api.simulation.lead.cancel(wall_ns)
+            api.simulation.lead.end(False, wall_ns)
             result = result.encode(result.value)
         msgpack.packb(result)
 

@@ -12,7 +12,7 @@ from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, 
 from tests.simulating import simulate, world_of
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.sensors.earth import GeoPoint, geographic
+from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
 from uavaccel.sim.vehicle.goal import of_velocity
@@ -21,7 +21,6 @@ from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, euler_from_quaternion
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.geodesy import ned_of
 from uavaccel.wire.session import open_session
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS

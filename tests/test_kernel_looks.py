@@ -133,8 +133,8 @@ class Witness(Camera):
 
     seen: list[tuple[Floats, NDArray[np.uint8]]]
 
-    def gray(self, data: mujoco.MjData, out: Any = None) -> NDArray[np.uint8]:
-        picture = super().gray(data, out)
+    def gray(self, data: mujoco.MjData) -> NDArray[np.uint8]:
+        picture = super().gray(data)
         Witness.seen.append((data.qpos[:7].copy(), picture.copy()))
         return picture
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.lanes import collision_object, free_distance_m
-from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays
+from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays, object_names
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
@@ -259,5 +259,5 @@ def test_obstacles_have_their_own_shapes_and_the_rest_is_not_seen(lane_world: Wo
     bulge = 0.6 - np.sqrt(0.36 - (east - y) ** 2) if cylinder else 0.0
     assert depth_m[middle] == pytest.approx(near, abs=0.05)
     assert depth_m[edge] - near == pytest.approx(bulge, abs=0.09)
-    seen = camera.object_names(camera.segmentation(data))
+    seen = object_names(lane_world.model, camera.segmentation(data))
     assert seen == ["ground", "obstacle_00", "wall_east", "wall_west"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.scenes import object_names
 from uavaccel import open_session
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
@@ -47,7 +48,7 @@ def test_a_wood_changes_the_colours_and_nothing_else() -> None:
     world, seen = World("lane", NATIVE), []
     for scenery in ("plain", "forest", "plain"):
         world.set_lane(draw_layout(3, Difficulty(scenery=scenery)))
-        names = [world.camera(256, 144).object_names(each) for each in pictures(world, "segmentation")]
+        names = [object_names(world.model, each) for each in pictures(world, "segmentation")]
         seen.append((pictures(world, "depth"), names, pictures(world, "colour"), pictures(world, "gray")))
     world.close()
     plain, forest, again = seen

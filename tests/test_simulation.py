@@ -71,7 +71,7 @@ def test_commands_of_one_instant_take_effect_in_their_order() -> None:
 def test_cancel_and_reset_answer_false() -> None:
     simulation = simulate()
     cancelled = fly_velocity(simulation, NORTH, 1.0, 0)
-    simulation.lead.cancel(go_to(simulation, 10))
+    simulation.lead.end(False, go_to(simulation, 10))
     assert (answer(cancelled), cancelled.due_wall_ns) == (False, 10 * TICK_NS)
     assert list(simulation.lead.log) == [(0, 10)]
     forgotten = fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 20))
@@ -82,7 +82,7 @@ def test_cancel_and_reset_answer_false() -> None:
     assert isinstance(answer(waiting), Kinematics)
     assert (simulation.world.tick, simulation.lead.api_control, len(simulation.lead.log)) == (0, False, 0)
     assert simulation.time_ns == before_ns + 10 * TICK_NS  # simulated time never goes back
-    simulation.lead.cancel(31 * TICK_NS)  # of nothing
+    simulation.lead.end(False, 31 * TICK_NS)  # of nothing
 
 
 def test_a_goal_acts_from_the_next_tick() -> None:

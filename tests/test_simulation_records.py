@@ -118,7 +118,7 @@ def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
     log = simulation.lead.log
     assert log.last_goal(105, 10) == 100, "of the latest, for which there was no room"
     fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 120))
-    simulation.lead.cancel(go_to(simulation, 130))
+    simulation.lead.end(False, go_to(simulation, 130))
     assert log.ticks().tolist() == [[10, 20], [30, 40], [50, 60]]
     copy = type(log)()
     copy.set_state(log.get_state())

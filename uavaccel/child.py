@@ -39,7 +39,7 @@ def start_python(
 
 
 def single_core_drawing() -> dict[str, str]:
-    """The environment in which Mesa's software renderer draws on its caller's core; the user's setting comes first."""
+    """Return the variables by which Mesa draws on its caller's core; the user's own setting comes first."""
     return {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0")}
 
 
@@ -53,7 +53,7 @@ def end_within(process: Process, seconds: float) -> None:
 
 
 def describe_end(status: int) -> str:
-    """How a process with this return code ended, in words."""
+    """Return how a process with this return code ended, in words."""
     if status >= 0:
         return f"ended with status {status}"
     try:
@@ -69,7 +69,7 @@ class Patience:
         self._process, self._looks = process, 0
 
     def is_over(self) -> bool:
-        """Whether it has been stopped for more than STOPPED_S; to be asked once every LOOK_S."""
+        """Return whether it has been stopped for more than STOPPED_S; to be asked once every LOOK_S."""
         self._looks = self._looks + 1 if is_stopped(self._process.pid) else 0
         return self._looks * LOOK_S > STOPPED_S
 
@@ -88,7 +88,7 @@ class Watch:
         self._thread.start()
 
     def is_lost_soon(self) -> bool:
-        """Whether the process has gone, or is found to have gone within a second."""
+        """Return whether the process has gone, or is found to have gone within a second."""
         return self._found.wait(4 * LOOK_S)
 
     def end(self) -> None:

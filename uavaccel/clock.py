@@ -103,16 +103,16 @@ class Pacer:
         return self._wall0_ns, self._tick0
 
     def ticks_due(self, wall_ns: int) -> int:
-        """The last tick due at `wall_ns`."""
+        """Return the last tick due at `wall_ns`."""
         return self._tick0 + (wall_ns - self._wall0_ns) * self._numerator // self._tick_wall
 
     def wall_due(self, tick: int) -> int:
-        """The first nanosecond of wall time at which `tick` is due."""
+        """Return the first nanosecond of wall time at which `tick` is due."""
         return self._wall0_ns + ceil_div((tick - self._tick0) * self._tick_wall, self._numerator)
 
 
 def positive_clock_speed(clock_speed: float | Fraction) -> Fraction:
-    """The exact decimal that was written. Raises UserError unless it is a finite number above 0."""
+    """Return the exact decimal that was written. Raises UserError unless it is a finite number above 0."""
     try:
         speed = exact(clock_speed)
     except ValueError:
@@ -127,7 +127,7 @@ def positive_clock_speed(clock_speed: float | Fraction) -> Fraction:
 def wait_for_sockets(
     selector: selectors.DefaultSelector, deadline_ns: int | None
 ) -> Sequence[tuple[selectors.SelectorKey, int]]:
-    """What is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
+    """Return what is readable, as soon as anything is, or nothing at the deadline (monotonic ns; None: wait for ever).
 
     `selector` is selectors.DefaultSelector(). A deadline in the past only looks. select() sleeps to the microsecond,
     where epoll rounds up to a millisecond.
@@ -147,7 +147,7 @@ def ask_for_fine_timers() -> None:
 
 
 def timer_grain_ns(samples: int = 50) -> list[int]:
-    """How late short sleeps of 100 us end, sorted, in nanoseconds."""
+    """Return how late short sleeps of 100 us end, sorted, in nanoseconds."""
     late = []
     for _ in range(samples):
         due = time.monotonic_ns() + 100_000
@@ -166,13 +166,20 @@ def epoch_s() -> float:
     return time.time()
 
 
+def changed(module: ModuleType, **names: object) -> ModuleType:
+    """Return a copy of a module with some of its names replaced."""
+    copy = ModuleType(module.__name__, module.__doc__)
+    vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
+    vars(copy).update(names)
+    return copy
+
+
 def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None]) -> ModuleType:
-    """A stand-in for the module `time`, for programs that shall live on another clock.
+    """Return a stand-in for the module `time`, for programs that shall live on another clock.
 
     `epoch_now_ns` is read for every clock of the module, in ns since 1970 in UTC; `sleep` waits so many seconds.
     """
-    module = ModuleType("time", time.__doc__)
-    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+    module = changed(time)
     for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
         setattr(module, f"{name}_ns", lambda: epoch_now_ns())
         setattr(module, name, lambda: epoch_now_ns() / NS_PER_S)
@@ -197,20 +204,17 @@ def time_module(epoch_now_ns: Callable[[], int], sleep: Callable[[float], None])
 
 
 def counted_time_module(slept: Callable[[float], None]) -> ModuleType:
-    """The machine's module `time`; `slept` hears how many seconds each sleep was to last."""
-    module = ModuleType("time", time.__doc__)
-    vars(module).update({name: value for name, value in vars(time).items() if not name.startswith("__")})
+    """Return the machine's module `time`; `slept` is called with the seconds of each sleep."""
 
     def sleep(seconds: float) -> None:
         time.sleep(seconds)
         slept(seconds)
 
-    vars(module).update(sleep=sleep)
-    return module
+    return changed(time, sleep=sleep)
 
 
 def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
-    """A stand-in for the module `datetime` whose present is `epoch_now_ns`, in ns since 1970 in UTC."""
+    """Return a stand-in for the module `datetime` whose present is `epoch_now_ns`, in ns since 1970 in UTC."""
 
     class Date(datetime.date):
         @classmethod
@@ -232,7 +236,4 @@ def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
 
     for own, original in ((Date, datetime.date), (DateTime, datetime.datetime)):
         own.__name__, own.__qualname__, own.__module__ = original.__name__, original.__qualname__, "datetime"
-    module = ModuleType("datetime", datetime.__doc__)
-    vars(module).update({name: value for name, value in vars(datetime).items() if not name.startswith("__")})
-    vars(module).update(date=Date, datetime=DateTime)
-    return module
+    return changed(datetime, date=Date, datetime=DateTime)

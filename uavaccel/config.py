@@ -96,7 +96,7 @@ def _position(container: object, parts: list[str], source: str) -> str | int:
 
 
 def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) -> ConfigType:
-    """An instance of `cls` from plain data.
+    """Return an instance of `cls` from plain data.
 
     Raises UserError: one line that names `source` (a file), the dotted key, the bad value and what would be
     right.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import astuple, dataclass
 from typing import ClassVar
 
 Vector = tuple[float, float, float]
@@ -70,3 +71,15 @@ class MotorsGoal:
 
 FlightGoal = VelocityGoal | AttitudeGoal | BodyRatesGoal | MotorsGoal
 """What a synchronous command flies for T_move."""
+
+_MAX_DEGREE_OF_FREEDOM = 0
+
+
+def airsim_command(goal: FlightGoal, t_move_s: float) -> tuple[str, tuple[object, ...]]:
+    """Return AirSim's command for a goal, and its arguments before the vehicle's name."""
+    if not isinstance(goal, VelocityGoal):
+        return goal.airsim_name, (*astuple(goal), t_move_s)
+    vx, vy, vz = goal.velocity_m_s
+    yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
+    name, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
+    return name, (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode)

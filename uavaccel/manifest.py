@@ -12,15 +12,8 @@ from uavaccel.machine import host
 from uavaccel.resources import source_tree
 
 _PACKAGES = (
-    "gymnasium",
-    "llvmlite",
-    "mujoco",
-    "numba",
-    "numpy",
-    "opencv-python-headless",
-    "scipy",
-    "stable-baselines3",
-    "torch",
+    *("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "scipy"),
+    *("stable-baselines3", "torch"),
 )
 _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 

@@ -60,22 +60,29 @@ def remote(declared: Declared) -> Declared:
     return call  # type: ignore[return-value]
 
 
-def untyped(name: str, *required: str, **defaults: object) -> Callable[..., object]:
-    """Declare the call `name` by its required parameters and its defaults; arguments and answer are not converted."""
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
-    parameters += [inspect.Parameter(each, kind, default=value) for each, value in defaults.items()]
-    signature = inspect.Signature(parameters)
+class Untyped:
+    """Declares the call of its attribute's name by required parameters and defaults; nothing is converted."""
 
-    def declared(*arguments: object, **named: object) -> object:
-        return signature.bind(*arguments, **named)
+    def __init__(self, *required: str, **defaults: object) -> None:
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
+        parameters += [inspect.Parameter(each, kind, default=value) for each, value in defaults.items()]
+        self._signature = signature = inspect.Signature(parameters)
 
-    declared.__name__, declared.__signature__ = name, signature  # type: ignore[attr-defined]
-    return remote(declared)
+        def declared(*arguments: object, **named: object) -> object:
+            return signature.bind(*arguments, **named)
+
+        declared.__signature__ = signature  # type: ignore[attr-defined]
+        self._declared = declared
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._declared.__name__ = name
+        self._declared.__qualname__ = f"{owner.__name__}.{name}"
+        setattr(owner, name, remote(self._declared))
 
 
 def _answer(annotation: type) -> Callable[[Received], object] | None:
-    """A function that converts a server's answer to the annotated type; None for a `Future`, which is awaited later."""
+    """Return what converts a server's answer to the annotated type; None for a `Future`, which is awaited."""
     if annotation is Future:
         return None
     if annotation is object:

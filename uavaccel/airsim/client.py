@@ -15,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from uavaccel.airsim.calls import CameraName, Mirrored, remote, untyped
+from uavaccel.airsim.calls import CameraName, Mirrored, Untyped, remote
 from uavaccel.airsim.connection import Connection, Future, connect
 from uavaccel.airsim.types import (
     AngleLevelControllerGains,
@@ -101,7 +101,7 @@ class VehicleClient:
 
     @remote
     def getSettingsString(self) -> str:
-        """The server's settings.json as it is in effect."""
+        """Return the server's settings.json as it is in effect."""
 
     # --- control ----------------------------------------------------------------------------------
 
@@ -115,10 +115,8 @@ class VehicleClient:
 
     @remote
     def isApiControlEnabled(self, vehicle_name: str = "") -> bool: ...
-
     @remote
     def armDisarm(self, arm: bool, vehicle_name: str = "") -> bool: ...
-
     @remote
     def cancelLastTask(self, vehicle_name: str = "") -> None:
         """Cancel the running command."""
@@ -127,7 +125,6 @@ class VehicleClient:
     def simAddVehicle(
         self, vehicle_name: str, vehicle_type: str, pose: Pose, pawn_path: str = ""
     ) -> bool: ...
-
     @remote
     def listVehicles(self) -> list[str]: ...
 
@@ -151,29 +148,24 @@ class VehicleClient:
 
     @remote
     def getHomeGeoPoint(self, vehicle_name: str = "") -> GeoPoint: ...
-
     @remote
     def simGetCollisionInfo(self, vehicle_name: str = "") -> CollisionInfo:
-        """The last collision; reading it resets has_collided."""
+        """Return the last collision; reading it resets has_collided."""
 
     @remote
     def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
-
     @remote
     def simSetVehiclePose(self, pose: Pose, ignore_collision: bool, vehicle_name: str = "") -> None:
         """Put the vehicle at a pose; parts of it that are NaN stay as they are."""
 
     @remote
     def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState: ...
-
     @remote
     def simSetKinematics(
         self, state: KinematicsState, ignore_collision: bool, vehicle_name: str = ""
     ) -> None: ...
-
     @remote
     def simGetGroundTruthEnvironment(self, vehicle_name: str = "") -> EnvironmentState: ...
-
     @remote
     def simSetWind(self, wind: Vector3r) -> None:
         """Set the wind in metres per second, NED."""
@@ -182,10 +174,8 @@ class VehicleClient:
 
     @remote
     def startRecording(self) -> None: ...
-
     @remote
     def stopRecording(self) -> None: ...
-
     @remote
     def isRecording(self) -> bool: ...
 
@@ -193,68 +183,51 @@ class VehicleClient:
 
     @remote
     def simListSceneObjects(self, name_regex: str = ".*") -> list[str]:
-        """The names of the objects that match the regular expression."""
+        """Return the names of the objects that match the regular expression."""
 
     @remote
     def simGetObjectPose(self, object_name: str) -> Pose:
-        """The pose of an object; NaN if there is no such object."""
+        """Return the pose of an object; NaN if there is no such object."""
 
     @remote
     def simSetObjectPose(self, object_name: str, pose: Pose, teleport: bool = True) -> bool: ...
-
     @remote
     def simGetObjectScale(self, object_name: str) -> Vector3r: ...
-
     @remote
     def simSetObjectScale(self, object_name: str, scale_vector: Vector3r) -> bool: ...
-
     @remote
     def simSpawnObject(
-        self,
-        object_name: str,
-        asset_name: str,
-        pose: Pose,
-        scale: Vector3r,
-        physics_enabled: bool = False,
-        is_blueprint: bool = False,
-    ) -> str:
+        self, object_name: str, asset_name: str, pose: Pose, scale: Vector3r,
+        physics_enabled: bool = False, is_blueprint: bool = False,
+    ) -> str:  # fmt: skip
         """Add an object, and return the name that it was given."""
 
     @remote
     def simDestroyObject(self, object_name: str) -> bool: ...
-
     @remote
     def simListAssets(self) -> list[str]: ...
-
     @remote
     def simLoadLevel(self, level_name: str) -> bool: ...
-
     @remote
     def simSetSegmentationObjectID(self, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
         """Set the ID, 0 to 255, of the objects of this name; returns whether there are any."""
 
     @remote
     def simGetSegmentationObjectID(self, mesh_name: str) -> int:
-        """The segmentation ID of an object; -1 if there is no such object."""
+        """Return the segmentation ID of an object; -1 if there is no such object."""
 
     @remote
     def simGetMeshPositionVertexBuffers(self) -> list[MeshPositionVertexBuffersResponse]: ...
-
-    # --- sky and weather ------------------------------------------------------------------------
 
     # --- geometry -------------------------------------------------------------------------------
 
     @remote
     def simTestLineOfSightToPoint(self, point: GeoPoint, vehicle_name: str = "") -> bool: ...
-
     @remote
     def simTestLineOfSightBetweenPoints(self, point1: GeoPoint, point2: GeoPoint) -> bool: ...
-
     @remote
     def simGetWorldExtents(self) -> list[GeoPoint]:
         """Two opposite corners of the world."""
-
-    # --- display --------------------------------------------------------------------------------
 
     # --- images -----------------------------------------------------------------------------------
 
@@ -278,7 +251,6 @@ class VehicleClient:
     def simGetCameraInfo(
         self, camera_name: CameraName, vehicle_name: str = "", external: bool = False
     ) -> CameraInfo: ...
-
     @remote
     def simSetCameraPose(
         self, camera_name: CameraName, pose: Pose, vehicle_name: str = "", external: bool = False
@@ -304,54 +276,37 @@ class VehicleClient:
     ) -> list[float]: ...
 
     def simSetDistortionParams(
-        self,
-        camera_name: str | int,
-        distortion_params: Mapping[str, float],
-        vehicle_name: str = "",
+        self, camera_name: str | int, distortion_params: Mapping[str, float], vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set any of K1, K2, K3, P1 and P2."""
         for name, value in distortion_params.items():
             self.simSetDistortionParam(camera_name, name, value, vehicle_name, external)
 
     @remote
     def simSetDistortionParam(
-        self,
-        camera_name: CameraName,
-        param_name: str,
-        value: float,
-        vehicle_name: str = "",
+        self, camera_name: CameraName, param_name: str, value: float, vehicle_name: str = "",
         external: bool = False,
-    ) -> None: ...
+    ) -> None: ...  # fmt: skip
 
     # --- detections -------------------------------------------------------------------------------
 
     @remote
     def simAddDetectionFilterMeshName(
-        self,
-        camera_name: str | int,
-        image_type: int,
-        mesh_name: str,
-        vehicle_name: str = "",
+        self, camera_name: str | int, image_type: int, mesh_name: str, vehicle_name: str = "",
         external: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Detect the objects of this name, which may contain asterisks."""
 
     @remote
     def simSetDetectionFilterRadius(
-        self,
-        camera_name: str | int,
-        image_type: int,
-        radius_cm: float,
-        vehicle_name: str = "",
+        self, camera_name: str | int, image_type: int, radius_cm: float, vehicle_name: str = "",
         external: bool = False,
-    ) -> None: ...
-
+    ) -> None: ...  # fmt: skip
     @remote
     def simClearDetectionMeshNames(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
     ) -> None: ...
-
     @remote
     def simGetDetections(
         self, camera_name: str | int, image_type: int, vehicle_name: str = "", external: bool = False
@@ -359,15 +314,12 @@ class VehicleClient:
 
     # --- Unreal's lenses, surfaces, weather and drawings: without effect, or refused, by this project's server ---
 
-    simSwapTextures = untyped("simSwapTextures", "tags", tex_id=0, component_id=0, material_id=0)
-    simSetObjectMaterial = untyped("simSetObjectMaterial", "object_name", "material_name", component_id=0)
-    simSetObjectMaterialFromTexture = untyped(
-        "simSetObjectMaterialFromTexture", "object_name", "texture_path", component_id=0
-    )
-    simSetLightIntensity = untyped("simSetLightIntensity", "light_name", "intensity")
-    simCreateVoxelGrid = untyped("simCreateVoxelGrid", "position", "x", "y", "z", "res", "of")
-    simSetTimeOfDay = untyped(
-        "simSetTimeOfDay",
+    simSwapTextures = Untyped("tags", tex_id=0, component_id=0, material_id=0)
+    simSetObjectMaterial = Untyped("object_name", "material_name", component_id=0)
+    simSetObjectMaterialFromTexture = Untyped("object_name", "texture_path", component_id=0)
+    simSetLightIntensity = Untyped("light_name", "intensity")
+    simCreateVoxelGrid = Untyped("position", "x", "y", "z", "res", "of")
+    simSetTimeOfDay = Untyped(
         "is_enabled",
         start_datetime="",
         is_start_datetime_dst=False,
@@ -375,17 +327,16 @@ class VehicleClient:
         update_interval_secs=60,
         move_sun=True,
     )
-    simEnableWeather = untyped("simEnableWeather", "enable")
-    simSetWeatherParameter = untyped("simSetWeatherParameter", "param", "val")
-    simRunConsoleCommand = untyped("simRunConsoleCommand", "command")
-    simPrintLogMessage = untyped("simPrintLogMessage", "message", message_param="", severity=0)
-    simSetTraceLine = untyped("simSetTraceLine", "color_rgba", thickness=1.0, vehicle_name="")
-    simFlushPersistentMarkers = untyped("simFlushPersistentMarkers")
-    simPlotPoints = untyped("simPlotPoints", "points", color_rgba=RED, size=10.0, **SHOWN_FOR)
-    simPlotLineStrip = untyped("simPlotLineStrip", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
-    simPlotLineList = untyped("simPlotLineList", "points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
-    simPlotArrows = untyped(
-        "simPlotArrows",
+    simEnableWeather = Untyped("enable")
+    simSetWeatherParameter = Untyped("param", "val")
+    simRunConsoleCommand = Untyped("command")
+    simPrintLogMessage = Untyped("message", message_param="", severity=0)
+    simSetTraceLine = Untyped("color_rgba", thickness=1.0, vehicle_name="")
+    simFlushPersistentMarkers = Untyped()
+    simPlotPoints = Untyped("points", color_rgba=RED, size=10.0, **SHOWN_FOR)
+    simPlotLineStrip = Untyped("points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotLineList = Untyped("points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
+    simPlotArrows = Untyped(
         "points_start",
         "points_end",
         color_rgba=RED,
@@ -393,10 +344,9 @@ class VehicleClient:
         arrow_size=2.0,
         **SHOWN_FOR,
     )
-    simPlotStrings = untyped("simPlotStrings", "strings", "positions", scale=5, color_rgba=RED, duration=-1.0)
-    simPlotTransforms = untyped("simPlotTransforms", "poses", scale=5.0, thickness=5.0, **SHOWN_FOR)
-    simPlotTransformsWithNames = untyped(
-        "simPlotTransformsWithNames",
+    simPlotStrings = Untyped("strings", "positions", scale=5, color_rgba=RED, duration=-1.0)
+    simPlotTransforms = Untyped("poses", scale=5.0, thickness=5.0, **SHOWN_FOR)
+    simPlotTransformsWithNames = Untyped(
         "poses",
         "names",
         tf_scale=5.0,
@@ -405,50 +355,39 @@ class VehicleClient:
         text_color_rgba=RED,
         duration=-1.0,
     )
-    simGetPresetLensSettings = untyped("simGetPresetLensSettings", "camera_name", **OF_CAMERA)
-    simGetLensSettings = untyped("simGetLensSettings", "camera_name", **OF_CAMERA)
-    simSetPresetLensSettings = untyped(
-        "simSetPresetLensSettings", "preset_lens_settings", "camera_name", **OF_CAMERA
-    )
-    simGetPresetFilmbackSettings = untyped("simGetPresetFilmbackSettings", "camera_name", **OF_CAMERA)
-    simSetPresetFilmbackSettings = untyped(
-        "simSetPresetFilmbackSettings", "preset_filmback_settings", "camera_name", **OF_CAMERA
-    )
-    simGetFilmbackSettings = untyped("simGetFilmbackSettings", "camera_name", **OF_CAMERA)
-    simSetFilmbackSettings = untyped(
-        "simSetFilmbackSettings", "sensor_width", "sensor_height", "camera_name", **OF_CAMERA
-    )
-    simGetFocalLength = untyped("simGetFocalLength", "camera_name", **OF_CAMERA)
-    simSetFocalLength = untyped("simSetFocalLength", "focal_length", "camera_name", **OF_CAMERA)
-    simEnableManualFocus = untyped("simEnableManualFocus", "enable", "camera_name", **OF_CAMERA)
-    simGetFocusDistance = untyped("simGetFocusDistance", "camera_name", **OF_CAMERA)
-    simSetFocusDistance = untyped("simSetFocusDistance", "focus_distance", "camera_name", **OF_CAMERA)
-    simGetFocusAperture = untyped("simGetFocusAperture", "camera_name", **OF_CAMERA)
-    simSetFocusAperture = untyped("simSetFocusAperture", "focus_aperture", "camera_name", **OF_CAMERA)
-    simEnableFocusPlane = untyped("simEnableFocusPlane", "enable", "camera_name", **OF_CAMERA)
-    simGetCurrentFieldOfView = untyped("simGetCurrentFieldOfView", "camera_name", **OF_CAMERA)
+    simGetPresetLensSettings = Untyped("camera_name", **OF_CAMERA)
+    simGetLensSettings = Untyped("camera_name", **OF_CAMERA)
+    simSetPresetLensSettings = Untyped("preset_lens_settings", "camera_name", **OF_CAMERA)
+    simGetPresetFilmbackSettings = Untyped("camera_name", **OF_CAMERA)
+    simSetPresetFilmbackSettings = Untyped("preset_filmback_settings", "camera_name", **OF_CAMERA)
+    simGetFilmbackSettings = Untyped("camera_name", **OF_CAMERA)
+    simSetFilmbackSettings = Untyped("sensor_width", "sensor_height", "camera_name", **OF_CAMERA)
+    simGetFocalLength = Untyped("camera_name", **OF_CAMERA)
+    simSetFocalLength = Untyped("focal_length", "camera_name", **OF_CAMERA)
+    simEnableManualFocus = Untyped("enable", "camera_name", **OF_CAMERA)
+    simGetFocusDistance = Untyped("camera_name", **OF_CAMERA)
+    simSetFocusDistance = Untyped("focus_distance", "camera_name", **OF_CAMERA)
+    simGetFocusAperture = Untyped("camera_name", **OF_CAMERA)
+    simSetFocusAperture = Untyped("focus_aperture", "camera_name", **OF_CAMERA)
+    simEnableFocusPlane = Untyped("enable", "camera_name", **OF_CAMERA)
+    simGetCurrentFieldOfView = Untyped("camera_name", **OF_CAMERA)
 
     # --- sensors ------------------------------------------------------------------------------------
 
     @remote
     def getImuData(self, imu_name: str = "", vehicle_name: str = "") -> ImuData: ...
-
     @remote
     def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData: ...
-
     @remote
     def getMagnetometerData(
         self, magnetometer_name: str = "", vehicle_name: str = ""
     ) -> MagnetometerData: ...
-
     @remote
     def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData: ...
-
     @remote
     def getDistanceSensorData(
         self, distance_sensor_name: str = "", vehicle_name: str = ""
     ) -> DistanceSensorData: ...
-
     @remote
     def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
 
@@ -470,13 +409,10 @@ class MultirotorClient(VehicleClient):
 
     @remote
     def takeoffAsync(self, timeout_sec: float = 20, vehicle_name: str = "") -> Future: ...
-
     @remote
     def landAsync(self, timeout_sec: float = 60, vehicle_name: str = "") -> Future: ...
-
     @remote
     def goHomeAsync(self, timeout_sec: float = FOR_EVER, vehicle_name: str = "") -> Future: ...
-
     @remote
     def hoverAsync(self, vehicle_name: str = "") -> Future: ...
 
@@ -484,121 +420,55 @@ class MultirotorClient(VehicleClient):
 
     @remote
     def moveByVelocityAsync(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, vx: float, vy: float, vz: float, duration: float, drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByVelocityZAsync(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, vx: float, vy: float, z: float, duration: float, drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByVelocityBodyFrameAsync(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, vx: float, vy: float, vz: float, duration: float, drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByVelocityZBodyFrameAsync(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, vx: float, vy: float, z: float, duration: float, drivetrain: int = TURN_FREELY,
+        yaw_mode: YawMode = NO_TURN, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByManualAsync(
-        self,
-        vx_max: float,
-        vy_max: float,
-        z_min: float,
-        duration: float,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        vehicle_name: str = "",
-    ) -> Future: ...
+        self, vx_max: float, vy_max: float, z_min: float, duration: float,
+        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
 
     # --- places ---------------------------------------------------------------------------------
 
     @remote
     def moveToPositionAsync(
-        self,
-        x: float,
-        y: float,
-        z: float,
-        velocity: float,
-        timeout_sec: float = FOR_EVER,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, x: float, y: float, z: float, velocity: float, timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
+        adaptive_lookahead: float = 1, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveOnPathAsync(
-        self,
-        path: Sequence[Vector3r],
-        velocity: float,
-        timeout_sec: float = FOR_EVER,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, path: Sequence[Vector3r], velocity: float, timeout_sec: float = FOR_EVER,
+        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
+        adaptive_lookahead: float = 1, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveToZAsync(
-        self,
-        z: float,
-        velocity: float,
-        timeout_sec: float = FOR_EVER,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, z: float, velocity: float, timeout_sec: float = FOR_EVER, yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1, adaptive_lookahead: float = 1, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveToGPSAsync(
-        self,
-        latitude: float,
-        longitude: float,
-        altitude: float,
-        velocity: float,
-        timeout_sec: float = FOR_EVER,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, latitude: float, longitude: float, altitude: float, velocity: float,
+        timeout_sec: float = FOR_EVER, drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1, adaptive_lookahead: float = 1, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def rotateToYawAsync(
         self, yaw: float, timeout_sec: float = FOR_EVER, margin: float = 5, vehicle_name: str = ""
@@ -615,72 +485,36 @@ class MultirotorClient(VehicleClient):
     def moveByRollPitchYawZAsync(
         self, roll: float, pitch: Mirrored, yaw: Mirrored, z: float, duration: float, vehicle_name: str = ""
     ) -> Future: ...
-
     @remote
     def moveByRollPitchYawThrottleAsync(
-        self,
-        roll: float,
-        pitch: Mirrored,
-        yaw: Mirrored,
-        throttle: float,
-        duration: float,
+        self, roll: float, pitch: Mirrored, yaw: Mirrored, throttle: float, duration: float,
         vehicle_name: str = "",
-    ) -> Future: ...
-
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByRollPitchYawrateThrottleAsync(
-        self,
-        roll: float,
-        pitch: Mirrored,
-        yaw_rate: Mirrored,
-        throttle: float,
-        duration: float,
+        self, roll: float, pitch: Mirrored, yaw_rate: Mirrored, throttle: float, duration: float,
         vehicle_name: str = "",
-    ) -> Future: ...
-
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByRollPitchYawrateZAsync(
-        self,
-        roll: float,
-        pitch: Mirrored,
-        yaw_rate: Mirrored,
-        z: float,
-        duration: float,
+        self, roll: float, pitch: Mirrored, yaw_rate: Mirrored, z: float, duration: float,
         vehicle_name: str = "",
-    ) -> Future: ...
-
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByAngleRatesZAsync(
-        self,
-        roll_rate: float,
-        pitch_rate: Mirrored,
-        yaw_rate: Mirrored,
-        z: float,
-        duration: float,
+        self, roll_rate: float, pitch_rate: Mirrored, yaw_rate: Mirrored, z: float, duration: float,
         vehicle_name: str = "",
-    ) -> Future: ...
-
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByAngleRatesThrottleAsync(
-        self,
-        roll_rate: float,
-        pitch_rate: Mirrored,
-        yaw_rate: Mirrored,
-        throttle: float,
-        duration: float,
-        vehicle_name: str = "",
-    ) -> Future: ...
-
+        self, roll_rate: float, pitch_rate: Mirrored, yaw_rate: Mirrored, throttle: float,
+        duration: float, vehicle_name: str = "",
+    ) -> Future: ...  # fmt: skip
     @remote
     def moveByMotorPWMsAsync(
-        self,
-        front_right_pwm: float,
-        rear_left_pwm: float,
-        front_left_pwm: float,
-        rear_right_pwm: float,
-        duration: float,
-        vehicle_name: str = "",
-    ) -> Future:
+        self, front_right_pwm: float, rear_left_pwm: float, front_left_pwm: float,
+        rear_right_pwm: float, duration: float, vehicle_name: str = "",
+    ) -> Future:  # fmt: skip
         """Set the motors' PWM values, from 0 to 1."""
 
     def moveByAngleZAsync(
@@ -690,14 +524,9 @@ class MultirotorClient(VehicleClient):
         return self.moveByRollPitchYawZAsync(roll, pitch, yaw, z, duration, vehicle_name)
 
     def moveByAngleThrottleAsync(
-        self,
-        pitch: float,
-        roll: float,
-        throttle: float,
-        yaw_rate: float,
-        duration: float,
+        self, pitch: float, roll: float, throttle: float, yaw_rate: float, duration: float,
         vehicle_name: str = "",
-    ) -> Future:
+    ) -> Future:  # fmt: skip
         logging.warning(
             "moveByAngleThrottleAsync API is deprecated, use moveByRollPitchYawrateThrottleAsync() API instead"
         )
@@ -739,7 +568,6 @@ class MultirotorClient(VehicleClient):
 
     @remote
     def getMultirotorState(self, vehicle_name: str = "") -> MultirotorState: ...
-
     @remote
     def getRotorStates(self, vehicle_name: str = "") -> RotorStates: ...
 

@@ -197,12 +197,12 @@ _connect: Connect = SocketConnection
 
 
 def connect(host: str, port: int, timeout_s: float) -> Connection:
-    """A connection for a client: over TCP, unless `_connect` has been replaced, as under `uavaccel fly`."""
+    """Return a connection for a client: over TCP, unless `_connect` has been replaced, as under `uavaccel fly`."""
     return _connect(host, port, timeout_s)
 
 
 def as_sent(value: object) -> object:
-    """An argument as a server would receive it: plain maps, lists and numbers. Raises TypeError as packing would."""
+    """Convert an argument to what a server would receive: maps, lists and numbers. Raises TypeError like packing."""
     if type(value) in _AS_THEY_ARE:
         return value
     if isinstance(value, Mapping):
@@ -215,7 +215,7 @@ def as_sent(value: object) -> object:
 
 
 def as_received(value: object) -> object:
-    """An answer as a client would receive it: arrays become lists of single precision."""
+    """Convert an answer to what a client would receive: arrays become lists of single precision."""
     if isinstance(value, np.ndarray):
         return value.astype(np.float32).ravel().tolist()
     if isinstance(value, list):

@@ -35,13 +35,13 @@ Arguments = ParamSpec("Arguments")
 
 
 def _waited(command: Callable[[float], Future], max_wait_s: float) -> bool:
-    """The result of a command with a time-out; True at once for a time-out of 0. Raises RpcError."""
+    """Return the result of a command with a time-out; True at once for a time-out of 0. Raises RpcError."""
     begun = command(max_wait_s if max_wait_s > 0 else FOR_EVER)
     return bool(begun.get()) if max_wait_s > 0 else True
 
 
 def _begun(command: Callable[Arguments, Future]) -> Callable[Arguments, bool]:
-    """A command with a duration, which is sent without waiting for its end."""
+    """Return a command with a duration, which is sent without waiting for its end."""
 
     @functools.wraps(command)
     def begin(*arguments: Arguments.args, **named: Arguments.kwargs) -> bool:
@@ -155,42 +155,25 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
     rotateByYawRate = _begun(client.MultirotorClient.rotateByYawRateAsync)
 
     def moveOnPath(
-        self,
-        path: Sequence[Vector3r],
-        velocity: float,
-        max_wait_seconds: float = 60,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
+        self, path: Sequence[Vector3r], velocity: float, max_wait_seconds: float = 60,
+        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
         adaptive_lookahead: float = 1,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         how = (drivetrain, yaw_mode, lookahead, adaptive_lookahead)
         return _waited(lambda limit_s: self.moveOnPathAsync(path, velocity, limit_s, *how), max_wait_seconds)
 
     def moveToZ(
-        self,
-        z: float,
-        velocity: float,
-        max_wait_seconds: float = 60,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-    ) -> bool:
+        self, z: float, velocity: float, max_wait_seconds: float = 60, yaw_mode: YawMode = NO_TURN,
+        lookahead: float = -1, adaptive_lookahead: float = 1,
+    ) -> bool:  # fmt: skip
         how = (yaw_mode, lookahead, adaptive_lookahead)
         return _waited(lambda limit_s: self.moveToZAsync(z, velocity, limit_s, *how), max_wait_seconds)
 
     def moveToPosition(
-        self,
-        x: float,
-        y: float,
-        z: float,
-        velocity: float,
-        max_wait_seconds: float = 60,
-        drivetrain: int = TURN_FREELY,
-        yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1,
+        self, x: float, y: float, z: float, velocity: float, max_wait_seconds: float = 60,
+        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
         adaptive_lookahead: float = 1,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         how = (drivetrain, yaw_mode, lookahead, adaptive_lookahead)
         return _waited(
             lambda limit_s: self.moveToPositionAsync(x, y, z, velocity, limit_s, *how), max_wait_seconds

@@ -10,12 +10,13 @@ AirSim v1.8.1, PythonClient/airsim/types.py; of the gains: simple_flight/Params.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import operator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from numbers import Real
 from pprint import pformat
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +27,18 @@ FloatArray = NDArray[np.float32]
 Number = float | np.floating | np.integer
 
 
+@dataclass_transform(eq_default=False)
 class MsgpackMixin:
-    """Base of AirSim's types: an object whose attributes are the fields of a map on the wire."""
+    """Base of AirSim's types, which are dataclasses: their fields are those of a map on the wire."""
+
+    def __init_subclass__(cls, eq: bool = False) -> None:
+        dataclass(repr=False, eq=eq)(cls)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}> " + pformat(vars(self), indent=4, width=1)
 
     def to_msgpack(self, *args: object, **options: object) -> dict[str, object]:
-        """The object's fields; nested objects stay objects."""
+        """Return the fields; nested objects stay objects."""
         return self.__dict__
 
     @classmethod
@@ -52,20 +57,48 @@ class MsgpackMixin:
 
 @cache
 def _fields(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin] | None]:
-    """The fields of a type, with the type of those that are of AirSim's types themselves."""
+    """Return the fields of a type, each with its own type if that is one of AirSim's."""
     return {
         key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()
     }
 
 
-@dataclass(repr=False)
-class Vector2r(MsgpackMixin):
+class Vector2r(MsgpackMixin, eq=True):
     x_val: float = 0.0
     y_val: float = 0.0
 
 
-@dataclass(repr=False, eq=False)
-class Vector3r(MsgpackMixin):
+class _Components(MsgpackMixin):
+    """Base of vectors and quaternions: the arithmetic that they share, component by component."""
+
+    def __iter__(self) -> Iterator[float]:
+        names: Iterable[str] = _fields(type(self))  # type: ignore[arg-type]
+        return (getattr(self, name) for name in names)  # in this order: maps from the wire have another
+
+    def containsNan(self) -> bool:
+        return any(math.isnan(value) for value in self)
+
+    def __add__(self, other: Self) -> Self:
+        _alike(other, "+", self)
+        return type(self)(*map(operator.add, self, other))
+
+    def __sub__(self, other: Self) -> Self:
+        _alike(other, "-", self)
+        return type(self)(*map(operator.sub, self, other))
+
+    def dot(self, other: Self) -> float:
+        _alike(other, "dot", self)
+        return float(sum(map(operator.mul, self, other)))
+
+    def get_length(self) -> float:
+        return math.sqrt(self.dot(self))
+
+    def to_numpy_array(self) -> FloatArray:
+        """Return the components in the order of the arguments."""
+        return np.array([*self], np.float32)
+
+
+class Vector3r(_Components):
     x_val: float = 0.0
     y_val: float = 0.0
     z_val: float = 0.0
@@ -73,15 +106,6 @@ class Vector3r(MsgpackMixin):
     @staticmethod
     def nanVector3r() -> Vector3r:
         return Vector3r(math.nan, math.nan, math.nan)
-
-    def containsNan(self) -> bool:
-        return any(math.isnan(value) for value in self)
-
-    def __add__(self, other: Vector3r) -> Vector3r:
-        return Vector3r(*(mine + its for mine, its in zip(self, other, strict=True)))
-
-    def __sub__(self, other: Vector3r) -> Vector3r:
-        return Vector3r(*(mine - its for mine, its in zip(self, other, strict=True)))
 
     def __mul__(self, other: Number) -> Vector3r:
         factor = _number(other, "*", self)
@@ -91,35 +115,21 @@ class Vector3r(MsgpackMixin):
         divisor = _number(other, "/", self)
         return Vector3r(*(value / divisor for value in self))
 
-    def dot(self, other: Vector3r) -> float:
-        _alike(other, "dot", self)
-        return float(sum(mine * its for mine, its in zip(self, other, strict=True)))
-
     def cross(self, other: Vector3r) -> Vector3r:
         _alike(other, "cross", self)
         (a, b, c), (x, y, z) = self, other
         return Vector3r(b * z - c * y, c * x - a * z, a * y - b * x)
 
-    def get_length(self) -> float:
-        return math.sqrt(self.dot(self))
-
     def distance_to(self, other: Vector3r) -> float:
         return (self - other).get_length()
 
     def to_Quaternionr(self) -> Quaternionr:
-        """The quaternion without a scalar part."""
+        """Return the quaternion without a scalar part."""
         return Quaternionr(self.x_val, self.y_val, self.z_val, 0.0)
 
-    def to_numpy_array(self) -> FloatArray:
-        return np.array([*self], np.float32)
 
-    def __iter__(self) -> Iterator[float]:
-        return iter((self.x_val, self.y_val, self.z_val))
-
-
-@dataclass(repr=False, eq=False)
-class Quaternionr(MsgpackMixin):
-    """A quaternion; the scalar part comes last among the arguments and first nowhere else in AirSim's clients."""
+class Quaternionr(_Components):
+    """A quaternion, whose scalar part comes last."""
 
     x_val: float = 0.0
     y_val: float = 0.0
@@ -130,19 +140,8 @@ class Quaternionr(MsgpackMixin):
     def nanQuaternionr() -> Quaternionr:
         return Quaternionr(math.nan, math.nan, math.nan, math.nan)
 
-    def containsNan(self) -> bool:
-        return any(math.isnan(value) for value in self)
-
-    def __add__(self, other: Quaternionr) -> Quaternionr:
-        _alike(other, "+", self)
-        return Quaternionr(*(mine + its for mine, its in zip(self, other, strict=True)))
-
-    def __sub__(self, other: Quaternionr) -> Quaternionr:
-        _alike(other, "-", self)
-        return Quaternionr(*(mine - its for mine, its in zip(self, other, strict=True)))
-
     def __mul__(self, other: Quaternionr) -> Quaternionr:
-        """The Hamilton product."""
+        """Return the Hamilton product."""
         _alike(other, "*", self)
         (x, y, z, w), (a, b, c, d) = self, other
         return Quaternionr(
@@ -158,10 +157,6 @@ class Quaternionr(MsgpackMixin):
         divisor = _number(other, "/", self)
         return Quaternionr(*(value / divisor for value in self))
 
-    def dot(self, other: Quaternionr) -> float:
-        _alike(other, "dot", self)
-        return float(sum(mine * its for mine, its in zip(self, other, strict=True)))
-
     def cross(self, other: Quaternionr) -> Quaternionr:
         _alike(other, "cross", self)
         return (self * other - other * self) / 2
@@ -171,7 +166,7 @@ class Quaternionr(MsgpackMixin):
         return (self.inverse() * other - other.inverse() * self) / 2
 
     def rotate(self, other: Quaternionr) -> Quaternionr:
-        """This quaternion rotated by `other`. Raises ValueError unless `other` has length 1."""
+        """Return this quaternion rotated by `other`. Raises ValueError unless `other` has length 1."""
         _alike(other, "rotate", self)
         if not math.isclose(other.get_length(), 1.0, rel_tol=1e-6):
             raise ValueError("length of the other Quaternionr must be 1")
@@ -186,18 +181,8 @@ class Quaternionr(MsgpackMixin):
         return self.conjugate() / self.dot(self)
 
     def sgn(self) -> Quaternionr:
-        """The quaternion of length 1 in the same direction."""
+        """Return the quaternion of length 1 in the same direction."""
         return self / self.get_length()
-
-    def get_length(self) -> float:
-        return math.sqrt(self.dot(self))
-
-    def to_numpy_array(self) -> FloatArray:
-        """x, y, z, w."""
-        return np.array([*self], np.float32)
-
-    def __iter__(self) -> Iterator[float]:
-        return iter((self.x_val, self.y_val, self.z_val, self.w_val))
 
 
 def _number(value: object, operator: str, left: object) -> float:
@@ -207,7 +192,7 @@ def _number(value: object, operator: str, left: object) -> float:
 
 
 def _alike(right: object, operator: str, left: object) -> None:
-    if type(right) is not type(left):
+    if not (isinstance(right, type(left)) or isinstance(left, type(right))):
         raise _unsupported(operator, left, right)
 
 
@@ -217,7 +202,6 @@ def _unsupported(operator: str, left: object, right: object) -> TypeError:
     )
 
 
-@dataclass(repr=False, eq=False, init=False)
 class Pose(MsgpackMixin):
     position: Vector3r
     orientation: Quaternionr
@@ -239,7 +223,6 @@ class Pose(MsgpackMixin):
         return iter((self.position, self.orientation))
 
 
-@dataclass(repr=False, eq=False)
 class GeoPoint(MsgpackMixin):
     """A place on the Earth: degrees, and metres above sea level."""
 
@@ -262,7 +245,7 @@ class _Gains:
     """Base of the gains of three axes, in the order of the fields."""
 
     def to_lists(self) -> tuple[list[float], list[float], list[float]]:
-        """The lists kp, ki and kd, each with the three axes."""
+        """Return kp, ki and kd, each a list of the three axes."""
         kp, ki, kd = zip(*(gains.to_list() for gains in vars(self).values()), strict=True)
         return list(kp), list(ki), list(kd)
 
@@ -302,7 +285,6 @@ class GnssFixType(MsgpackMixin):
     GNSS_FIX_3D_FIX = 3
 
 
-@dataclass(repr=False, eq=False)
 class RotorStates(MsgpackMixin):
     """A map for each rotor: thrust in N, torque_scaler in N m, speed in rad/s."""
 
@@ -310,7 +292,6 @@ class RotorStates(MsgpackMixin):
     rotors: list[dict[str, float]] = field(default_factory=list)
 
 
-@dataclass(repr=False, eq=False)
 class LidarData(MsgpackMixin):
     """A flat list of x, y, z in the sensor's frame, in metres, and an ID per point."""
 
@@ -320,7 +301,6 @@ class LidarData(MsgpackMixin):
     segmentation: list[int] | int = 0
 
 
-@dataclass(repr=False, eq=False)
 class ImuData(MsgpackMixin):
     time_stamp: int = 0
     orientation: Quaternionr = field(default_factory=Quaternionr)
@@ -328,7 +308,6 @@ class ImuData(MsgpackMixin):
     linear_acceleration: Vector3r = field(default_factory=Vector3r)
 
 
-@dataclass(repr=False, eq=False)
 class BarometerData(MsgpackMixin):
     """Altitude in m, pressure in Pa, pressure at sea level (qnh) in hPa."""
 
@@ -338,7 +317,6 @@ class BarometerData(MsgpackMixin):
     qnh: float = 0.0
 
 
-@dataclass(repr=False, eq=False)
 class MagnetometerData(MsgpackMixin):
     """The magnetic field in gauss, in the body's frame."""
 
@@ -347,7 +325,6 @@ class MagnetometerData(MsgpackMixin):
     magnetic_field_covariance: list[float] | float = 0.0
 
 
-@dataclass(repr=False, eq=False)
 class GnssReport(MsgpackMixin):
     geo_point: GeoPoint = field(default_factory=GeoPoint)
     eph: float = 0.0
@@ -357,14 +334,12 @@ class GnssReport(MsgpackMixin):
     time_utc: int = 0
 
 
-@dataclass(repr=False, eq=False)
 class GpsData(MsgpackMixin):
     time_stamp: int = 0
     gnss: GnssReport = field(default_factory=GnssReport)
     is_valid: bool = False
 
 
-@dataclass(repr=False, eq=False)
 class DistanceSensorData(MsgpackMixin):
     time_stamp: int = 0
     distance: float = 0.0
@@ -413,7 +388,6 @@ class WeatherParameter:
     Enabled = 8
 
 
-@dataclass(repr=False, eq=False)
 class CollisionInfo(MsgpackMixin):
     has_collided: bool = False
     normal: Vector3r = field(default_factory=Vector3r)
@@ -425,7 +399,6 @@ class CollisionInfo(MsgpackMixin):
     object_id: int = -1
 
 
-@dataclass(repr=False, eq=False)
 class YawMode(MsgpackMixin):
     """A yaw in degrees, or a rate in degrees per second."""
 
@@ -433,7 +406,6 @@ class YawMode(MsgpackMixin):
     yaw_or_rate: float = 0.0
 
 
-@dataclass(repr=False, eq=False)
 class RCData(MsgpackMixin):
     """Sticks from -1 to 1, and switches."""
 
@@ -454,7 +426,6 @@ class RCData(MsgpackMixin):
     is_valid: bool = False
 
 
-@dataclass(repr=False, eq=False, init=False)
 class ImageRequest(MsgpackMixin):
     camera_name: str
     image_type: int
@@ -474,7 +445,6 @@ class ImageRequest(MsgpackMixin):
         self.compress = compress
 
 
-@dataclass(repr=False, eq=False)
 class ImageResponse(MsgpackMixin):
     """An image: bytes (PNG, or height x width x 3 in blue, green, red), or a row-major list of floats."""
 
@@ -492,7 +462,6 @@ class ImageResponse(MsgpackMixin):
     image_type: int = ImageType.Scene
 
 
-@dataclass(repr=False, eq=False)
 class KinematicsState(MsgpackMixin):
     position: Vector3r = field(default_factory=Vector3r)
     orientation: Quaternionr = field(default_factory=Quaternionr)
@@ -502,7 +471,6 @@ class KinematicsState(MsgpackMixin):
     angular_acceleration: Vector3r = field(default_factory=Vector3r)
 
 
-@dataclass(repr=False, eq=False)
 class EnvironmentState(MsgpackMixin):
     """Gravity in m/s^2, pressure in Pa, temperature in K, density in kg/m^3."""
 
@@ -514,7 +482,6 @@ class EnvironmentState(MsgpackMixin):
     air_density: float = 0.0
 
 
-@dataclass(repr=False, eq=False)
 class MultirotorState(MsgpackMixin):
     collision: CollisionInfo = field(default_factory=CollisionInfo)
     kinematics_estimated: KinematicsState = field(default_factory=KinematicsState)
@@ -527,12 +494,10 @@ class MultirotorState(MsgpackMixin):
     can_arm: bool = False
 
 
-@dataclass(repr=False, eq=False)
 class ProjectionMatrix(MsgpackMixin):
     matrix: list[list[float]] = field(default_factory=list)
 
 
-@dataclass(repr=False, eq=False)
 class CameraInfo(MsgpackMixin):
     """The field of view is horizontal, in degrees."""
 
@@ -541,7 +506,6 @@ class CameraInfo(MsgpackMixin):
     proj_mat: ProjectionMatrix = field(default_factory=ProjectionMatrix)
 
 
-@dataclass(repr=False, eq=False)
 class Box2D(MsgpackMixin):
     """Corners in pixels."""
 
@@ -549,7 +513,6 @@ class Box2D(MsgpackMixin):
     max: Vector2r = field(default_factory=Vector2r)
 
 
-@dataclass(repr=False, eq=False)
 class Box3D(MsgpackMixin):
     """Corners in metres."""
 
@@ -557,7 +520,6 @@ class Box3D(MsgpackMixin):
     max: Vector3r = field(default_factory=Vector3r)
 
 
-@dataclass(repr=False, eq=False)
 class DetectionInfo(MsgpackMixin):
     name: str = ""
     geo_point: GeoPoint = field(default_factory=GeoPoint)
@@ -566,7 +528,6 @@ class DetectionInfo(MsgpackMixin):
     relative_pose: Pose = field(default_factory=Pose)
 
 
-@dataclass(repr=False, eq=False)
 class MeshPositionVertexBuffersResponse(MsgpackMixin):
     position: Vector3r = field(default_factory=Vector3r)
     orientation: Quaternionr = field(default_factory=Quaternionr)
@@ -575,7 +536,6 @@ class MeshPositionVertexBuffersResponse(MsgpackMixin):
     name: str = ""
 
 
-@dataclass(repr=False, eq=False)
 class CarControls(MsgpackMixin):
     """For scripts that import it; no car drives here."""
 
@@ -588,7 +548,6 @@ class CarControls(MsgpackMixin):
     gear_immediate: bool = True
 
 
-@dataclass(repr=False, eq=False)
 class CarState(MsgpackMixin):
     """For scripts that import it; no car drives here."""
 
@@ -602,9 +561,7 @@ class CarState(MsgpackMixin):
     timestamp: int = 0
 
 
-if (
-    not TYPE_CHECKING
-):  # `from airsim import *` brings the types that are defined here, and nothing that is imported
+if not TYPE_CHECKING:  # `from airsim import *` takes what is defined here, and nothing that is imported
     __all__ = [
         name
         for name, kind in vars().items()

@@ -44,27 +44,27 @@ def write_pfm(file: str | Path, image: NDArray[np.generic], scale: float = 1) ->
 
 
 def string_to_uint8_array(bstr: bytes) -> NDArray[np.uint8]:
-    """The bytes as an array of numbers, which is a copy."""
+    """Return the bytes as an array of numbers, which is a copy."""
     return np.frombuffer(bstr, np.uint8).copy()
 
 
 def string_to_float_array(bstr: bytes) -> NDArray[np.float32]:
-    """The bytes as an array of single-precision numbers, which is a copy."""
+    """Return the bytes as an array of single-precision numbers, which is a copy."""
     return np.frombuffer(bstr, np.float32).copy()
 
 
 def list_to_2d_float_array(flst: ArrayLike, width: int, height: int) -> NDArray[np.float32]:
-    """The array (height, width) of a row-major list."""
+    """Return the array (height, width) of a row-major list."""
     return np.reshape(np.asarray(flst, np.float32), (height, width))
 
 
 def get_pfm_array(response: ImageResponse) -> NDArray[np.float32]:
-    """The array (height, width) of a float image."""
+    """Return the array (height, width) of a float image."""
     return list_to_2d_float_array(response.image_data_float, response.width, response.height)
 
 
 def get_public_fields(obj: object) -> list[str]:
-    """The names of an object's attributes that are neither private nor functions."""
+    """Return the names of an object's attributes that are neither private nor functions."""
     return [
         name
         for name, value in inspect.getmembers(obj)
@@ -103,7 +103,7 @@ def to_eularian_angles(q: Quaternionr) -> tuple[float, float, float]:
 
 
 def to_quaternion(pitch: float, roll: float, yaw: float) -> Quaternionr:
-    """The inverse of `to_eularian_angles`; radians."""
+    """Invert `to_eularian_angles`; radians."""
     cos_p, sin_p = math.cos(pitch / 2), math.sin(pitch / 2)
     cos_r, sin_r = math.cos(roll / 2), math.sin(roll / 2)
     cos_y, sin_y = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -133,7 +133,5 @@ def wait_key(message: str = "") -> str | None:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
-if (
-    not TYPE_CHECKING
-):  # `from airsim import *` brings the functions that are defined here, and nothing that is imported
+if not TYPE_CHECKING:  # as in uavaccel.airsim.types
     __all__ = [name for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__]

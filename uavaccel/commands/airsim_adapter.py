@@ -9,17 +9,13 @@ This module does not import airsim: any object with the methods of its Multiroto
 
 from __future__ import annotations
 
-import math
-from dataclasses import astuple
 from typing import Any, TypeAlias
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.kinematics import FlightGoal, Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics, Quaternion, Vector, airsim_command
 from uavaccel.units import NS_PER_S
 
 OfAirSim: TypeAlias = Any  # an object of AirSim's client, which has no types
-
-_MAX_DEGREE_OF_FREEDOM = 0
 
 
 class AirSimAdapter:
@@ -40,16 +36,9 @@ class AirSimAdapter:
         return self._clock.now_ns()
 
     def move_async(self, goal: FlightGoal, t_move_s: float) -> OfAirSim:
-        """Return the msgpack-rpc future of moveByVelocityAsync, or of moveByVelocityZAsync where a height is held."""
-        if not isinstance(goal, VelocityGoal):
-            move = getattr(self.client, f"{goal.airsim_name}Async")
-            return move(*astuple(goal), t_move_s, self.vehicle_name)
-        vx, vy, vz = goal.velocity_m_s
-        yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": math.degrees(goal.yaw)}
-        move, third = self.client.moveByVelocityAsync, vz
-        if goal.height_m is not None:
-            move, third = self.client.moveByVelocityZAsync, goal.height_m
-        return move(vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, self.vehicle_name)
+        """Issue AirSim's command for the goal, and return its msgpack-rpc future."""
+        name, arguments = airsim_command(goal, t_move_s)
+        return getattr(self.client, f"{name}Async")(*arguments, self.vehicle_name)
 
     def join(self, future: OfAirSim, deadline_ns: int | None = None) -> bool:
         """Wait for the command's end; with a deadline, for that alone.

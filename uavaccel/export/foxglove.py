@@ -88,7 +88,7 @@ SCHEMAS: dict[str, Json] = {
 
 
 def stamp(time_ns: int) -> Json:
-    """A time as Foxglove's messages have it."""
+    """Return a time as Foxglove's messages have it."""
     seconds, nanoseconds = divmod(time_ns, NS_PER_S)
     return {"sec": seconds, "nsec": nanoseconds}
 
@@ -114,7 +114,7 @@ def _transform(
 
 
 def transforms(time_ns: int, position_m: Sequence[float], wxyz: Sequence[float]) -> Json:
-    """All frames, the fixed ones too: whoever jumps to a moment is given the last message of a topic alone."""
+    """Return all frames, the fixed ones too: whoever jumps to a moment is given the last message of a topic alone."""
     fixed = (
         _transform(time_ns, UPRIGHT, WORLD, (0.0, 0.0, 0.0), NED_IN_ENU),
         _transform(time_ns, BODY, CAMERA, FRONT_CENTER.position_m, OPTICAL_IN_BODY),
@@ -123,18 +123,18 @@ def transforms(time_ns: int, position_m: Sequence[float], wxyz: Sequence[float])
 
 
 def pose(time_ns: int, position_m: Sequence[float], wxyz: Sequence[float]) -> Json:
-    """The drone's, in `ned`."""
+    """Return the drone's, in `ned`."""
     inner = {"position": _vector(position_m), "orientation": _quaternion(wxyz)}
     return {"timestamp": stamp(time_ns), "frame_id": WORLD, "pose": inner}
 
 
 def velocity(time_ns: int, velocity_m_s: Sequence[float]) -> Json:
-    """A velocity, flown or asked for, in `ned`."""
+    """Return a velocity, flown or asked for, in `ned`."""
     return {"timestamp": stamp(time_ns), "frame_id": WORLD, "velocity_m_s": _vector(velocity_m_s)}
 
 
 def image(time_ns: int, picture: NDArray[np.uint8]) -> Json:
-    """A picture, gray or BGR, as PNG."""
+    """Return a picture, gray or BGR, as PNG."""
     _, png = cv2.imencode(".png", picture)
     data = base64.b64encode(png.tobytes()).decode()
     return {"timestamp": stamp(time_ns), "frame_id": CAMERA, "data": data, "format": "png"}
@@ -152,6 +152,6 @@ def events(time_ns: int, rows: NDArray[np.floating], height: int, width: int) ->
 
 
 def log(time_ns: int, level: int, message: str) -> Json:
-    """A line of the log panel."""
+    """Return a line of the log panel."""
     said = {"level": level, "message": message, "name": "uavaccel", "file": "", "line": 0}
     return {"timestamp": stamp(time_ns), **said}

@@ -79,7 +79,7 @@ class GameLog:
 
 
 def read_game(run: RunDirectory, row: Row) -> GameLog:
-    """The game of that row: from its arrays, or, an evaluation's, flown again.
+    """Return the game of that row: from its arrays, or, an evaluation's, flown again.
 
     Raises UserError for a run that keeps no flights, and where a game cannot be flown again.
     """
@@ -134,7 +134,7 @@ def _of_dp2(run: RunDirectory, row: Row) -> GameLog:
 
 
 def _dp2_windows(config: Dp2Config, arrays: Arrays, time_ns: Times) -> Iterator[Window]:
-    """Those between one picture and the next; as counts where the camera counted at a rate of its own."""
+    """Yield those between one picture and the next; as counts where the camera counted at a rate of its own."""
     if "dvs_on" in arrays:
         for at, on, off in zip(time_ns.tolist(), arrays["dvs_on"], arrays["dvs_off"], strict=True):
             yield Window(at, None, (on, off))

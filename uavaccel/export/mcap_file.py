@@ -71,7 +71,7 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
 
 
 def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
-    """Where each game goes. Raises UserError for one file of several games, and for a file that exists."""
+    """Return where each game goes. Raises UserError for one file of several games, and for a file that exists."""
     if path.suffix == ".mcap" and len(rows) > 1:
         raise UserError(
             f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case"
@@ -112,7 +112,7 @@ def _metadata(run: RunDirectory, row: Row) -> dict[str, str]:
 
 
 def _entries(row: Row, game: GameLog) -> Iterator[Entry]:
-    """All messages in the order of their time."""
+    """Return all messages in the order of their time."""
     topics = (_poses(game), _commands(game), _images(game), _events(game), _said(row, game))
     return heapq.merge(*topics, key=lambda entry: entry.time_ns)
 

@@ -123,7 +123,7 @@ def _write_metadata(
 
 
 def _plain_space(space: spaces.Space[Any]) -> dict[str, object]:
-    """A space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane.
+    """Return a space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane.
 
     Bounds may be infinite, which Minari reads as Python's json writes it.
     """

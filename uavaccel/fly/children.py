@@ -23,9 +23,7 @@ from uavaccel.parent import end_with_parent
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import SocketConnection
 
-PORT = (
-    "UAVACCEL_FLY_PORT"  # the port of the flight's server for a script's programs; "" if there is no server
-)
+PORT = "UAVACCEL_FLY_PORT"  # the server's port for a script's programs; "" without a server
 REFUSAL = (
     "a process that the script has started calls the simulation; it cannot share a simulated clock: "
     "fly the script with --timing wall"

@@ -16,19 +16,18 @@ from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from uavaccel.clock import changed
 from uavaccel.fly.modules import called_by_a_script
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.threads import ThreadClasses, changed
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     import asyncio
 
-FREE_TURNS = (
-    100  # iterations of a loop while the clock stands; each further one reads the clock, so that polling ends
-)
+FREE_TURNS = 100  # of a loop while the clock stands; each further one reads the clock, so that polling ends
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
@@ -119,7 +118,7 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadClasse
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
-    """A copy of a module in which some names mean `own` for a script's calls."""
+    """Return a copy of a module in which some names mean `own` for a script's calls."""
 
     def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
@@ -127,7 +126,7 @@ def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], tu
             *arguments, **options
         )
 
-    return changed(module, {name: chosen(name, kind) for name, kind in own.items()})
+    return changed(module, **{name: chosen(name, kind) for name, kind in own.items()})
 
 
 def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
@@ -138,7 +137,7 @@ def _leave_ends_unsaid(module: ModuleType, patches: Patches) -> None:
 
 
 def _is_no_end(record: logging.LogRecord) -> bool:
-    """Whether a log record is about anything but the end of the flight."""
+    """Return whether a log record is about anything but the end of the flight."""
     return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
 
 
@@ -155,7 +154,7 @@ def _wait_for_the_machine(module: ModuleType, patches: Patches) -> None:
             super().__init__()
             self._condition = condition()
 
-    patches.set(module, "_base", changed(module._base, {"Future": Future}))
+    patches.set(module, "_base", changed(module._base, Future=Future))
 
 
 def _thread_pool(original: type, turns: Turns) -> type:

@@ -160,7 +160,7 @@ class _Finder(Loader, MetaPathFinder):
 
 
 def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
-    """The names of a module that do something."""
+    """Return the names of a module that do something."""
 
     def read(value: object) -> Callable[..., object]:
         return lambda *arguments, **options: (sleep(KEY_S), value)[1]
@@ -189,5 +189,5 @@ def _names(module: str, sleep: Sleep, now_s: Now) -> dict[str, object]:
 
 
 def _number_of(name: str) -> int:
-    """A constant's number: the same in every process, and very likely distinct."""
+    """Return a constant's number: the same in every process, and very likely distinct."""
     return 256 + zlib.crc32(name.encode()) % (1 << 30)

@@ -14,10 +14,7 @@ import msgpack
 from uavaccel.errors import UserError, naming
 
 FILE_NAME = "messages.jsonl"
-LONG_BYTES = (
-    200  # longer values, such as states and images, are logged as digests: a script may poll millions
-)
-
+LONG_BYTES = 200  # longer values, such as images, are logged as digests: a script may poll millions
 
 _encode = json.JSONEncoder(ensure_ascii=False, default=bytes.hex).encode
 
@@ -82,7 +79,8 @@ class MessageLog:
 
     def _refuse(self, error: OSError) -> NoReturn:
         if not self._file.closed:
-            self.abandon()  # closing the file would fail again
+            self.abandon()  # or closing the file would fail again
+            self._file.close()
         try:
             with naming(self._path):
                 raise error
@@ -98,12 +96,12 @@ class MessageLog:
 
 
 def differs(call: int, first: str, second: str) -> DifferenceError:
-    """The error for the user, with the number of the last call and the two lines."""
+    """Return the error for the user, with the number of the last call and the two lines."""
     return DifferenceError(f"the flights differ at call {call}\n  first:  {first}\n  second: {second}")
 
 
 def brief(value: object) -> object:
-    """The value itself, or the length and a digest of one that is long on the wire."""
+    """Return the value itself, or the length and a digest of one that is long on the wire."""
     packed = msgpack.packb(value)
     if len(packed) <= LONG_BYTES:
         return value

@@ -50,7 +50,7 @@ def client_modules() -> Modules:
 
 
 def _msgpackrpc() -> ModuleType:
-    """A module msgpackrpc with the errors that scripts catch."""
+    """Return a module msgpackrpc with the errors that scripts catch."""
     from uavaccel.wire.rpc import RpcError
 
     error = named_module(
@@ -60,7 +60,7 @@ def _msgpackrpc() -> ModuleType:
 
 
 def named_module(name: str, **attributes: object) -> ModuleType:
-    """A module of this name with these attributes."""
+    """Return a module of this name with these attributes."""
     module = ModuleType(name)
     vars(module).update(attributes)
     return module
@@ -119,7 +119,7 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
 
 
 def of_a_script(namespace: Mapping[str, object] | None) -> bool:
-    """Whether a module's namespace belongs to a file of neither Python, nor an installed package, nor this package."""
+    """Return whether a module's file belongs to neither Python, nor an installed package, nor this one."""
     file = (namespace or {}).get("__file__")
     if not file:
         return False
@@ -128,7 +128,7 @@ def of_a_script(namespace: Mapping[str, object] | None) -> bool:
 
 
 def called_by_a_script(through: Collection[str] = sys.stdlib_module_names) -> bool:
-    """Whether a file that belongs to no library makes the present call, directly or `through` Python's own modules."""
+    """Return whether a script's file makes the present call, directly or `through` Python's own modules."""
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))

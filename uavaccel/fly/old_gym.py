@@ -189,7 +189,7 @@ def make(id: str, **arguments: object) -> Adapted:
 
 
 def modules() -> dict[str, ModuleType]:
-    """The modules of gym, and shimmy, through which stable-baselines3 accepts old environments."""
+    """Return the modules of gym, and shimmy, through which stable-baselines3 accepts old environments."""
     registration = named_module("gym.envs.registration", register=register, make=make)
     envs = named_module("gym.envs", registration=registration)
     core = named_module("gym.core", Env=Env, Wrapper=Wrapper, ObservationWrapper=ObservationWrapper)

@@ -78,7 +78,7 @@ class FlightOptions:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """The inverse of `to_json`."""
+        """Invert `to_json`."""
         values = json.loads(text)
         for field in fields(cls):
             if "Path" in str(field.type) and values[field.name] is not None:
@@ -87,13 +87,13 @@ class FlightOptions:
 
 
 def found_settings(script: Path) -> Path | None:
-    """The settings.json that AirSim would read: beside the script, or else in the user's documents; None if neither."""
+    """Find the settings.json that AirSim would read, beside the script or in the user's documents; None without."""
     places = (script.absolute().parent / NAME, Path.home() / AIRSIM)
     return next((path for path in places if _is_airsims(path)), None)
 
 
 def _is_airsims(path: Path) -> bool:
-    """Whether a file exists and has one of AirSim's keys: other programs use this file name too."""
+    """Return whether a file exists and has one of AirSim's keys: other programs use this file name too."""
     try:
         mapping = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):

@@ -35,9 +35,7 @@ class Patches:
         """Replace an attribute of a module, a class or an object."""
         missing = object()
         before = getattr(owner, "__dict__", {}).get(name, missing)  # a method of a class as it stands there
-        if before is missing and not isinstance(
-            owner, ModuleType
-        ):  # one of those may warn of names it has not
+        if before is missing and not isinstance(owner, ModuleType):  # which may warn of a missing name
             before = getattr(owner, name, missing)
         setattr(owner, name, value)
         if before is missing:

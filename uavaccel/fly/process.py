@@ -87,9 +87,7 @@ def fly(options: FlightOptions) -> int:
     with Patches() as patches:
         if (seed := options.seed) is not None:
             random.seed(seed)
-            patches.when_imported(
-                "numpy", lambda numpy: numpy.random.seed(seed)
-            )  # the generator that scripts use
+            patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # which scripts use
         outcome = flight.run()
     for kind in (signal.SIGINT, signal.SIGTERM):  # nothing interrupts writing what was flown
         signal.signal(kind, signal.SIG_IGN)
@@ -116,7 +114,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def settings_of(options: FlightOptions) -> Settings | None:
-    """The settings of the options' file, if any. Raises UserError if a file that was named is invalid."""
+    """Return the settings of the options' file, if any. Raises UserError if a file that was named is invalid."""
     if options.settings is None:
         return None
     from uavaccel.wire.settings import read_settings

@@ -61,7 +61,7 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
 
 
 def _wait(process: subprocess.Popen[bytes], seen: Path | None) -> int:
-    """The script's exit status. Says what ended its process, if the script did not."""
+    """Return the script's exit status. Says what ended its process, if the script did not."""
     patience, stopped = Patience(process), False
     try:
         while (status := process.poll()) is None:

@@ -148,7 +148,7 @@ def compiled(path: Path) -> CodeType:
 
 
 def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
-    """The traceback from the script's first frame on."""
+    """Return the traceback from the script's first frame on."""
     first = trace
     while first is not None and first.tb_frame.f_code.co_filename != file:
         first = first.tb_next

@@ -154,7 +154,7 @@ def _gym() -> dict[str, ModuleType]:
 
 
 def _read_image(name: str) -> NDArray[np.generic]:
-    """The pixels of an image file, red first. Raises FileNotFoundError if there is no image."""
+    """Return the pixels of an image file, red first. Raises FileNotFoundError if there is no image."""
     import cv2
 
     pixels = cv2.imread(str(name))

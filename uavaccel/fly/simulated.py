@@ -31,9 +31,7 @@ READING_NS = 10_000  # what reading the clock costs the script, so that a loop t
 # for a state ends.
 FREE_CALLS = 100
 POLL_NS = round(THINK_S["virtual"] * NS_PER_S)
-PATIENCE_NS = (
-    3600 * NS_PER_S
-)  # simulated duration of a wait that is reported: AirSim's commands have no time-out
+PATIENCE_NS = 3600 * NS_PER_S  # simulated wait that is reported: AirSim's commands have no time-out
 
 
 class SimulatedFlight:
@@ -104,7 +102,7 @@ class SimulatedFlight:
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
 
     def summary(self) -> FlightSummary:
-        """The flight's durations and its last position: SI units, NED; no position if no client connected."""
+        """Return the flight's durations and its last position: SI units, NED; no position if no client connected."""
         summary: FlightSummary = {"simulated_s": 0.0, "position_m": None, "refused": []}
         if self._has_world():
             summary = self._world.summary()
@@ -130,7 +128,7 @@ class SimulatedFlight:
     # --- the script's clock -----------------------------------------------------------------------
 
     def epoch_now_ns(self) -> int:
-        """The time that the script reads."""
+        """Return the time that the script reads."""
         from uavaccel.wire.types import stamp
 
         self._clock.charge(READING_NS)
@@ -213,7 +211,7 @@ class SimulatedFlight:
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
 
     def _expected_ns(self, call: PendingCall) -> int:
-        """When the answer arrives or may become due, or the flight ends."""
+        """Return when the answer arrives or may become due, or the flight ends."""
         event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
         if event_ns is None:
             event_ns = self._world.simulation.next_event_wall_ns()
@@ -246,5 +244,5 @@ class SimulatedFlight:
 
 
 def earliest(*times_ns: int | None) -> int | None:
-    """The earliest of those times that are not None."""
+    """Return the earliest of those times that are not None."""
     return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)

@@ -99,7 +99,7 @@ class ThreadPool(multiprocessing.pool.Pool):
         callback: Callable[[object], object] | None = None,
         error_callback: Callable[[BaseException], object] | None = None,
     ) -> PoolResult:
-        """What map, starmap and their asynchronous variants call."""
+        """Submit the calls of map, starmap and their asynchronous variants."""
         starred = mapper is vars(multiprocessing.pool)["starmapstar"]
         futures = [self._executor.submit(func, *(item if starred else (item,))) for item in iterable]
         return PoolResult(futures, False, callback, error_callback)

@@ -13,6 +13,7 @@ from functools import partial
 from types import ModuleType
 from typing import TypeVar
 
+from uavaccel.clock import changed
 from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
 
@@ -20,7 +21,7 @@ Class = TypeVar("Class", bound=type)
 
 
 def bound(kind: Class, turns: Turns) -> Class:
-    """A subclass whose objects wait through `turns`."""
+    """Return a subclass whose objects wait through `turns`."""
     return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
 
 
@@ -255,13 +256,5 @@ class ThreadClasses:
         }
 
     def modules(self) -> dict[str, ModuleType]:
-        """The modules `threading` and `queue` for a script."""
-        return {module.__name__: changed(module, kinds) for module, kinds in self.own.items()}
-
-
-def changed(module: ModuleType, names: Mapping[str, object]) -> ModuleType:
-    """A copy of a module with some of its names replaced."""
-    copy = ModuleType(module.__name__, module.__doc__)
-    vars(copy).update({name: value for name, value in vars(module).items() if not name.startswith("__")})
-    vars(copy).update(names)
-    return copy
+        """Return the modules `threading` and `queue` for a script."""
+        return {module.__name__: changed(module, **kinds) for module, kinds in self.own.items()}

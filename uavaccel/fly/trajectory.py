@@ -43,7 +43,7 @@ def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.
 
 
 def largest_difference_m(folder: Path, reference: Path) -> float:
-    """The largest distance between two flights' positions at equal simulated times, up to the end of the shorter."""
+    """Return the largest distance between two flights' positions at equal simulated times."""
     one, other = _positions(folder), _positions(reference)
     shared = np.intersect1d(one[0], other[0], return_indices=True)
     if not len(shared[0]):
@@ -52,7 +52,7 @@ def largest_difference_m(folder: Path, reference: Path) -> float:
 
 
 def equal(folder: Path, reference: Path) -> bool:
-    """Whether two flights' samples are the same bytes."""
+    """Return whether two flights' samples are the same bytes."""
     return (folder / FILE_NAME).read_bytes() == (reference / FILE_NAME).read_bytes()
 
 

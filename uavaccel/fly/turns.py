@@ -37,7 +37,7 @@ class Turn:
     begins: threading.Event = field(default_factory=threading.Event)
 
     def due(self, now_ns: int) -> tuple[float, int]:
-        """When the thread may continue, and its place among those that may continue then."""
+        """Return when the thread may continue, and its place among those that may continue then."""
         ready = self.wake_ns > now_ns and self.happened is not None and self.happened()
         return (now_ns if ready else self.wake_ns), self.order
 
@@ -60,12 +60,12 @@ class Turns:
         return self._clock.now_ns()
 
     def earliest_ns(self) -> int | None:
-        """When the next waiting thread may run; None if time alone wakes no thread."""
+        """Return when the next waiting thread may run; None if time alone wakes no thread."""
         wake_ns = min((turn.due(self.now_ns())[0] for turn in self._waiting), default=inf)
         return None if wake_ns == inf else int(wake_ns)
 
     def is_mine(self) -> bool:
-        """Whether the calling thread takes turns."""
+        """Return whether the calling thread takes turns."""
         return threading.get_ident() in self._threads
 
     def check_thread(self) -> None:

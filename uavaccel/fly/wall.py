@@ -151,7 +151,7 @@ class WallFlight:
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
 
     def summary(self) -> FlightSummary:
-        """The flight's durations and its last position: SI units, NED."""
+        """Return the flight's durations and its last position: SI units, NED."""
         times = self._time_ns / NS_PER_S
         return {
             "simulated_s": float(times[-1] - times[0]) if len(times) else 0.0,
@@ -225,7 +225,7 @@ def _print_warnings(lines: Iterator[str]) -> None:
 
 
 def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The samples of the server's recordings in the order of their times: time_ns (n,) and pose (n, 7)."""
+    """Return the samples of the server's recordings in the order of their times: time_ns (n,) and pose (n, 7)."""
     rows = [
         line.split("\t")[1:9]
         for file in sorted((folder / RECORDINGS).rglob("airsim_rec.txt"))

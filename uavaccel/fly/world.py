@@ -38,7 +38,7 @@ class ScriptWorld:
         self.transport.catch_up()
 
     def _watched(self) -> Trajectory:
-        """The trajectory, which samples the flight from its start on."""
+        """Sample the flight from its start on."""
         trajectory, simulation = Trajectory(), self.simulation
         trajectory.add(simulation.kinematics())
         tick_ns = simulation.profile.tick_ns
@@ -47,13 +47,13 @@ class ScriptWorld:
         return trajectory
 
     def whereabouts(self) -> str:
-        """The vehicle's position and its last collision, in words."""
+        """Return the vehicle's position and its last collision, in words."""
         position = " ".join(f"{metres:.1f}" for metres in self.simulation.kinematics().position_m)
         touch = self.world.lead.contact_log.latest
         return f"{position} m" + (f", last touched {touch.object}" if touch else "")
 
     def summary(self) -> FlightSummary:
-        """The simulated duration, the last position and what went wrong: SI units, NED."""
+        """Return the simulated duration, the last position and what went wrong: SI units, NED."""
         return {
             "simulated_s": self.simulation.time_ns / NS_PER_S,
             "position_m": list(self.simulation.kinematics().position_m),

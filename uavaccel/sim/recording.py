@@ -59,12 +59,10 @@ class CommandLog:
         return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
 
     def get_state(self) -> State:
-        """Return its contents."""
         state: State = {"origin_tick": optional(self.origin_tick), "ticks": self.ticks()}
         return state | {"latest": np.array(self._latest), "dropped": self.dropped}
 
     def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
         self.origin_tick = number_or_none(state["origin_tick"])
         self._ticks = [(int(first), int(last)) for first, last in state["ticks"]]
         first, last = state.get("latest", self._ticks[-1] if self._ticks else (0, 0))

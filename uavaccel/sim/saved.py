@@ -1,6 +1,7 @@
 """Saved states: flat mappings from dotted names to numbers, texts and NumPy arrays.
 
-They can be stored by `np.savez` and, with units.plain, as JSON; readers accept arrays, lists and NumPy scalars.
+A component's `get_state` returns one, and its `set_state` restores it. They can be stored by `np.savez` and, with
+units.plain, as JSON; readers accept arrays, lists and NumPy scalars.
 """
 
 from __future__ import annotations

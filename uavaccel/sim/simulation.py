@@ -245,9 +245,7 @@ class Simulation:
             period.end_tick = self.world.tick + ticks
         else:
             timer = wall_ns + round(duration_ns / self.clock_speed) + self._timer_lateness_ns()
-            one_tick = self.pacer.wall_due(
-                self.world.tick + 1
-            )  # AirSim runs a tick before it checks the timer
+            one_tick = self.pacer.wall_due(self.world.tick + 1)  # AirSim checks the timer after a tick
             period.end_wall_ns = max(timer, one_tick) if duration_ns > 0 else timer
         self.advance_to(wall_ns)  # it may be over already
         return period.reply

@@ -394,7 +394,6 @@ class World:
 
     @property
     def recording(self) -> bool:
-        """Whether the recorder is active."""
         return self.recorder.active
 
     def start_recording(self) -> None:

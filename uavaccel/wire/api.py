@@ -30,18 +30,8 @@ from uavaccel.wire.vehicles import populate
 from uavaccel.wire.world_api import WorldApi
 
 GROUPS: tuple[type[Calls], ...] = (
-    SimulatorApi,
-    VehicleApi,
-    FlightApi,
-    AttitudeApi,
-    ImageApi,
-    CameraApi,
-    ObjectApi,
-    DetectionApi,
-    SensorApi,
-    WorldApi,
-    RecordingApi,
-    GameApi,
+    *(SimulatorApi, VehicleApi, FlightApi, AttitudeApi, ImageApi, CameraApi, ObjectApi, DetectionApi),
+    *(SensorApi, WorldApi, RecordingApi, GameApi),
 )
 CALLS: dict[str, WireCall] = {name: call for group in GROUPS for name, call in group.calls.items()}
 _LOG = logging.getLogger(__name__)
@@ -72,7 +62,7 @@ class Api:
             self.methods |= group(self._context).bound()
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """The result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
+        """Return the result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
 
         The simulation must have been advanced to `wall_ns`.
         """
@@ -113,7 +103,7 @@ class Api:
         return error
 
     def _failed(self, method: str, params: Sequence[object], error: Exception) -> rpc.RpcError:
-        """The error for the client. One that is not the client's mistake is logged, once per method and exception."""
+        """Return the error for the client; log one that is not its mistake, once per method and exception."""
         if isinstance(error, ValueError | UserError):
             return rpc.threw(method, len(params), str(error))
         if (method, type(error)) not in self._logged:

@@ -79,7 +79,7 @@ class WireCall:
         return self._channel if isinstance(self._channel, str) else self._channel(params)
 
     def arguments(self, params: Sequence[object]) -> list[object]:
-        """The method's arguments for a client's parameters. Raises ValueError that names the first wrong one."""
+        """Return the method's arguments for a client's parameters. Raises ValueError that names the first wrong one."""
         return [coerce(value, name) for value, (coerce, name) in zip(params, self._coercions, strict=False)]
 
 
@@ -100,25 +100,20 @@ def command(name: str, *, leaves_state: bool = False) -> Callable[[Method], Meth
     return call(name, "move", joined=True, leaves_state=leaves_state)
 
 
-class WithoutEffect:
-    """A call named after its attribute that does nothing: it returns `answer`, or raises why it is `refused`."""
+def without_effect(*names: str, answer: object = None, refused: str = "") -> list[WireCall]:
+    """Declare calls that do nothing: they return `answer`, or raise why they are `refused`."""
+    return [_ignoring(name, answer, refused) for name in names]
 
-    def __init__(self, answer: object = None, refused: str = "") -> None:
-        self._answer, self._refused = answer, refused
 
-    def __set_name__(self, calls: type[Calls], name: str) -> None:
-        def accept(self: Calls, *ignored: object) -> object:
-            self.notices.once(f"{name}: accepted, without effect")
-            return answer
-
-        def refuse(self: Calls, *ignored: object) -> None:
+def _ignoring(name: str, answer: object, refused: str) -> WireCall:
+    def ignore(self: Calls, *ignored: object) -> object:
+        if refused:
             self.notices.once(f"{name}: refused: {refused}")
             raise ValueError(f"{name} is not available: {refused}")
+        self.notices.once(f"{name}: accepted, without effect")
+        return answer
 
-        answer, refused = self._answer, self._refused
-        method, status = (refuse, f"refused: {refused}") if refused else (accept, "accepted")
-        method.wire_call = WireCall(name, method, status=status)  # type: ignore[attr-defined]
-        setattr(calls, name, method)
+    return WireCall(name, ignore, status=f"refused: {refused}" if refused else "accepted")
 
 
 @dataclass
@@ -132,15 +127,19 @@ class CallContext:
 
 
 class Calls:
-    """A group of calls on one simulation; `title` is its section in docs/airsim-calls.md."""
+    """A group of calls on one simulation: its methods, and those `ignored`, by `without_effect`.
+
+    `title` is its section in docs/airsim-calls.md.
+    """
 
     title: ClassVar[str] = ""
+    ignored: ClassVar[Sequence[WireCall]] = ()
     calls: ClassVar[dict[str, WireCall]] = {}
 
     def __init_subclass__(cls, title: str) -> None:
         cls.title = title
-        declared = (getattr(member, "wire_call", None) for member in vars(cls).values())
-        cls.calls = {each.name: each for each in declared if each is not None}
+        declared = [member.wire_call for member in vars(cls).values() if hasattr(member, "wire_call")]
+        cls.calls = {each.name: each for each in (*declared, *cls.ignored)}
 
     def __init__(self, context: CallContext) -> None:
         self.context = context
@@ -153,7 +152,7 @@ class Calls:
         return self.context.wall_ns
 
     def bound(self) -> dict[str, BoundCall]:
-        """The group's calls by wire name, bound to this object."""
+        """Return the group's calls by wire name, bound to this object."""
         return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
 
 

@@ -54,7 +54,7 @@ class CameraSettings(AirSimKeys):
     yaw: float | None = None
 
     def lenses(self, before: Mapping[int, Lens]) -> dict[int, Lens]:
-        """The lenses by image type, on the basis of the lenses `before`."""
+        """Return the lenses by image type, on the basis of the lenses `before`."""
         lenses = dict(before)
         for given in self.capture_settings:
             lens = lenses.get(given.image_type, Lens())
@@ -66,7 +66,7 @@ class CameraSettings(AirSimKeys):
         return lenses
 
     def mount(self, before: Pose) -> Pose:
-        """The mount on the vehicle, on the basis of the mount `before`."""
+        """Return the mount on the vehicle, on the basis of the mount `before`."""
         place = [
             old if new is None else new
             for new, old in zip((self.x, self.y, self.z), before.position_m, strict=True)
@@ -89,7 +89,7 @@ class CameraMount:
     distortion: dict[str, float] = field(default_factory=lambda: dict.fromkeys(DISTORTION, 0.0))
 
     def eye(self, vehicle: Pose) -> Pose:
-        """The camera's pose in the world, NED, for a pose of the vehicle."""
+        """Return the camera's pose in the world, NED, for a pose of the vehicle."""
         return self.mount if self.external else vehicle.of(self.mount)
 
     def lens(self, image_type: int) -> Lens:
@@ -123,7 +123,7 @@ class Cameras:
             self._cameras[name] = CameraMount(name, mount, own, external, carrier)
 
     def named(self, name: object) -> CameraMount:
-        """The camera of a client's name for it. Raises ValueError if there is none."""
+        """Return the camera of a client's name for it. Raises ValueError if there is none."""
         found = self._cameras.get(full_name(str(name)))
         if found is None:
             numbers = {full: number for number, full in ALIASES.items() if number.isdecimal()}
@@ -132,10 +132,10 @@ class Cameras:
         return found
 
     def lenses(self) -> list[Lens]:
-        """All lenses of all cameras."""
+        """Return all lenses of all cameras."""
         return [Lens(), *(lens for camera in self._cameras.values() for lens in camera.lenses.values())]
 
 
 def full_name(name: str) -> str:
-    """The camera's name for one of AirSim's numbers or short names."""
+    """Return the camera's name for one of AirSim's numbers or short names."""
     return ALIASES.get(name, name)

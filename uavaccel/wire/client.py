@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import astuple
-
 import numpy as np
 
-from uavaccel.kinematics import FlightGoal, Kinematics, VelocityGoal
+from uavaccel.kinematics import FlightGoal, Kinematics, VelocityGoal, airsim_command
 from uavaccel.sim.camera.view import AnyImage
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
@@ -17,7 +14,6 @@ from uavaccel.wire.rpc import Received
 from uavaccel.wire.transport import PendingCall, Transport
 
 START_HEIGHT_M = -10.0  # NED z: 10 m up
-_MAX_DEGREE_OF_FREEDOM = 0
 _EXACT = True  # beyond AirSim's arguments: a time that does not fit an exact profile is refused, not rounded
 
 
@@ -43,7 +39,8 @@ class Client:
     # --- MissionClient ----------------------------------------------------------------------------
 
     def move_async(self, goal: FlightGoal, t_move_s: float) -> PendingCall:
-        method, params = _command(goal, t_move_s)
+        method, params = airsim_command(goal, t_move_s)
+        params += ("", _EXACT) if isinstance(goal, VelocityGoal) else ("",)
         stands = self.transport.known.state is not None  # sending it at once would gain nothing
         call = self.transport.send(method, params, blocking=False, coalesced=stands)
         call.expected_ns = self._wall_after(t_move_s * NS_PER_S)
@@ -90,24 +87,24 @@ class Client:
         self.call("uavaccelSetLane", lane)
 
     def image(self, kind: str) -> AnyImage:
-        """The front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
+        """Return the front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
 
         The known state stays known.
         """
         return decode_image(self.call("uavaccelImage", kind))
 
     def collision(self) -> Collision | None:
-        """The vehicle's first collision since the start of the game, if any. The known state stays known."""
+        """Return the vehicle's first collision since the start of the game, if any. The known state stays known."""
         collision: Collision | None = self.call("uavaccelCollision") or None
         return collision
 
     def speed(self) -> SpeedReport:
-        """The requested and the achieved speed since the start of the game."""
+        """Return the requested and the achieved speed since the start of the game."""
         speed: SpeedReport = self.call("uavaccelSpeed")
         return speed
 
     def recording(self) -> Recording:
-        """The game's samples and command log so far."""
+        """Return the game's samples and command log so far."""
         reply = self.call("uavaccelRecording")
         samples = np.frombuffer(reply["samples"], "<f8").reshape(-1, 14)
         commands = np.frombuffer(reply["commands"], "<i8").reshape(-1, 2)
@@ -119,14 +116,3 @@ class Client:
 
     def close(self) -> None:
         self.transport.close()
-
-
-def _command(goal: FlightGoal, t_move_s: float) -> tuple[str, tuple[object, ...]]:
-    """AirSim's call for a goal, and its arguments."""
-    if not isinstance(goal, VelocityGoal):
-        return goal.airsim_name, (*astuple(goal), t_move_s, "")
-    vx, vy, vz = goal.velocity_m_s
-    yaw = goal.yaw if goal.yaw == 0.0 else math.degrees(goal.yaw)
-    yaw_mode = {"is_rate": goal.yaw_is_rate, "yaw_or_rate": yaw}
-    method, third = ("moveByVelocity", vz) if goal.height_m is None else ("moveByVelocityZ", goal.height_m)
-    return method, (vx, vy, third, t_move_s, _MAX_DEGREE_OF_FREEDOM, yaw_mode, "", _EXACT)

@@ -24,9 +24,7 @@ from uavaccel.wire.transport import set_no_delay, set_quick_ack
 
 MOST_HELD_BYTES = 1 << 28
 MAX_ANSWER_BYTES = 1 << 26
-READ_FIRST_BYTES = (
-    1 << 23
-)  # no more requests are taken from a client until it has read its answers down to this
+READ_FIRST_BYTES = 1 << 23  # of unread answers, above which a client's requests have to wait
 READ_BYTES = 1 << 12
 MAX_CONNECTIONS = 512  # fewer than the files that a process may open
 IDLE_LIMIT_NS = 10_000_000_000  # silence after which a client may be disconnected in favour of a new one
@@ -95,7 +93,7 @@ class Answer(NamedTuple):
     result: object
 
     def pack(self) -> bytes:
-        """The message; an error in place of a result that cannot be packed or is too long."""
+        """Return the message; an error in place of a result that cannot be packed or is too long."""
         result = self.result
         try:
             if isinstance(result, DeferredReply):

@@ -61,7 +61,7 @@ class FairQueue(Generic[Client]):
         return client
 
     def _least_ns(self) -> int:
-        """The least service among the queued clients; that of the last one served if none is queued."""
+        """Return the least service among the queued clients; that of the last one served if none is queued."""
         if self._queue:
             return min(client.served_ns for _, _, client in self._queue)
         return self._last.served_ns if self._last is not None else 0

@@ -18,7 +18,6 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.pilot import Pilot
 from uavaccel.sim.flight.tasks import (
     AT_REST_M_S,
-    FlightTask,
     FollowPath,
     Land,
     MoveByManual,
@@ -26,14 +25,13 @@ from uavaccel.sim.flight.tasks import (
     check_lookahead,
 )
 from uavaccel.sim.flight.tasks import facing as facing_along
-from uavaccel.sim.sensors.earth import GeoPoint, geographic
+from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
 from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 from uavaccel.wire.calls import Calls, call, command
-from uavaccel.wire.geodesy import ned_of
 
 FORWARD_ONLY = 1
 LONGEST_S = 1e9  # longer durations are cut to this: AirSim's clients send 3e38 for ever
@@ -80,7 +78,7 @@ class FlightApi(Calls, title="Flight"):
     @command("land")
     def land(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Sink at 0.2 m/s until the ground stops the vehicle."""
-        return self._start(self._taken(vehicle), Land(timeout_sec))
+        return self._taken(vehicle).start(Land(timeout_sec), self.wall_ns)
 
     @command("goHome")
     def go_home(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
@@ -99,50 +97,28 @@ class FlightApi(Calls, title="Flight"):
 
     @command("moveToPosition")
     def move_to_position(
-        self,
-        x: Coordinate,
-        y: Coordinate,
-        z: Coordinate,
-        velocity: float,
-        timeout_sec: float,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        lookahead: float,
-        adaptive_lookahead: float,
+        self, x: Coordinate, y: Coordinate, z: Coordinate, velocity: float, timeout_sec: float,
+        drivetrain: float, yaw_mode: YawMode, lookahead: float, adaptive_lookahead: float,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         how = (velocity, timeout_sec, drivetrain, yaw_mode, lookahead, adaptive_lookahead, vehicle)
         return self.move_on_path([(x, y, z)], *how)
 
     @command("moveToZ")
     def move_to_z(
-        self,
-        z: Coordinate,
-        velocity: float,
-        timeout_sec: float,
-        yaw_mode: YawMode,
-        lookahead: float,
-        adaptive_lookahead: float,
-        vehicle: VehicleName = "",
-    ) -> Answer:
+        self, z: Coordinate, velocity: float, timeout_sec: float, yaw_mode: YawMode, lookahead: float,
+        adaptive_lookahead: float, vehicle: VehicleName = "",
+    ) -> Answer:  # fmt: skip
         north, east, _ = self.scenery.flying_pilot(vehicle).kinematics().position_m
         how = (velocity, timeout_sec, 0, yaw_mode, lookahead, adaptive_lookahead, vehicle)
         return self.move_on_path([(north, east, z)], *how)
 
     @command("moveToGPS")
     def move_to_gps(
-        self,
-        latitude: float,
-        longitude: float,
-        altitude: float,
-        velocity: float,
-        timeout_sec: float,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        lookahead: float,
-        adaptive_lookahead: float,
+        self, latitude: float, longitude: float, altitude: float, velocity: float, timeout_sec: float,
+        drivetrain: float, yaw_mode: YawMode, lookahead: float, adaptive_lookahead: float,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         """Fly to a place given in degrees and metres above sea level."""
         origin_m = self.scenery.flying_pilot(vehicle).vehicle.origin_m
         home = geographic(origin_m, self.scenery.settings.home)
@@ -153,16 +129,9 @@ class FlightApi(Calls, title="Flight"):
 
     @command("moveOnPath")
     def move_on_path(
-        self,
-        path: Annotated[list[Vector], places],
-        velocity: float,
-        timeout_sec: float,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        lookahead: float,
-        adaptive_lookahead: float,
-        vehicle: VehicleName = "",
-    ) -> Answer:
+        self, path: Annotated[list[Vector], places], velocity: float, timeout_sec: float, drivetrain: float,
+        yaw_mode: YawMode, lookahead: float, adaptive_lookahead: float, vehicle: VehicleName = "",
+    ) -> Answer:  # fmt: skip
         pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
         if not path:
             return True
@@ -172,7 +141,7 @@ class FlightApi(Calls, title="Flight"):
         points = np.array([pilot.kinematics().position_m, *path])
         turn = (yaw_mode.value, yaw_mode.is_rate)
         follow = FollowPath(points, velocity, timeout_sec, forward_only, *turn, ahead, adaptive_lookahead)
-        return self._start(pilot, follow)
+        return pilot.start(follow, self.wall_ns)
 
     # --- to a heading -----------------------------------------------------------------------------
 
@@ -186,45 +155,31 @@ class FlightApi(Calls, title="Flight"):
             return True
         heading = math.remainder(math.radians(yaw), 2 * math.pi)
         place_m = pilot.kinematics().position_m
-        return self._start(pilot, RotateToYaw(place_m, heading, math.radians(margin), timeout_sec))
+        task = RotateToYaw(place_m, heading, math.radians(margin), timeout_sec)
+        return pilot.start(task, self.wall_ns)
 
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
         """Turn at a rate in degrees per second without moving."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        goal = goals.position(pilot.kinematics().position_m, Yaw(math.radians(yaw_rate)))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        place_m = self.scenery.flying_pilot(vehicle).kinematics().position_m
+        return _fly(self, goals.position(place_m, Yaw(math.radians(yaw_rate))), duration, vehicle)
 
     # --- by velocity ------------------------------------------------------------------------------
 
     @command("moveByVelocity", leaves_state=True)
     def move_by_velocity(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: Seconds,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        vehicle: VehicleName = "",
-        exact: bool = False,
-    ) -> Answer:
+        self, vx: float, vy: float, vz: float, duration: Seconds, drivetrain: float, yaw_mode: YawMode,
+        vehicle: VehicleName = "", exact: bool = False,
+    ) -> Answer:  # fmt: skip
         """With `exact`, which our own client sends, refuse a duration that an exact profile's tick does not divide."""
         goal = goals.velocity((vx, vy, vz), facing(vx, vy, drivetrain, yaw_mode))
         return fly_for(self.scenery.flying_pilot(vehicle), goal, duration, self.wall_ns, exact=exact)
 
     @command("moveByVelocityZ", leaves_state=True)
     def move_by_velocity_z(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: Seconds,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        vehicle: VehicleName = "",
-        exact: bool = False,
-    ) -> Answer:
+        self, vx: float, vy: float, z: float, duration: Seconds, drivetrain: float, yaw_mode: YawMode,
+        vehicle: VehicleName = "", exact: bool = False,
+    ) -> Answer:  # fmt: skip
         """Fly at a height; for a duration of 0 this command alone returns False."""
         goal = goals.velocity_z(vx, vy, z, facing(vx, vy, drivetrain, yaw_mode))
         pilot = self.scenery.flying_pilot(vehicle)
@@ -232,73 +187,50 @@ class FlightApi(Calls, title="Flight"):
 
     @command("moveByVelocityBodyFrame")
     def move_by_velocity_body_frame(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: Seconds,
-        drivetrain: float,
-        yaw_mode: YawMode,
+        self, vx: float, vy: float, vz: float, duration: Seconds, drivetrain: float, yaw_mode: YawMode,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         """Fly in the frame of the vehicle's heading at the start of the command."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        north, east = turned(pilot.kinematics(), vx, vy)
+        north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
         goal = goals.velocity((north, east, vz), facing(north, east, drivetrain, yaw_mode))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        return _fly(self, goal, duration, vehicle)
 
     @command("moveByVelocityZBodyFrame")
     def move_by_velocity_z_body_frame(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: Seconds,
-        drivetrain: float,
-        yaw_mode: YawMode,
+        self, vx: float, vy: float, z: float, duration: Seconds, drivetrain: float, yaw_mode: YawMode,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         """Fly at a height in the frame of the vehicle's heading at the start of the command."""
-        pilot = self.scenery.flying_pilot(vehicle)
-        north, east = turned(pilot.kinematics(), vx, vy)
+        north, east = turned(self.scenery.flying_pilot(vehicle).kinematics(), vx, vy)
         goal = goals.velocity_z(north, east, z, facing(north, east, drivetrain, yaw_mode))
-        return fly_for(pilot, goal, duration, self.wall_ns)
+        return _fly(self, goal, duration, vehicle)
 
     @command("moveByManual")
     def move_by_manual(
-        self,
-        vx_max: float,
-        vy_max: float,
-        z_min: float,
-        duration: float,
-        drivetrain: float,
-        yaw_mode: YawMode,
-        vehicle: VehicleName = "",
-    ) -> Answer:
+        self, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: float,
+        yaw_mode: YawMode, vehicle: VehicleName = "",
+    ) -> Answer:  # fmt: skip
         """Fly by the sticks that moveByRC sets."""
         pilot, forward_only = self._taken(vehicle), drivetrain == FORWARD_ONLY
         if duration <= 0:
             return True
         turn = (yaw_mode.value, yaw_mode.is_rate, pilot.kinematics().orientation_wxyz)
         task = MoveByManual(pilot.sticks, vx_max, vy_max, z_min, duration, forward_only, *turn)
-        return self._start(pilot, task)
+        return pilot.start(task, self.wall_ns)
 
     # --- in common --------------------------------------------------------------------------------
 
     def _taken(self, vehicle: str) -> Pilot:
-        """The vehicle's pilot, whose running command is cancelled."""
+        """Cancel the vehicle's running command, and return its pilot."""
         pilot = self.scenery.flying_pilot(vehicle)
-        pilot.cancel(self.wall_ns)
+        pilot.end(False, self.wall_ns)
         return pilot
-
-    def _start(self, pilot: Pilot, task: FlightTask) -> Answer:
-        return pilot.start(task, self.wall_ns)
 
     def _fly_to(self, pilot: Pilot, place: Vector, velocity_m_s: float, timeout_s: float) -> Answer:
         points = np.array([pilot.kinematics().position_m, place])
         ahead = check_lookahead(AUTO_LOOKAHEAD, velocity_m_s, ADAPTIVE)
         follow = FollowPath(points, velocity_m_s, timeout_s, False, 0.0, True, ahead, ADAPTIVE)
-        return self._start(pilot, follow)
+        return pilot.start(follow, self.wall_ns)
 
 
 def fly_for(
@@ -309,7 +241,7 @@ def fly_for(
     Raises UserError if an exact duration does not fit the profile.
     """
     if duration_s <= 0:
-        pilot.cancel(wall_ns)
+        pilot.end(False, wall_ns)
         return at_once
     profile = pilot.vehicle.profile
     ticks = profile.command_ticks(duration_s) if exact else profile.nearest_ticks(duration_s)
@@ -317,12 +249,12 @@ def fly_for(
 
 
 def facing(north: float, east: float, drivetrain: float, yaw_mode: Yaw) -> Yaw:
-    """The yaw goal for a horizontal direction of travel (MultirotorApiBase::adjustYaw)."""
+    """Return the yaw goal for a horizontal direction of travel (MultirotorApiBase::adjustYaw)."""
     return facing_along((north, east, 0.0), drivetrain == FORWARD_ONLY, yaw_mode)
 
 
 def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
-    """A horizontal vector, given ahead of the vehicle and to its right, as north and east."""
+    """Return a horizontal vector, given ahead of the vehicle and to its right, as north and east."""
     yaw = euler_from_quaternion(now.orientation_wxyz)[2]
     return ahead * math.cos(yaw) - right * math.sin(yaw), ahead * math.sin(yaw) + right * math.cos(yaw)
 
@@ -361,14 +293,9 @@ def _by_angles(name: str, yaw_is_rate: bool, z_mode: int) -> Callable[..., Answe
 
     @command(name)
     def move(
-        self: Calls,
-        roll: float,
-        pitch: float,
-        yaw: float,
-        z: float,
-        duration: Seconds,
+        self: Calls, roll: float, pitch: float, yaw: float, z: float, duration: Seconds,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         return _fly(self, goals.attitude(roll, pitch, Yaw(yaw, yaw_is_rate), z, z_mode), duration, vehicle)
 
     return move
@@ -379,14 +306,9 @@ def _by_rates(name: str, z_mode: int) -> Callable[..., Answer]:
 
     @command(name)
     def move(
-        self: Calls,
-        roll_rate: float,
-        pitch_rate: float,
-        yaw_rate: float,
-        z: float,
-        duration: Seconds,
+        self: Calls, roll_rate: float, pitch_rate: float, yaw_rate: float, z: float, duration: Seconds,
         vehicle: VehicleName = "",
-    ) -> Answer:
+    ) -> Answer:  # fmt: skip
         return _fly(self, goals.body_rates(roll_rate, pitch_rate, yaw_rate, z, z_mode), duration, vehicle)
 
     return move
@@ -416,14 +338,9 @@ class AttitudeApi(Calls, title="Flight"):
 
     @command("moveByMotorPWMs")
     def move_by_motor_pwms(
-        self,
-        front_right_pwm: float,
-        rear_left_pwm: float,
-        front_left_pwm: float,
-        rear_right_pwm: float,
-        duration: Seconds,
-        vehicle: VehicleName = "",
-    ) -> Answer:
+        self, front_right_pwm: float, rear_left_pwm: float, front_left_pwm: float, rear_right_pwm: float,
+        duration: Seconds, vehicle: VehicleName = "",
+    ) -> Answer:  # fmt: skip
         goal = goals.motors(front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
         return _fly(self, goal, duration, vehicle)
 
@@ -434,7 +351,7 @@ class AttitudeApi(Calls, title="Flight"):
 
 
 def stick_map(sticks: Sticks) -> dict[str, object]:
-    """The fields of RCData that the sticks determine."""
+    """Return the fields of RCData that the sticks determine."""
     valid = bool(sticks[VALID])
     names = zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True)
     return {**dict(names), "switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}

@@ -143,7 +143,7 @@ class GameApi(Calls, title="Games"):
 
 
 def encode_state(kinematics: Kinematics) -> list[float]:
-    """A state as 20 numbers: time in ns, position, wxyz, velocity, body rate and both accelerations."""
+    """Return a state as 20 numbers: time in ns, position, wxyz, velocity, body rate and both accelerations."""
     return [
         kinematics.time_ns,
         *kinematics.position_m,
@@ -156,6 +156,6 @@ def encode_state(kinematics: Kinematics) -> list[float]:
 
 
 def decode_state(numbers: Received) -> Kinematics:
-    """The inverse of `encode_state`."""
+    """Invert `encode_state`."""
     n = tuple(numbers)
     return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])

@@ -5,8 +5,6 @@ Sources: AirSim v1.8.1, ImageCaptureBase.hpp, RpcLibAdaptorsBase.hpp, WorldSimAp
 uncompressed images as blue, green, red bytes, compressed ones as PNG, float images as a row-major list.
 """
 
-# ruff: noqa: N815  the names are AirSim's
-
 from __future__ import annotations
 
 import math
@@ -25,7 +23,7 @@ from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
-from uavaccel.wire.calls import Calls, PartialResult, WithoutEffect, call
+from uavaccel.wire.calls import Calls, PartialResult, call, without_effect
 from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
 from uavaccel.wire.pictures import Pixels, Scene, encoded, known_type
 from uavaccel.wire.rpc import Received
@@ -84,13 +82,9 @@ class CameraApi(Calls, title="Cameras and images"):
 
     @call("simSetDistortionParam")
     def set_distortion(
-        self,
-        camera_name: object,
-        param_name: object,
-        value: float,
-        vehicle: VehicleName = "",
+        self, camera_name: object, param_name: object, value: float, vehicle: VehicleName = "",
         external: Truthy = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Keep a parameter, which can be read again; pictures stay undistorted."""
         known = self._named(camera_name, vehicle, external).distortion
         if not isinstance(param_name, str) or param_name not in known:
@@ -101,22 +95,16 @@ class CameraApi(Calls, title="Cameras and images"):
     def _named(self, camera: object, vehicle: str, external: bool) -> CameraMount:
         return self.scenery.cameras(vehicle, external).named(camera)
 
-    simGetPresetLensSettings = WithoutEffect(refused=NO_LENS)
-    simGetLensSettings = WithoutEffect(refused=NO_LENS)
-    simSetPresetLensSettings = WithoutEffect(refused=NO_LENS)
-    simGetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
-    simSetPresetFilmbackSettings = WithoutEffect(refused=NO_LENS)
-    simGetFilmbackSettings = WithoutEffect(refused=NO_LENS)
-    simSetFilmbackSettings = WithoutEffect(refused=NO_LENS)
-    simGetFocalLength = WithoutEffect(refused=NO_LENS)
-    simSetFocalLength = WithoutEffect(refused=NO_LENS)
-    simEnableManualFocus = WithoutEffect(refused=NO_LENS)
-    simGetFocusDistance = WithoutEffect(refused=NO_LENS)
-    simSetFocusDistance = WithoutEffect(refused=NO_LENS)
-    simGetFocusAperture = WithoutEffect(refused=NO_LENS)
-    simSetFocusAperture = WithoutEffect(refused=NO_LENS)
-    simEnableFocusPlane = WithoutEffect(refused=NO_LENS)
-    simGetCurrentFieldOfView = WithoutEffect(refused=NO_LENS)
+    ignored = (
+        *without_effect(
+            *("simGetPresetLensSettings", "simGetLensSettings", "simSetPresetLensSettings"),
+            *("simGetPresetFilmbackSettings", "simSetPresetFilmbackSettings", "simGetFilmbackSettings"),
+            *("simSetFilmbackSettings", "simGetFocalLength", "simSetFocalLength", "simEnableManualFocus"),
+            *("simGetFocusDistance", "simSetFocusDistance", "simGetFocusAperture", "simSetFocusAperture"),
+            *("simEnableFocusPlane", "simGetCurrentFieldOfView"),
+            refused=NO_LENS,
+        ),
+    )
 
 
 def projection(lens: Lens) -> NDArray[np.float64]:
@@ -214,7 +202,7 @@ class ImageApi(Calls, title="Cameras and images"):
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
     def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
-        """The picture and an empty text; or an empty picture and the reason."""
+        """Return the picture and an empty text; or an empty picture and the reason."""
         try:
             known_type(request.image_type)
         except ValueError as error:
@@ -232,7 +220,7 @@ def _pixels(request: ImageRequest) -> int:
 
 
 def image_request(value: object, cameras: Cameras) -> ImageRequest:
-    """The wire's ImageRequest; its type of image is not checked. Raises ValueError."""
+    """Return the wire's ImageRequest; its type of image is not checked. Raises ValueError."""
     if not isinstance(value, Mapping):
         raise ValueError("an ImageRequest must be a map")
     name = str(value.get("camera_name", ""))
@@ -242,7 +230,7 @@ def image_request(value: object, cameras: Cameras) -> ImageRequest:
 
 
 def lane_layout(lane: object) -> LaneLayout:
-    """The lane layout for a seed, a seed with a difficulty, or a mapping of obstacles. Raises UserError."""
+    """Return the lane layout for a seed, a seed with a difficulty, or a mapping of obstacles. Raises UserError."""
     if isinstance(lane, Mapping) and "seed" not in lane:
         return layout_from(lane, "lane")
     seed = lane["seed"] if isinstance(lane, Mapping) else lane
@@ -253,6 +241,6 @@ def lane_layout(lane: object) -> LaneLayout:
 
 
 def decode_image(reply: Received) -> AnyImage:
-    """The picture in a `raw_image` reply."""
+    """Return the picture in a `raw_image` reply."""
     image: AnyImage = np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
     return image

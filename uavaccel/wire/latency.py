@@ -61,7 +61,7 @@ Tables = dict[str, QuantileRow]  # microseconds at the quantiles, by channel
 
 
 def after_wait(channel: str, wait_ns: int) -> str:
-    """The channel's name after a wait of this length for a command or a continue-for, for example "pause@10ms"."""
+    """Return the channel's name after such a wait for a command or a continue-for, such as "pause@10ms"."""
     return f"{channel}@{WAITS_MS[bisect_left(BETWEEN_NS, wait_ns)]}ms"
 
 
@@ -134,17 +134,17 @@ ZERO_LATENCY = LatencyConfig()
 
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
-    """The shipped model of a profile: `uavaccel calibrate` measured it; experiments/fit_airsim.py fitted AirSim's."""
+    """Return a profile's shipped model: measured by `uavaccel calibrate`, or AirSim's by experiments/fit_airsim.py."""
     return read_latency(experiment(SHIPPED[profile]))
 
 
 def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
-    """The shipped model for the key `profile` among a configuration's fields."""
+    """Return the shipped model for the key `profile` among a configuration's fields."""
     return shipped_latency(str(fields.get("profile", "native")))
 
 
 def read_latency(path: Path) -> LatencyConfig:
-    """The model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
+    """Return the model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
     block = load_yaml(path)
     if "latency" not in block:
         raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
@@ -156,7 +156,7 @@ class _LatencyFile(Config):
 
 
 def _completed(block: Mapping[str, object], shipped: Mapping[str, object]) -> dict[str, object]:
-    """The shipped model's block, updated recursively with the keys of `block`; factors scale their channel's rows."""
+    """Update the shipped model's block recursively by the keys of `block`; factors scale their channel's rows."""
     result = dict(shipped)
     for key, value in block.items():
         if isinstance(value, Mapping) and isinstance(below := result.get(key), Mapping):
@@ -169,7 +169,7 @@ def _completed(block: Mapping[str, object], shipped: Mapping[str, object]) -> di
 def _scaled(
     direction: str, factors: Mapping[str, float], tables: Mapping[str, Sequence[float]]
 ) -> dict[str, Sequence[float]]:
-    """A direction's rows with each named channel's multiplied by its factor, for all waits unless one is named.
+    """Return a direction's rows with each named channel's multiplied by its factor, for all waits unless one is named.
 
     A channel without a row of its own gets the scaled row from which it was drawn before.
     """
@@ -188,7 +188,7 @@ def _scaled(
 
 
 def _changes_what_ships(block: Mapping[str, object]) -> bool:
-    """Whether a block only changes the shipped model: it has neither quantiles nor rows."""
+    """Return whether a block only changes the shipped model: it has neither quantiles nor rows."""
     rows = [block[direction] for direction in DIRECTIONS if direction in block]
     return "quantiles" not in block and all(
         isinstance(each, Mapping) and each and all(map(_is_number, each.values())) for each in rows
@@ -248,12 +248,12 @@ class Latency:
         return self._draw("timer", "", {"": self._config.timer_us})
 
     def frame_ns(self) -> int:
-        """How long a frame is waited for: uniform from 0 to two periods."""
+        """Return how long a frame is waited for: uniform from 0 to two periods."""
         longest_us = 2 * self._config.platform.frame_ns() / 1e3
         return self._draw("frame", "", {"": tuple(longest_us * share for share in self._config.quantiles)})
 
     def _fault_ns(self, direction: str) -> int:
-        """How long a fault of the connection delays the next message of a direction."""
+        """Return how long a fault of the connection delays the next message of a direction."""
         faults, key = self._faults, ("fault", direction)
         if faults is None:
             return 0
@@ -277,7 +277,7 @@ class Latency:
         return next(stream)
 
     def _stream(self, name: str, table: Numbers, drawn: int) -> Iterator[int]:
-        """One channel's latencies after the first `drawn` ones."""
+        """Yield one channel's latencies after the first `drawn` ones."""
         if not any(table):
             while True:
                 yield 0
@@ -287,14 +287,14 @@ class Latency:
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
 
     def _generator(self, name: str, drawn: int) -> np.random.Generator:
-        """The generator of this name, advanced by `drawn` numbers: one step each."""
+        """Return the generator of this name, advanced by `drawn` numbers: one step each."""
         key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
         generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
         generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]
         return generator
 
     def get_state(self) -> State:
-        """The state of all generators, and the quantiles from which they draw."""
+        """Return the state of all generators, and the quantiles from which they draw."""
         entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
         state: State = {"config": self._config.model_dump_json(), "wait_ns": optional(self._wait_ns)}
         state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}

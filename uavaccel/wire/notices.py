@@ -43,10 +43,10 @@ class Refusals:
             self.say(" ".join(key))
 
     def lines(self) -> list[str]:
-        """One line per kind of refusal with its count, the most frequent first."""
+        """Return one line per kind of refusal with its count, the most frequent first."""
         return [f"{count} x {method} {reason}" for (method, reason), count in self._count.most_common()]
 
 
 def printable(text: str) -> str:
-    """A client's text on one line, without control characters."""
+    """Return a client's text on one line, without control characters."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:LONGEST])

@@ -4,8 +4,6 @@ Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComp
 ray from the camera meets it at one of the points of its bounding box.
 """
 
-# ruff: noqa: N815  the names are AirSim's
-
 from __future__ import annotations
 
 import fnmatch
@@ -24,7 +22,7 @@ from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, VehicleName, finite
-from uavaccel.wire.calls import CallContext, Calls, WithoutEffect, call
+from uavaccel.wire.calls import CallContext, Calls, call, without_effect
 from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.pictures import known_type
 from uavaccel.wire.vehicles import put_at
@@ -76,14 +74,9 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simSpawnObject")
     def spawn(
-        self,
-        object_name: ObjectName,
-        asset_name: ObjectName,
-        pose: FinitePose,
-        scale: Vector3r,
-        physics_enabled: Truthy = False,
-        is_blueprint: object = False,
-    ) -> str:
+        self, object_name: ObjectName, asset_name: ObjectName, pose: FinitePose, scale: Vector3r,
+        physics_enabled: Truthy = False, is_blueprint: object = False,
+    ) -> str:  # fmt: skip
         """Add an object, and return the name that it was given."""
         name = self.scenery.objects.spawn(object_name, asset_name, pose, scale)
         self.scenery.segmentation.spawned(name)
@@ -121,11 +114,14 @@ class ObjectApi(Calls, title="Objects"):
         """Return the segmentation ID of an object; -1 if there is none of that name."""
         return self.scenery.segmentation.id(self.scenery.named(mesh_name))
 
-    simSwapTextures = WithoutEffect([])  # the names of the objects whose textures were swapped
-    simSetObjectMaterial = WithoutEffect(refused=NO_EDITOR)
-    simSetObjectMaterialFromTexture = WithoutEffect(refused=NO_EDITOR)
-    simGetMeshPositionVertexBuffers = WithoutEffect(refused=NO_EDITOR)
-    simCreateVoxelGrid = WithoutEffect(refused="a client does not write files on the server")
+    ignored = (
+        *without_effect("simSwapTextures", answer=[]),
+        *without_effect(
+            *("simSetObjectMaterial", "simSetObjectMaterialFromTexture", "simGetMeshPositionVertexBuffers"),
+            refused=NO_EDITOR,
+        ),
+        *without_effect("simCreateVoxelGrid", refused="a client does not write files on the server"),
+    )
 
 
 @dataclass
@@ -146,13 +142,9 @@ class DetectionApi(Calls, title="Objects"):
 
     @call("simAddDetectionFilterMeshName")
     def add_name(
-        self,
-        camera_name: object,
-        image_type: int,
-        mesh_name: object,
-        vehicle: VehicleName = "",
+        self, camera_name: object, image_type: int, mesh_name: object, vehicle: VehicleName = "",
         external: Truthy = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         found = self._filter(camera_name, image_type, vehicle, external)[1]
         name = str(mesh_name)
         if len(found.patterns) >= MOST_NAMES or len(name) > LONGEST_NAME:
@@ -162,13 +154,9 @@ class DetectionApi(Calls, title="Objects"):
 
     @call("simSetDetectionFilterRadius")
     def set_radius(
-        self,
-        camera_name: object,
-        image_type: int,
-        radius_cm: float,
-        vehicle: VehicleName = "",
+        self, camera_name: object, image_type: int, radius_cm: float, vehicle: VehicleName = "",
         external: Truthy = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._filter(camera_name, image_type, vehicle, external)[1].radius_m = radius_cm / 100
 
     @call("simClearDetectionMeshNames")
@@ -232,7 +220,7 @@ class DetectionApi(Calls, title="Objects"):
 
 
 def picture_box(corners: NDArray[np.float64], lens: Lens) -> tuple[list[float], list[float]] | None:
-    """The first and last pixel of a box with corners (8, 3) in the camera's frame; None outside of the picture."""
+    """Return the first and last pixel of a box with corners (8, 3) in the camera's frame; None if it is out of view."""
     ahead = corners[corners[:, 0] > 1e-3]
     if not len(ahead):
         return None

@@ -65,7 +65,7 @@ class Pictures:
         self._drawn_later: mujoco.MjData | None = None
 
     def floats(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
-        """An image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1.
+        """Return an image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1.
 
         It shows the present, or a `scene` from `kept`.
         """
@@ -75,7 +75,7 @@ class Pictures:
         return (self.bgr(camera, kind, scene)[..., 2] / np.float32(255)).astype(np.float32)
 
     def bgr(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
-        """An image (height, width, 3) of blue, green and red; it shows the present, or a `scene` from `kept`."""
+        """Return an image (height, width, 3) of blue, green and red; it shows the present, or a `scene` from `kept`."""
         kind, shown = known_type(image_type), self._shown(scene)
         if kind == ImageType.SCENE:
             return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
@@ -91,7 +91,7 @@ class Pictures:
         return _gray(np.rint(share * 255).astype(np.uint8))
 
     def kept(self) -> NDArray[np.float64]:
-        """The present scene, to be drawn later."""
+        """Return the present scene, to be drawn later."""
         pose: NDArray[np.float64] = self._shown(None).qpos.copy()
         return pose
 
@@ -102,7 +102,7 @@ class Pictures:
             self.bgr(front, image_type)
 
     def _depth(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
-        """The depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
+        """Return the depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
         pointed = self._pointed(camera, kind, scene)
         if kind == ImageType.DEPTH_PERSPECTIVE:
             return pointed.depth_perspective(scene)
@@ -118,7 +118,7 @@ class Pictures:
         return self._segmentation.ids(self._pointed(camera, kind, scene).segmentation(scene))
 
     def _normals(self, camera: CameraMount, scene: mujoco.MjData) -> NDArray[np.uint8]:
-        """The surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
+        """Draw surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
         lens = camera.lens(ImageType.SURFACE_NORMALS)
         self._check_drawable(lens)
         eye = camera.eye(vehicle_pose(scene, camera.carrier))
@@ -132,7 +132,7 @@ class Pictures:
         return picture
 
     def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
-        """The renderer, pointed as the camera is. Raises ValueError if rendering is off, UserError without OpenGL."""
+        """Point the renderer as the camera is. Raises ValueError if rendering is off, UserError without OpenGL."""
         lens = camera.lens(image_type)
         self._check_drawable(lens)
         width, height = self._largest
@@ -151,7 +151,7 @@ class Pictures:
             )
 
     def _shown(self, scene: Scene) -> mujoco.MjData:
-        """The scene to draw: a kept one, the present, or the frame that a modelled renderer shows."""
+        """Return the scene to draw: a kept one, the present, or the frame that a modelled renderer shows."""
         world = self._simulation.world
         if scene is None:
             return self._simulation.frames.scene(world.data)
@@ -164,12 +164,12 @@ class Pictures:
 
 
 def can_draw(lens: Lens) -> bool:
-    """Whether a lens's pictures have at most MOST_PIXELS."""
+    """Return whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 
 
 def known_type(image_type: int) -> ImageType:
-    """The type of image of this number. Raises ValueError for a type that is not available here."""
+    """Return the type of image of this number. Raises ValueError for a type that is not available here."""
     try:
         return ImageType(image_type)
     except ValueError:
@@ -191,7 +191,7 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def encoded(suffix: str, image: Pixels) -> bytes:
-    """The bytes of an image file of blue, green, red pixels: ".png" or ".ppm". Raises ValueError."""
+    """Return the bytes of an image file of blue, green, red pixels: ".png" or ".ppm". Raises ValueError."""
     done, data = cv2.imencode(suffix, image)
     if not done:
         raise ValueError("the image could not be compressed")
@@ -199,6 +199,6 @@ def encoded(suffix: str, image: Pixels) -> bytes:
 
 
 def pfm(numbers: NDArray[np.float32]) -> bytes:
-    """A portable float map: one number per pixel, little endian, the bottom row first."""
+    """Return a portable float map: one number per pixel, little endian, the bottom row first."""
     height, width = numbers.shape
     return f"Pf\n{width} {height}\n-1.0\n".encode() + numbers[::-1].astype("<f4").tobytes()

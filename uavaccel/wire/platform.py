@@ -73,7 +73,7 @@ class PlatformConfig(Config):
     """Whether the clock is AirSim's ScalableClock: a loop of 3 ms of wall time, whose step grows with ClockSpeed."""
 
     def profile(self, name: str, clock_speed: float) -> Profile:
-        """The profile of that name, modified by the keys above; `native` is not modified."""
+        """Return the profile of that name, modified by the keys above; `native` is not modified."""
         if name != AIRSIM.name:
             return PROFILES[name]
         step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
@@ -85,16 +85,16 @@ class PlatformConfig(Config):
         return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
 
     def frame_ns(self) -> int:
-        """The period of the frames; 0 without frames."""
+        """Return the period of the frames; 0 without frames."""
         return round(1e9 / self.frames.hz) if self.frames.hz else 0
 
     def new_frames(self, wait_ns: Callable[[], int]) -> Frames:
-        """The frames of one game; `wait_ns` draws how long a frame is waited for."""
+        """Return the frames of one game; `wait_ns` draws how long a frame is waited for."""
         return Frames(self.frame_ns(), self.frames.stale_pose, self.frames.after_continue, wait_ns)
 
 
 def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:
-    """The delays of a stream's messages; one number is drawn for each message."""
+    """Yield the delays of a stream's messages; one number is drawn for each message."""
     at = np.cumsum([faults.dropped, faults.stalled, faults.late])
     delays = (RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0)
     while True:

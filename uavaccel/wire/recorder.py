@@ -163,13 +163,13 @@ class Recorder:
         self._images[tick] = ";".join(names)
 
     def _is_new(self, row: NDArray[np.float64]) -> bool:
-        """Whether a sample is to be written: RecordOnMove omits those whose pose has not changed."""
+        """Return whether a sample is to be written: RecordOnMove omits those whose pose has not changed."""
         pose, before = row[1:8].tolist(), self._last_pose
         self._last_pose = pose
         return not (self._settings.record_on_move and pose == before)
 
     def _line(self, row: NDArray[np.float64]) -> str:
-        """The line of one sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
+        """Return the line of one sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""
         tick = int(row[0])
         time_ms = types.stamp(self._simulation.time_of(tick)) // 1_000_000
         pose = (f"{value:.9g}" for value in row[1:8])

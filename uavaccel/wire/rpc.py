@@ -64,7 +64,7 @@ class Decoder:
         self._unpacker = msgpack.Unpacker(max_buffer_size=max_message_bytes, **_unpacking(max_items))
 
     def messages(self, data: bytes) -> Iterator[list[Received]]:
-        """The whole messages that `data` completes."""
+        """Yield the whole messages that `data` completes."""
         try:
             self._unpacker.feed(data)
             for message in self._unpacker:
@@ -76,7 +76,7 @@ class Decoder:
 
 
 def _unpacking(max_items: int) -> dict[str, object]:
-    """The options with which msgpack reads messages; clients with msgpack 0.5 send bytes as text."""
+    """Return the options with which msgpack reads messages; clients with msgpack 0.5 send bytes as text."""
     how = {"raw": False, "unicode_errors": "surrogateescape", "strict_map_key": False}
     return {**how, "max_array_len": max_items, "max_map_len": max_items}
 
@@ -85,7 +85,7 @@ _OF_REQUESTS = _unpacking(MAX_ITEMS)
 
 
 def unpack_request(message: bytes) -> RpcRequest:
-    """The request in a whole message's bytes. Raises ProtocolError if it is none."""
+    """Return the request in a whole message's bytes. Raises ProtocolError if it is none."""
     try:
         return parse_request(msgpack.unpackb(message, **_OF_REQUESTS))
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
@@ -93,7 +93,7 @@ def unpack_request(message: bytes) -> RpcRequest:
 
 
 def method_of(message: bytes) -> str:
-    """The method of a whole message that has not been unpacked; empty if it is not a request."""
+    """Return the method of a whole message that has not been unpacked; empty if it is not a request."""
     head = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape", max_buffer_size=0)
     try:
         head.feed(message[:MAX_HEAD_BYTES])
@@ -106,7 +106,7 @@ def method_of(message: bytes) -> str:
 
 
 def parse_request(message: object) -> RpcRequest:
-    """The request in an unpacked message. Raises ProtocolError if it is none."""
+    """Return the request in an unpacked message. Raises ProtocolError if it is none."""
     if not isinstance(message, list):
         raise ProtocolError("not a msgpack-rpc request")
     if len(message) == 4 and message[0] == REQUEST and type(message[1]) is int:
@@ -123,19 +123,19 @@ def parse_request(message: object) -> RpcRequest:
 def pack_request(
     message_id: int, method: str, params: Sequence[object], default: Callable[[object], object] | None = None
 ) -> bytes:
-    """A request's bytes; `default` converts values that msgpack cannot pack."""
+    """Return a request's bytes; `default` converts values that msgpack cannot pack."""
     return bytes(msgpack.packb([REQUEST, message_id, method, list(params)], default=default))
 
 
 def pack_response(message_id: int, error: str | None, result: object) -> bytes:
-    """A response's bytes."""
+    """Return a response's bytes."""
     if error is not None:  # it may quote bytes that are not valid text
         error = error.encode("utf-8", "replace").decode()
     return pack([RESPONSE, message_id, error, result])
 
 
 def bulk_bytes(value: object) -> int:
-    """About how many bytes the large parts of a result will have: bytes and arrays, as of images and recordings."""
+    """Estimate the packed size of the large parts of a result: the bytes and arrays of images and recordings."""
     if isinstance(value, np.ndarray):
         return _PACKED_FLOAT * value.size
     if isinstance(value, bytes):
@@ -171,7 +171,7 @@ def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
 
 
 def _packed_floats(numbers: NDArray[np.generic]) -> bytes:
-    """A MessagePack array: its header, then a type byte and four big-endian bytes per number."""
+    """Return a MessagePack array: its header, then a type byte and four big-endian bytes per number."""
     packed = np.empty((numbers.size, _PACKED_FLOAT), np.uint8)
     packed[:, 0] = _FLOAT32
     packed[:, 1:] = numbers.astype(">f4").reshape(-1, 1).view(np.uint8)
@@ -227,7 +227,7 @@ class Framer:
             raise self._too_long() from None
 
     def next(self) -> bytes | None:
-        """The next whole message; None until it is complete. Raises ProtocolError if it is invalid or too long."""
+        """Take the next whole message; None until it is complete. Raises ProtocolError if it is invalid or too long."""
         if not self._kept:
             return None
         self._check_beginning()
@@ -256,7 +256,7 @@ class Framer:
         return ProtocolError(f"a message may have {self._most >> 20} MiB, not more", self.unfinished_id())
 
     def unfinished_id(self) -> int | None:
-        """The number of the request that has arrived in part; None if it has none, or it is not known yet."""
+        """Return the number of the request that has arrived in part; None if it has none, or it is not known yet."""
         head = msgpack.Unpacker()
         head.feed(bytes(self._kept[:_LONGEST_HEAD]))
         try:

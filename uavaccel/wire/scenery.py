@@ -26,7 +26,7 @@ class Scenery:
         self._cameras: dict[int, Cameras] = {}
 
     def cameras(self, vehicle: str = "", external: bool = False) -> Cameras:
-        """A vehicle's cameras, or those of ExternalCameras. Raises ValueError for an unknown vehicle either way."""
+        """Return the cameras of a vehicle or of the scene. Raises ValueError for an unknown vehicle either way."""
         number = self.number_of(vehicle)
         if external:
             return self._external_cameras
@@ -38,7 +38,7 @@ class Scenery:
         return self._cameras[number]
 
     def number_of(self, name: str) -> int:
-        """The number of the vehicle with this name; "" is the first vehicle.
+        """Return the number of the vehicle with this name; "" is the first vehicle.
 
         Raises ValueError, in AirSim's words, for an unknown name.
         """
@@ -48,19 +48,19 @@ class Scenery:
         raise self._not_there(name)
 
     def vehicle(self, name: str = "") -> Vehicle:
-        """The vehicle with this name. Raises ValueError as number_of does."""
+        """Return the vehicle with this name. Raises ValueError as number_of does."""
         return self.simulation.world.vehicles[self.number_of(name)]
 
     def truth(self, vehicle: str = "") -> Kinematics:
-        """A vehicle's state in the world's frame. Raises ValueError as number_of does."""
+        """Return a vehicle's state in the world's frame. Raises ValueError as number_of does."""
         return self.vehicle(vehicle).kinematics(self.simulation.time0_ns, in_world=True)
 
     def pilot(self, name: str = "") -> Pilot:
-        """The pilot of a vehicle. Raises ValueError as number_of does."""
+        """Return the pilot of a vehicle. Raises ValueError as number_of does."""
         return self.simulation.pilots[self.number_of(name)]
 
     def flying_pilot(self, name: str) -> Pilot:
-        """The pilot of a flying vehicle. Raises ValueError as number_of does, and in SimMode ComputerVision."""
+        """Return the pilot of a flying vehicle. Raises ValueError as number_of does, and in SimMode ComputerVision."""
         if self.settings.flightless:
             raise self._not_there(name)
         return self.pilot(name)
@@ -73,7 +73,7 @@ class Scenery:
         )
 
     def largest_picture(self) -> tuple[int, int]:
-        """The width and height in which every picture fits that can be drawn."""
+        """Return the width and height in which every picture fits that can be drawn."""
         own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
         lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_draw(lens)]
         return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
@@ -82,11 +82,11 @@ class Scenery:
         return [vehicle.name for vehicle in self.simulation.world.vehicles]
 
     def named(self, name: str) -> list[str]:
-        """The objects, then the vehicles, with this name in any case."""
+        """Return the objects, then the vehicles, with this name in any case."""
         return [each for each in self._all_names() if each.lower() == name.lower()]
 
     def named_like(self, pattern: str) -> list[str]:
-        """The objects, then the vehicles, whose whole name matches. Raises ValueError for an invalid expression."""
+        """List the objects, then the vehicles, whose whole name matches. Raises ValueError for a wrong pattern."""
         expression = NamePattern(pattern)
         return [name for name in self._all_names() if expression.matches(name)]
 

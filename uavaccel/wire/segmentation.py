@@ -31,11 +31,11 @@ class Segmentation:
         self._table = np.zeros(0, np.int64)
 
     def ids(self, geoms: GeomImage) -> NDArray[np.int64]:
-        """The IDs of an image of geoms; 0 for the sky and for objects that are not drawn."""
+        """Return the IDs of an image of geoms; 0 for the sky and for objects that are not drawn."""
         return np.asarray(np.maximum(self._all(), NO_OBJECT)[geoms])
 
     def _all(self) -> NDArray[np.int64]:
-        """The IDs of all geoms, and last that of the sky, geom -1."""
+        """Return the IDs of all geoms, and last that of the sky, geom -1."""
         model = self._world.model
         if len(self._table) != model.ngeom + 1:  # at first, or after a vehicle was added
             names = [self._world.name_of(geom) for geom in range(model.ngeom)]
@@ -57,7 +57,7 @@ class Segmentation:
         return bool(geoms)
 
     def id(self, names: Iterable[str]) -> int:
-        """The ID of the first of these objects and vehicles; -1 if there is none."""
+        """Return the ID of the first of these objects and vehicles; -1 if there is none."""
         geoms = [geom for name in names for geom in self._geoms(name)]
         return int(self._all()[geoms[0]]) if geoms else NOT_DRAWN
 
@@ -81,7 +81,7 @@ def id_of_name(name: str) -> int:
 
 @cache
 def colours() -> NDArray[np.uint8]:
-    """The red, green and blue (256, 3) of each ID."""
+    """Return the red, green and blue (256, 3) of each ID."""
     with asset("airsim/segmentation_colours.csv").open(encoding="ascii", newline="") as file:
         rows = [list(map(int, row.values())) for row in csv.DictReader(file)]
     return np.array(rows, np.uint8)

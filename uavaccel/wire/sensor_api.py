@@ -56,7 +56,7 @@ class Sensors:
         }
 
     def named(self, kind: type[Kind], word: str, name: object) -> Kind:
-        """The sensor of this kind and name, the first one for an empty name. Raises ValueError if there is none."""
+        """Return the sensor of a kind by its name, or the first for an empty one. Raises ValueError without any."""
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
         known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
@@ -75,7 +75,7 @@ class SensorApi(Calls, title="Sensors"):
         self._sensors: dict[int, Sensors] = {}
 
     def _of(self, vehicle: str) -> Sensors:
-        """A vehicle's sensors, whose noise is independent of other vehicles'."""
+        """Return a vehicle's sensors, whose noise is independent of other vehicles'."""
         number, settings = self.scenery.number_of(vehicle), self.scenery.settings
         if number not in self._sensors:
             given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)

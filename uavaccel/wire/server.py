@@ -26,9 +26,7 @@ SPIN_NS = 1_000_000  # before an end, poll instead of sleeping: a process wakes 
 BUSY_NS = 200_000  # after a message, poll for the next one
 MAX_UNPACKED, MAX_UNPACKED_BYTES = 8, 1 << 24  # answers that wait to be packed
 TURN_NS = 3_000_000  # wall time for one client's requests before the next client's
-FLIGHT_NS = (
-    5_000_000  # wall time for flying in a round: a machine that does not keep up would do nothing else
-)
+FLIGHT_NS = 5_000_000  # wall time for flying in a round: a slow machine would do nothing else
 LONG_NS = 1_000_000  # a request expected to take longer is long
 ROUND_NS = 10_000_000  # wall time for all clients' requests before the sockets are polled again
 
@@ -83,11 +81,10 @@ class Server:
         self._stopping = True
 
     def close(self) -> None:
-        """Disconnect all clients, and stop listening."""
         self.clients.close()
 
     def _wake_ns(self, simulation: Simulation) -> int:
-        """The wall time until which to sleep; in the past if it is time to poll."""
+        """Return the wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
         if now < self._busy_until_ns or self._queue:
             return now
@@ -182,7 +179,7 @@ class Server:
         self._estimates.took(method, piece, took_ns)
 
     def _expected_ns(self, connection: Connection) -> int:
-        """How long a client's next request is expected to take."""
+        """Return how long a client's next request is expected to take."""
         return self._estimates.expected_ns(connection.method, connection.begun is not None)
 
     def _answer(self, answer: Answer) -> None:

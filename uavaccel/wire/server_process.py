@@ -31,9 +31,7 @@ def main() -> None:
     simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
     simulation.pause(MonotonicClock().now_ns())
     server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
-    with contextlib.suppress(
-        BrokenPipeError
-    ):  # whoever started it has gone: then standard input has ended too
+    with contextlib.suppress(BrokenPipeError):  # the session has gone: standard input has ended too
         print(json.dumps({"port": server.address[1]}), flush=True)
     server.serve()
 
@@ -41,7 +39,7 @@ def main() -> None:
 def ready_simulation(
     scene: str, profile: Profile, clock_speed: float = 1.0, airsim: bool = False
 ) -> Simulation:
-    """A settled hover on the machine's clock, with everything compiled and loaded that could delay it later.
+    """Return a settled hover on the machine's clock, with everything compiled and loaded that could delay it later.
 
     `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model).
     """

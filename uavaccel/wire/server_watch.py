@@ -14,10 +14,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.standstill import cpu_time_s
 from uavaccel.units import NS_PER_S
 
-START_S, IDLE_START_S = (
-    600.0,
-    60.0,
-)  # to compile the hot loop on a loaded machine; of that without using any CPU
+START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU
 IDLE_S = 2.5  # a server that is silent for longer and uses no CPU has been stopped, or waits for ever
 BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
 END_S = 3.0
@@ -89,7 +86,7 @@ class WatchedServer:
         return line
 
     def memory_mib(self) -> float:
-        """The process's resident memory (Linux only)."""
+        """Return the process's resident memory (Linux only)."""
         pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 

@@ -52,7 +52,7 @@ class Session(ABC):
 
     @abstractmethod
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
-        """The client of a new game."""
+        """Return the client of a new game."""
 
     @abstractmethod
     def set_latency(self, latency: LatencyConfig) -> None:
@@ -70,11 +70,11 @@ class Session(ABC):
 
     @abstractmethod
     def picture(self) -> NDArray[np.uint8]:
-        """The front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
+        """Return the front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
 
     @abstractmethod
     def get_state(self) -> State | None:
-        """The whole state of the present game; None in `wall`, where a game cannot be saved.
+        """Return the whole state of the present game; None in `wall`, where a game cannot be saved.
 
         To be taken between two commands: `np.savez("game.npz", **session.get_state())`; then, in any process,
         `client = open_session("virtual", ...).set_state(np.load("game.npz"))` for the same profile, scene and
@@ -83,7 +83,7 @@ class Session(ABC):
 
     @abstractmethod
     def set_state(self, state: SavedState) -> Client:
-        """The client that continues a saved game. Raises UserError in `wall`."""
+        """Return the client that continues a saved game. Raises UserError in `wall`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -157,7 +157,7 @@ class VirtualSession(Session):
         self._latency = latency
 
     def _world(self, clock_speed: float) -> World:
-        """The world for a ClockSpeed: one world for all, unless the latency model's platform depends on it."""
+        """Return the world for a ClockSpeed: one world for all, unless the latency model's platform depends on it."""
         profile = self._latency.platform.profile(self._profile, clock_speed)
         if profile not in self._worlds:
             self._worlds[profile] = World(self._scene, profile)

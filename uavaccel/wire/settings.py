@@ -129,7 +129,7 @@ class Settings(AirSimKeys):
         return self.sim_mode == COMPUTER_VISION
 
     def created(self) -> list[tuple[str, VehicleSettings]]:
-        """The vehicles that exist from the start, in alphabetical order as in AirSim's map."""
+        """Return the vehicles that exist from the start, in alphabetical order as in AirSim's map."""
         return [
             (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
         ]
@@ -146,7 +146,7 @@ class Settings(AirSimKeys):
         return self.local_host_ip or LOOPBACK
 
     def recorder_of(self, profile: Profile) -> Profile:
-        """The profile with the recorder's period. Raises UserError if an exact profile's tick does not divide it.
+        """Set a profile's recorder period. Raises UserError if an exact profile's tick does not divide it.
 
         AirSim's recorder waits for more than the interval (RecordingThread.cpp).
         """
@@ -166,11 +166,11 @@ class Settings(AirSimKeys):
         world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
     def without_effect(self) -> list[str]:
-        """The dotted names of the given keys that have no effect here."""
+        """Return the dotted names of the given keys that have no effect here."""
         return [name for name in _unknown(self, "") if name not in _NOTES]
 
     def as_json(self, clock_speed: float) -> str:
-        """The answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
+        """Return the answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
         given = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         return json.dumps({"SimMode": "Multirotor", **given, "ClockSpeed": clock_speed})
 
@@ -193,7 +193,7 @@ def read_settings(path: Path) -> Settings:
 
 
 def _unknown(value: object, prefix: str) -> Iterator[str]:
-    """The dotted names of the keys that no field of the models takes."""
+    """Yield the dotted names of the keys that no field of the models takes."""
     if isinstance(value, BaseModel):
         yield from (f"{prefix}{name}" for name in value.model_extra or {})
         for name in sorted(value.model_fields_set & set(type(value).model_fields)):

@@ -3,8 +3,6 @@
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 """
 
-# ruff: noqa: N815  the names are AirSim's
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -12,7 +10,7 @@ from typing import Annotated
 
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.wire.arguments import number
-from uavaccel.wire.calls import Calls, WithoutEffect, call
+from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.latency import Channel
 
@@ -102,13 +100,10 @@ class RecordingApi(Calls, title="Recording, drawing, messages"):
     def is_recording(self) -> bool:
         return self.simulation.world.recording
 
-    simPrintLogMessage = WithoutEffect()
-    simSetTraceLine = WithoutEffect()
-    simFlushPersistentMarkers = WithoutEffect()
-    simPlotPoints = WithoutEffect()
-    simPlotLineStrip = WithoutEffect()
-    simPlotLineList = WithoutEffect()
-    simPlotArrows = WithoutEffect()
-    simPlotStrings = WithoutEffect()
-    simPlotTransforms = WithoutEffect()
-    simPlotTransformsWithNames = WithoutEffect()
+    ignored = (
+        *without_effect(
+            *("simPrintLogMessage", "simSetTraceLine", "simFlushPersistentMarkers", "simPlotPoints"),
+            *("simPlotLineStrip", "simPlotLineList", "simPlotArrows", "simPlotStrings"),
+            *("simPlotTransforms", "simPlotTransformsWithNames"),
+        ),
+    )

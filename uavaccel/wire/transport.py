@@ -49,13 +49,13 @@ class PendingCall:
         self.expected_ns: int | None = None  # when the client expects the answer
 
     def due_ns(self) -> int | None:
-        """When a responsive server has answered, on the client's clock; None where that is unknown."""
+        """Return when a responsive server has answered, on the client's clock; None where that is unknown."""
         if self.channel in AT_ONCE:
             return self.sent_ns
         return self.expected_ns if self.channel == "continue_for" else None
 
     def result(self) -> Received:
-        """The value of the reply. Raises rpc.RpcError with the server's text."""
+        """Return the value of the reply. Raises rpc.RpcError with the server's text."""
         if self.error is not None:
             raise rpc.RpcError(self.error)
         return self.value
@@ -200,7 +200,7 @@ class SocketTransport(Transport):
                 self._receive()
 
     def _readable(self, deadline_ns: int) -> bool:
-        """Whether something has arrived by the deadline; returns earlier to ask a silent server whether it is there."""
+        """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + LOOK_NS
         if self._silence is None or deadline_ns < look_ns:
             return bool(wait_for_sockets(self._selector, deadline_ns))
@@ -295,7 +295,7 @@ class VirtualTransport(Transport):
         self._run_to(max(self._handled_ns, self.clock.now_ns()))
 
     def _let_through_ns(self) -> int:
-        """When Nagle's algorithm on a modelled client's socket releases a request that follows an unanswered command.
+        """Return when Nagle's algorithm on a modelled socket releases a request after an unanswered command.
 
         It waits for the answer or for the server's delayed acknowledgement, which `stall_us` models.
         """
@@ -333,7 +333,7 @@ class VirtualTransport(Transport):
         simulation.advance_to(self._handled_ns)
 
     def get_state(self) -> State:
-        """The state of wall clock, latencies and simulation between two calls, without pending replies."""
+        """Return the state of wall clock, latencies and simulation between two calls, without pending replies."""
         state: State = {"wall_ns": self.clock.now_ns(), "handled_ns": self._handled_ns}
         state |= prefixed("latency", self._latency.get_state())
         return state | prefixed("simulation", self._api.simulation.get_state())
@@ -347,7 +347,7 @@ class VirtualTransport(Transport):
 
 
 def modelled_simulation(world: World, clock_speed: float, latency: Latency) -> Simulation:
-    """A settled hover with the clock running and API control off, on the simulator side that `latency` models."""
+    """Start a settled hover, the clock running and API control off, on the simulator side that `latency` models."""
     platform = latency.platform
     simulation = Simulation(
         world,

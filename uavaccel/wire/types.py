@@ -10,24 +10,21 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated 
 
 
 def stamp(time_ns: int) -> int:
-    """A simulated time as AirSim's time stamp, in nanoseconds since 1970; the same in every run."""
+    """Return a simulated time as AirSim's time stamp, in nanoseconds since 1970; the same in every run."""
     return EPOCH_NS + time_ns
 
 
 def vector_map(vector: Vector) -> dict[str, float]:
-    """A Vector3r."""
     x, y, z = vector
     return {"x_val": x, "y_val": y, "z_val": z}
 
 
 def quaternion_map(quaternion: Quaternion) -> dict[str, float]:
-    """A Quaternionr."""
     w, x, y, z = quaternion
     return {"w_val": w, "x_val": x, "y_val": y, "z_val": z}
 
 
 def kinematics_map(kinematics: Kinematics) -> dict[str, dict[str, float]]:
-    """A KinematicsState."""
     return pose_map(kinematics) | {
         "linear_velocity": vector_map(kinematics.linear_velocity_m_s),
         "angular_velocity": vector_map(kinematics.angular_velocity_rad_s),
@@ -37,7 +34,6 @@ def kinematics_map(kinematics: Kinematics) -> dict[str, dict[str, float]]:
 
 
 def pose_map(pose: Pose | Kinematics) -> dict[str, dict[str, float]]:
-    """A Pose."""
     return {
         "position": vector_map(pose.position_m),
         "orientation": quaternion_map(pose.orientation_wxyz),
@@ -45,12 +41,11 @@ def pose_map(pose: Pose | Kinematics) -> dict[str, dict[str, float]]:
 
 
 def geo_map(point: GeoPoint) -> dict[str, float]:
-    """A GeoPoint."""
     return {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.altitude}
 
 
 def no_collision_map() -> dict[str, object]:
-    """The CollisionInfo of a vehicle that has not collided."""
+    """Return the CollisionInfo of a vehicle that has not collided."""
     zero = vector_map((0.0, 0.0, 0.0))
     return {
         "has_collided": False,
@@ -65,7 +60,7 @@ def no_collision_map() -> dict[str, object]:
 
 
 def rc_data_map() -> dict[str, object]:
-    """The RCData of a vehicle without a remote control."""
+    """Return the RCData of a vehicle without a remote control."""
     sticks = dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0)
     return {
         "timestamp": 0,

@@ -55,7 +55,7 @@ class VehicleApi(Calls, title="Vehicles"):
     def enable_api_control(self, is_enabled: bool, vehicle: VehicleName = "") -> None:
         pilot = self.scenery.flying_pilot(vehicle)
         if not is_enabled:  # the running command would never end
-            pilot.cancel(self.wall_ns)
+            pilot.end(False, self.wall_ns)
         pilot.api_control = is_enabled
 
     @call("isApiControlEnabled")

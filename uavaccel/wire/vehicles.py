@@ -63,7 +63,7 @@ def _check_names(settings: Settings) -> None:
 
 
 def starting(vehicle: VehicleSettings) -> tuple[Start, Vector]:
-    """The start of a vehicle in the world, and the origin of its frame."""
+    """Return the start of a vehicle in the world, and the origin of its frame."""
     if not vehicle.placed:
         return Start(START_M), HERE
     place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
@@ -71,7 +71,7 @@ def starting(vehicle: VehicleSettings) -> tuple[Start, Vector]:
 
 
 def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
-    """The given place, or the ground above it, or the next place to the east that is free of vehicles.
+    """Return the given place, or the ground above it, or the next place to the east that is free of vehicles.
 
     NED from the player's start; `taken_m` are the vehicles' places in the world.
     """
@@ -82,7 +82,7 @@ def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
 
 
 def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
-    """The place and attitude in the world of a pose in the vehicle's frame; parts that are NaN are the present ones."""
+    """Convert a pose in the vehicle's frame to place and attitude in the world; NaN stands for the present part."""
     now = pilot.kinematics()
     place_m = now.position_m if math.isnan(sum(pose.position_m)) else pose.position_m
     attitude = now.orientation_wxyz if math.isnan(sum(pose.orientation_wxyz)) else pose.orientation_wxyz
@@ -90,7 +90,7 @@ def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
 
 
 def standing(place_m: Vector, yaw_rad: float) -> tuple[Start, Vector]:
-    """A start, level and idle, at a place NED from the player's start, and the origin of the frame, which is there."""
+    """Return a level, idle start at a place NED from the player's start, and the frame's origin, which is there."""
     origin = (place_m[0], place_m[1], place_m[2] + STANDING_M)
     heading: Quaternion = (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
     return Start(origin, heading, idle=True), origin

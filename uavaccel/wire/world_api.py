@@ -3,8 +3,6 @@
 Sources: AirSim v1.8.1, Environment.hpp, WorldSimApi.cpp, PawnSimApi.cpp.
 """
 
-# ruff: noqa: N815  the names are AirSim's
-
 from __future__ import annotations
 
 import numpy as np
@@ -14,7 +12,7 @@ from uavaccel.sim.scene.rays import sees
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Point, VehicleName, Wind, coordinate
-from uavaccel.wire.calls import Calls, WithoutEffect, call
+from uavaccel.wire.calls import Calls, call, without_effect
 
 
 class WorldApi(Calls, title="World"):
@@ -70,8 +68,7 @@ class WorldApi(Calls, title="World"):
         highest = geographic((float(high[0]), float(high[1]), float(low[2])), self.scenery.settings.home)
         return [types.geo_map(lowest), types.geo_map(highest)]
 
-    simSetTimeOfDay = WithoutEffect()
-    simEnableWeather = WithoutEffect()
-    simSetWeatherParameter = WithoutEffect()
-    simSetLightIntensity = WithoutEffect(True)
-    simRunConsoleCommand = WithoutEffect(True)
+    ignored = (
+        *without_effect("simSetTimeOfDay", "simEnableWeather", "simSetWeatherParameter"),
+        *without_effect("simSetLightIntensity", "simRunConsoleCommand", answer=True),
+    )

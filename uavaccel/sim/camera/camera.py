@@ -18,33 +18,28 @@ from typing import Self
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
     WIDTH,
+    AnyImage,
     DepthImage,
     GeomImage,
     Image,
-    Scalar,
     View,
     far_m,
     ray_lengths,
     set_quality,
     to_metres,
 )
-from uavaccel.sim.lane.scene import object_name
 
 _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 
 
 class FrontCamera(ABC):
-    """Pictures (height, width) of a world's front camera, rendered in this process or in another one.
-
-    Each call returns a new array, or fills `out` and returns it.
-    """
+    """Pictures (height, width) of a world's front camera, rendered in this process or in another one."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, half_width: float) -> None:
         """`half_width` is the tangent of half the horizontal field of view."""
@@ -58,30 +53,24 @@ class FrontCamera(ABC):
         return far_m(self.model)
 
     @abstractmethod
-    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+    def gray(self, data: mujoco.MjData) -> Image:
         """Render luma (ITU-R BT.601, as OpenCV and v2e compute it); (height, width) uint8."""
 
     @abstractmethod
-    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+    def colour(self, data: mujoco.MjData) -> Image:
         """Render red, green, blue; (height, width, 3) uint8."""
 
     @abstractmethod
-    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+    def depth(self, data: mujoco.MjData) -> DepthImage:
         """Render metres along the optical axis (AirSim's DepthPlanar), `far_m` for the sky; (height, width) float32."""
 
-    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+    def depth_perspective(self, data: mujoco.MjData) -> DepthImage:
         """Render metres along each pixel's ray (AirSim's DepthPerspective); (height, width) float32."""
-        depth = self.depth(data, out)
-        depth *= self._ray_length
-        return depth
+        return self.depth(data) * self._ray_length
 
     @abstractmethod
-    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
+    def segmentation(self, data: mujoco.MjData) -> GeomImage:
         """Render the id of the geom in each pixel, -1 for the sky; (height, width) int32."""
-
-    def object_names(self, geoms: GeomImage) -> list[str]:
-        """Return the names of the objects in a segmentation, sorted, without the sky."""
-        return sorted({object_name(self.model, int(geom)) for geom in np.unique(geoms) if geom >= 0})
 
     @abstractmethod
     def render_again(self, out: Image) -> None:
@@ -145,36 +134,35 @@ class Camera(FrontCamera):
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         _close_at_exit(self)
 
-    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+    def colour(self, data: mujoco.MjData) -> Image:
         self._draw(data)
         self._read_colours()
-        shape = (self.height, self.width, 3)
-        picture = _target(shape, self._pixels.dtype, out)
-        cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB, dst=picture)
-        return _turned_over(picture, out)
+        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB))
 
     def render_again(self, out: Image) -> None:
         mujoco.mjr_render(self._rectangle, self._view.scene, self._context)
         mujoco.mjr_readPixels(out, None, self._rectangle, self._context)
 
-    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
+    def gray(self, data: mujoco.MjData) -> Image:
         self._draw(data)
         self._read_colours()
-        picture = np.empty((self.height, self.width), np.uint8)
-        cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY, dst=picture)
-        return _turned_over(picture, out)
+        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY))
 
-    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        self._draw(data, as_ids=True)  # depth needs no lighting
-        picture = _target((self.height, self.width), np.dtype(np.float32), out)
+    def depth(self, data: mujoco.MjData) -> DepthImage:
+        return to_metres(self.model, self._read_depths(data))
+
+    def _read_depths(self, data: mujoco.MjData) -> DepthImage:
+        """Return OpenGL's depth buffer, 1 at the near and 0 at the far plane; depth needs no lighting."""
+        self._draw(data, as_ids=True)
+        picture = np.empty((self.height, self.width), np.float32)
         with self._turns:
             mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
-        return to_metres(self.model, _turned_over(picture, out))
+        return _turned_over(picture)
 
-    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
+    def segmentation(self, data: mujoco.MjData) -> GeomImage:
         self._draw(data, as_ids=True)
         self._read_colours()
-        return self._view.geoms(self._pixels[::-1], out)
+        return self._view.geoms(self._pixels[::-1])
 
     def _draw(self, data: mujoco.MjData, as_ids: bool = False) -> None:
         self._bind()
@@ -216,19 +204,10 @@ class Camera(FrontCamera):
             pass
 
 
-def _target(shape: tuple[int, ...], dtype: np.dtype[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
-    """Return `out` if OpenGL can write a picture of that form into it, else a new array."""
-    fits = out is not None and out.flags.c_contiguous and (out.shape, out.dtype) == (shape, dtype)
-    return out if out is not None and fits else np.empty(shape, dtype)
-
-
-def _turned_over(picture: NDArray[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
-    """Flip the picture upside down in place, which is three times as fast as into a second array; fill `out`."""
+def _turned_over(picture: AnyImage) -> AnyImage:
+    """Flip the picture upside down in place, which is three times as fast as into a second array."""
     cv2.flip(picture, 0, dst=picture)
-    if out is None or out is picture:
-        return picture
-    np.copyto(out, picture)
-    return out
+    return picture
 
 
 _open_cameras: weakref.WeakSet[Camera] = weakref.WeakSet()

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.sim.camera.camera import Camera
-from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, Scalar, ray_lengths, to_metres
+from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, DepthImage, Image, ray_lengths, to_metres
 from uavaccel.sim.poses import Pose
 
 MOST_LENSES = 8  # whose ray lengths are cached
@@ -49,19 +48,17 @@ class MountedCamera(Camera):
             self._pixels: Image = np.empty((lens.height, lens.width, 4), np.uint8)
             self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
 
-    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+    def depth(self, data: mujoco.MjData) -> DepthImage:
         """Render metres along the optical axis, SKY_M for the sky; (height, width) float32."""
-        self._draw(data, as_ids=True)
-        picture = np.empty((self.height, self.width), np.float32)
-        mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
-        sky = picture[::-1] == 0.0
-        depth = to_metres(self.model, picture[::-1])
+        picture = self._read_depths(data)
+        sky = picture == 0.0
+        depth = to_metres(self.model, picture)
         depth[sky] = SKY_M
-        return _into(depth, out)
+        return depth
 
-    def depth_perspective(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
+    def depth_perspective(self, data: mujoco.MjData) -> DepthImage:
         """Render metres along each pixel's ray, SKY_M for the sky; (height, width) float32."""
-        depth = self.depth(data, out)
+        depth = self.depth(data)
         if self._lens not in self._rays:
             half_width = float(np.tan(np.radians(self._lens.fov_deg) / 2))
             if len(self._rays) >= MOST_LENSES:  # clients may set any field of view
@@ -69,10 +66,3 @@ class MountedCamera(Camera):
             self._rays[self._lens] = ray_lengths(self.width, self.height, half_width)
         np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
         return depth
-
-
-def _into(picture: NDArray[Scalar], out: NDArray[Scalar] | None) -> NDArray[Scalar]:
-    if out is None:
-        return picture
-    np.copyto(out, picture)
-    return out

@@ -117,12 +117,8 @@ class Pilot:
         self.vehicle.set_goal(goal)
         self.vehicle.hold_from(None)
 
-    def cancel(self, wall_ns: int) -> None:
-        """End the running command, if any, with False; position hold follows after the goal timeout."""
-        self.end(False, wall_ns)
-
     def end(self, completed: bool, wall_ns: int) -> None:
-        """End the running command, if any, with this result."""
+        """End the running command, if any, with this result; position hold follows after the goal timeout."""
         if self.command is None:
             return
         command, self.command = self.command, None

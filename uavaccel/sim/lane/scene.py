@@ -25,10 +25,7 @@ PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
 SUN_ELEVATION_RAD = 0.9
 DAYLIGHT = 0.65  # the sun's share of full daylight; AMBIENT is that of the sky
 AMBIENT = 0.45
-LOOKS_GROUP, BODIES_GROUP = (
-    4,
-    5,
-)  # visible only in colour, and in all but colour; other groups are always visible
+LOOKS_GROUP, BODIES_GROUP = 4, 5  # visible only in colour, and in all but colour; other groups always are
 TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between its sides and its corners
 
 

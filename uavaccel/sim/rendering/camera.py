@@ -53,30 +53,26 @@ class RemoteCamera(FrontCamera):
         write_looks(self.model, self._slot["looks"])
         self._slot["revision"] += 1
 
-    def gray(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        return self._picture("gray", data, out)
+    def gray(self, data: mujoco.MjData) -> Image:
+        return self._picture("gray", data)
 
-    def colour(self, data: mujoco.MjData, out: Image | None = None) -> Image:
-        return self._picture("colour", data, out)
+    def colour(self, data: mujoco.MjData) -> Image:
+        return self._picture("colour", data)
 
-    def depth(self, data: mujoco.MjData, out: DepthImage | None = None) -> DepthImage:
-        return to_metres(self.model, self._picture("depth", data, out))
+    def depth(self, data: mujoco.MjData) -> DepthImage:
+        return to_metres(self.model, self._picture("depth", data))
 
-    def segmentation(self, data: mujoco.MjData, out: GeomImage | None = None) -> GeomImage:
-        return self._picture("segmentation", data, out)
+    def segmentation(self, data: mujoco.MjData) -> GeomImage:
+        return self._picture("segmentation", data)
 
     def render_again(self, out: Image) -> None:
         self._draw("colour")
         np.copyto(out, self._pictures["colour"])
 
-    def _picture(self, kind: str, data: mujoco.MjData, out: AnyImage | None) -> AnyImage:
+    def _picture(self, kind: str, data: mujoco.MjData) -> AnyImage:
         self._pose[:] = data.qpos
         self._draw(kind)
-        picture = self._pictures[kind]
-        if out is None:
-            return picture[::-1].copy()
-        np.copyto(out, picture[::-1])
-        return out
+        return self._pictures[kind][::-1].copy()
 
     def _draw(self, kind: str) -> None:
         self._slot["kind"] = KINDS.index(kind)

@@ -33,7 +33,7 @@ from uavaccel.sim.rendering.slots import (
     read_looks,
     slot_dtype,
 )
-from uavaccel.sim.rendering.tiles import SHEETS, Tiles
+from uavaccel.sim.rendering.tiles import BUFFERS, Tiles
 from uavaccel.sim.scene.model import load_scene
 
 _READ_BYTES = 1 << 12
@@ -52,7 +52,6 @@ class ServedCamera:
 
     @property
     def kind(self) -> str:
-        """Kind of picture that is requested."""
         return KINDS[self._slot["kind"]]
 
     def look(self, as_ids: bool) -> mujoco.MjvScene:
@@ -78,10 +77,10 @@ class ServedCamera:
             os.write(self._reply, DONE)
 
 
-class Sheet(NamedTuple):
-    """A sheet of pictures that were rendered but not yet handed over."""
+class Batch(NamedTuple):
+    """Pictures of one kind that were rendered into a pixel buffer but not yet handed over."""
 
-    number: int
+    buffer: int
     kind: str
     eyes: list[ServedCamera]
 
@@ -93,8 +92,8 @@ def serve(tiles: Tiles, eyes: list[ServedCamera], requests: int) -> None:
     """
     waiting = select.poll()
     waiting.register(requests, select.POLLIN)
-    drawn: deque[Sheet] = deque()
-    ahead, number = 0 if tiles.renderer.software else SHEETS - 1, 0
+    drawn: deque[Batch] = deque()
+    ahead, number = 0 if tiles.renderer.software else BUFFERS - 1, 0
     while True:
         if drawn and not waiting.poll(0):
             _hand_over(tiles, drawn.popleft())
@@ -104,8 +103,8 @@ def serve(tiles: Tiles, eyes: list[ServedCamera], requests: int) -> None:
             return
         asking = [eyes[each] for each in np.frombuffer(numbers, f"<u{REQUEST_BYTES}").tolist()]
         for kind, some in _batches(asking, tiles.count):
-            drawn.append(_render(tiles, Sheet(number, kind, some)))
-            number = (number + 1) % SHEETS
+            drawn.append(_render(tiles, Batch(number, kind, some)))
+            number = (number + 1) % BUFFERS
             if len(drawn) > ahead:
                 _hand_over(tiles, drawn.popleft())
 
@@ -120,17 +119,17 @@ def _batches(asking: list[ServedCamera], most: int) -> Iterator[tuple[str, list[
             yield kind, eyes[start : start + most]
 
 
-def _render(tiles: Tiles, sheet: Sheet) -> Sheet:
-    depth, as_ids = sheet.kind == "depth", sheet.kind in ("depth", "segmentation")  # depth needs no lighting
-    for place, eye in enumerate(sheet.eyes):
-        tiles.render(sheet.number, place, eye.look(as_ids), depth)
-    return sheet
+def _render(tiles: Tiles, batch: Batch) -> Batch:
+    depth, as_ids = batch.kind == "depth", batch.kind in ("depth", "segmentation")  # depth needs no lighting
+    for place, eye in enumerate(batch.eyes):
+        tiles.render(batch.buffer, place, eye.look(as_ids), depth)
+    return batch
 
 
-def _hand_over(tiles: Tiles, sheet: Sheet) -> None:
-    with tiles.read(sheet.number, len(sheet.eyes), sheet.kind == "depth") as pictures:
-        for eye, picture in zip(sheet.eyes, pictures, strict=True):
-            eye.hand_over(sheet.kind, picture)
+def _hand_over(tiles: Tiles, batch: Batch) -> None:
+    with tiles.read(batch.buffer, len(batch.eyes), batch.kind == "depth") as pictures:
+        for eye, picture in zip(batch.eyes, pictures, strict=True):
+            eye.hand_over(batch.kind, picture)
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -45,19 +46,24 @@ def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
 
 def write_looks(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
     """Copy the appearance of the model's objects and lights to `looks`."""
-    start = 0
-    for name in _LOOKS:
-        values = getattr(model, name).view(np.uint8).reshape(-1)
-        looks[start : start + len(values)] = values
-        start += len(values)
+    for values, kept in _views(model, looks):
+        kept[:] = values
 
 
 def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
     """Copy `looks` to the model."""
+    for values, kept in _views(model, looks):
+        values[:] = kept
+
+
+def _views(
+    model: mujoco.MjModel, looks: NDArray[np.uint8]
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Yield the bytes of each visible part of the model, and those of `looks` that hold it."""
     start = 0
     for name in _LOOKS:
         values = getattr(model, name).view(np.uint8).reshape(-1)
-        values[:] = looks[start : start + len(values)]
+        yield values, looks[start : start + len(values)]
         start += len(values)
 
 

@@ -1,8 +1,8 @@
 """Several pictures rendered one after another into one small buffer, and read back at once.
 
 A picture's last bits depend on its position in the buffer, since vertices are rounded relative to the buffer's corner.
-So each picture is rendered at the corner, like that of a single camera, and copied by the GPU into a tile of a sheet, a
-pixel buffer; the CPU waits only for the last one. With two sheets one is rendered while the other is read.
+So each picture is rendered at the corner, like that of a single camera, and copied by the GPU into a tile of a pixel
+buffer; the CPU waits only for the last one. With two buffers one is rendered while the other is read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, set_quality
 
 TILE_BYTES = WIDTH * HEIGHT * 4  # four bytes of colour per pixel, or a float of depth
-SHEETS = 2
+BUFFERS = 2
 
 
 class Tiles:
@@ -44,21 +44,21 @@ class Tiles:
         from OpenGL import GL  # takes the platform of the first context, so not before there is one
 
         self._api: ModuleType = GL
-        self._sheets = [int(sheet) for sheet in self._api.glGenBuffers(SHEETS)]
+        self._buffers = [int(buffer) for buffer in self._api.glGenBuffers(BUFFERS)]
         self._bound = -1
-        for sheet in range(SHEETS):
-            self._bind(sheet)
+        for buffer in range(BUFFERS):
+            self._bind(buffer)
             size, usage = TILE_BYTES * count, self._api.GL_STREAM_READ
             self._api.glBufferData(self._api.GL_PIXEL_PACK_BUFFER, size, None, usage)
 
-    def _bind(self, sheet: int) -> None:
-        if sheet != self._bound:
-            self._api.glBindBuffer(self._api.GL_PIXEL_PACK_BUFFER, self._sheets[sheet])
-            self._bound = sheet
+    def _bind(self, buffer: int) -> None:
+        if buffer != self._bound:
+            self._api.glBindBuffer(self._api.GL_PIXEL_PACK_BUFFER, self._buffers[buffer])
+            self._bound = buffer
 
-    def render(self, sheet: int, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
+    def render(self, buffer: int, place: int, scene: mujoco.MjvScene, depth: bool = False) -> None:
         """Queue the rendering of a scene into a tile."""
-        self._bind(sheet)
+        self._bind(buffer)
         mujoco.mjr_render(self._rectangle, scene, self._context)
         api = self._api
         kind = (api.GL_DEPTH_COMPONENT, api.GL_FLOAT) if depth else (api.GL_RGBA, api.GL_UNSIGNED_BYTE)
@@ -66,10 +66,10 @@ class Tiles:
 
     @contextmanager
     def read(
-        self, sheet: int, count: int, depth: bool = False
+        self, buffer: int, count: int, depth: bool = False
     ) -> Iterator[NDArray[np.uint8] | NDArray[np.float32]]:
         """Yield the first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, valid inside the block."""
-        self._bind(sheet)
+        self._bind(buffer)
         api = self._api
         address = api.glMapBuffer(api.GL_PIXEL_PACK_BUFFER, api.GL_READ_ONLY)
         try:
@@ -81,6 +81,6 @@ class Tiles:
 
     def close(self) -> None:
         """Free what OpenGL holds."""
-        self._api.glDeleteBuffers(SHEETS, self._sheets)
+        self._api.glDeleteBuffers(BUFFERS, self._buffers)
         self._context.free()  # before its GL context, or it would free what is another's
         gl.release(self._gl)

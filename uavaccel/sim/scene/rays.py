@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco
 
 NEAR_END_M = 1e-3
-_GROUPS = np.array(
-    [1, 1, 1, 0, 0, 1], np.uint8
-)  # those of depth pictures: neither the vehicles' hulls nor looks
+# Those of depth pictures: neither the vehicles' hulls nor looks.
+_GROUPS = np.array([1, 1, 1, 0, 0, 1], np.uint8)
 
 
 class Hits(NamedTuple):

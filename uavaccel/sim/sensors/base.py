@@ -61,7 +61,6 @@ class Truth(NamedTuple):
 
     @property
     def time_s(self) -> float:
-        """Simulated time, seconds."""
         return self.kinematics.time_ns / NS_PER_S
 
     @property

@@ -1,4 +1,4 @@
-"""AirSim's model of the Earth: geographic coordinates on a sphere, standard atmosphere, magnetic dipole.
+"""AirSim's models of the Earth: geographic coordinates on a sphere and on an ellipsoid, atmosphere, magnetic dipole.
 
 Source: AirSim v1.8.1, EarthUtils.hpp.
 """
@@ -8,9 +8,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from uavaccel.kinematics import Vector
 
 RADIUS_M = 6_378_137.0
+ECCENTRICITY_SQUARED = 6.69437999014e-3  # of WGS 84
 SEA_LEVEL_PA = 101_325.0
 GAS_CONSTANT = 287.053  # J/(kg K), of air
 GRAVITY_M_S2 = 9.80665
@@ -61,6 +65,28 @@ def local(point: GeoPoint, home: GeoPoint) -> Vector:
     level = math.hypot(north, east)
     scale = RADIUS_M * (math.atan2(level, along) / level if level else 1.0)
     return north * scale, east * scale, home.altitude - point.altitude
+
+
+def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
+    """Return the point in metres NED from `home` on the WGS 84 ellipsoid, as moveToGPS takes it (GeodeticToNed).
+
+    In doubles here: AirSim's single precision resolves half a metre.
+    """
+    x, y, z = _earth_centred(point) - _earth_centred(home)
+    latitude, longitude = math.radians(home.latitude), math.radians(home.longitude)
+    outwards = x * math.cos(longitude) + y * math.sin(longitude)
+    north = z * math.cos(latitude) - outwards * math.sin(latitude)
+    east = y * math.cos(longitude) - x * math.sin(longitude)
+    up = outwards * math.cos(latitude) + z * math.sin(latitude)
+    return float(north), float(east), float(-up)
+
+
+def _earth_centred(point: GeoPoint) -> NDArray[np.float64]:
+    latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
+    curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
+    across = (curvature_m + point.altitude) * math.cos(latitude)
+    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude) * math.sin(latitude)
+    return np.array([across * math.cos(longitude), across * math.sin(longitude), along])
 
 
 def atmosphere(altitude_m: float) -> Atmosphere:

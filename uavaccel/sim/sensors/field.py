@@ -60,7 +60,6 @@ class Barometer:
         self._drift = Drift(seed, f"{name} drift", 1, keep, gain)
 
     def read(self, truth: Truth) -> BarometerReading:
-        """Return the reading of the present tick."""
         pressure = atmosphere(truth.place.altitude).pressure_pa
         pressure *= 1.0 + float(self._drift.at(truth.since_reset_s)[0])
         pressure += float(self._white.at(truth.sample)[0]) * self._sigma_pa
@@ -134,17 +133,17 @@ class Gps:
         self._settings = settings
 
     def read(self, truth: Truth) -> GpsReading:
-        """Return the reading of the present tick."""
         own, kinematics = self._settings, truth.kinematics
         ago_s = min(own.update_latency, truth.since_reset_s)
         acceleration = np.array(kinematics.linear_acceleration_m_s2)
         velocity = np.array(kinematics.linear_velocity_m_s)
         position = np.array(kinematics.position_m) - velocity * ago_s + acceleration * ago_s**2 / 2
-        eph = own.eph_final + (own.eph_initial - own.eph_final) * math.exp(
-            -truth.since_reset_s / own.eph_time_constant
-        )
-        epv = own.epv_final + (own.epv_initial - own.epv_final) * math.exp(
-            -truth.since_reset_s / own.epv_time_constant
+        eph, epv = (
+            final + (initial - final) * math.exp(-truth.since_reset_s / constant_s)
+            for final, initial, constant_s in (
+                (own.eph_final, own.eph_initial, own.eph_time_constant),
+                (own.epv_final, own.epv_initial, own.epv_time_constant),
+            )
         )
         fix = FIX_3D if eph <= own.eph_min3d else FIX_2D if eph <= own.eph_min2d else NO_FIX
         place = geographic(tuple(position.tolist()), truth.home)

@@ -59,7 +59,6 @@ class Imu:
         self._force_bias = Drift(seed, f"{name} force", 3, 1.0, force_walk * step)
 
     def read(self, truth: Truth) -> ImuReading:
-        """Return the reading of the present tick."""
         kinematics = truth.kinematics
         white = self._white.at(truth.sample) / math.sqrt(truth.tick_s)
         rate = np.array(kinematics.angular_velocity_rad_s) + white[:3] * self._rate_noise

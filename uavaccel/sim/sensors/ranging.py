@@ -106,7 +106,6 @@ class Lidar:
         self.settings = settings
 
     def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> Scan:
-        """Return the present scan."""
         own, eye = self.settings, truth.pose.of(self.settings.mount)
         scan = int(truth.time_s * own.update_frequency)
         seen = directions(own, scan * 360.0 * own.rotations_per_second / own.update_frequency)

@@ -75,11 +75,9 @@ class Clearance:
         return bool(self._model.opt.disableflags != self._with_contacts)
 
     def get_state(self) -> State:
-        """Return the schedule."""
         return {"next_look_tick": self._next_look_tick, "left_out": self.left_out}
 
     def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
         self._next_look_tick = int(state["next_look_tick"])
         left_out = bool(state["left_out"])
         self._model.opt.disableflags = self._without_contacts if left_out else self._with_contacts

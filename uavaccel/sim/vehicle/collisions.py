@@ -43,7 +43,6 @@ class ContactLog:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all contacts."""
         self.count = 0
         self.first: Contact | None = None
         self.latest: Contact | None = None
@@ -81,7 +80,6 @@ class ContactLog:
         return unread
 
     def get_state(self) -> State:
-        """Return its contents."""
         state: State = {"count": self.count, "unread": self._unread}
         state["in_touch"] = np.array(sorted(self._present), np.int64)
         for name, touch in (("first", self.first), ("latest", self.latest)):
@@ -92,7 +90,6 @@ class ContactLog:
         return state
 
     def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
         self.count, self._unread = int(state["count"]), bool(state["unread"])
         self._present = frozenset(int(geom) for geom in state["in_touch"])
         self.first, self.latest = _touch(state, "first"), _touch(state, "latest")

@@ -23,7 +23,6 @@ class Samples:
 
     @property
     def active(self) -> bool:
-        """Whether it records."""
         return int(self.record["next_tick"][0]) != NEVER
 
     @property
@@ -51,11 +50,9 @@ class Samples:
         return rows
 
     def get_state(self) -> State:
-        """Return its contents."""
         return of_record(self.record) | {"rows": self.rows()}
 
     def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
         into_record(self.record, state)
         rows = np.asarray(state["rows"], float).reshape(-1, hotloop.SAMPLE_COLUMNS)
         self.buffer[: len(rows)] = rows

@@ -250,7 +250,6 @@ class Vehicle:
         self.look()
 
     def clear_contacts(self) -> None:
-        """Forget all contacts."""
         self.state["collision_tick"] = NEVER
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.contact_log.clear()
@@ -341,7 +340,6 @@ class Vehicle:
         return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
         into_record(self._flight, without_prefix("flight", state))
         self.contact_log.set_state(without_prefix("touches", state))
         for name, gains in without_prefix("gains", state).items():

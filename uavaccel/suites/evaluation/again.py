@@ -47,7 +47,7 @@ class Flyable(Protocol):
 
 
 def evaluation_of(run: RunDirectory, what: str) -> EvaluateConfig:
-    """The configuration of an evaluation that repeats. Raises UserError for `wall`, and for a run of another suite."""
+    """Return the configuration of an evaluation that repeats. Raises UserError for `wall` and for other suites."""
     suite = run.config().get("suite")
     if suite != "evaluate":
         raise UserError(
@@ -80,7 +80,7 @@ def fly_again(
     row: EvaluateRow,
     begun: Callable[[Frame], None] = lambda _: None,
 ) -> Iterator[Step]:
-    """The commands of that row's game; `begun` is given the first observation.
+    """Yield the commands of that row's game; `begun` is given the first observation.
 
     Raises UserError after the last one if the flight made another row.
     """
