@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from uavaccel.commands.paths import PATHS, velocities
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.labels import clock_label, command_name
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.rows import Row
