@@ -80,11 +80,20 @@ class Film:
         return len(self.time_s)
 
 
-def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Path:
-    """Write an MP4 of the film's frames, whole or not at all, and return `path`. Raises UserError if that fails."""
+def write_video(
+    film: Film,
+    path: Path,
+    frames_per_s: int = FRAMES_PER_S,
+    written: Callable[[], object] = lambda: None,
+) -> Path:
+    """Write an MP4 of the film's frames, whole or not at all, and return `path`; `written` is called after each frame.
+
+    Raises UserError if it cannot be written.
+    """
     with movie(path, (WIDTH, HEIGHT + _lower(film)), frames_per_s) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
+            written()
     return path
 
 

@@ -180,8 +180,12 @@ def plot_progress(rows: Sequence[TrainRow], path: Path, source: str) -> Path:
         if np.isfinite(values).any():
             panels[label] = values
     with style.project_style():
-        figure = style.new_figure(8.0, 1.0 + 1.5 * len(panels), "Progress of the training", source)
-        all_axes = figure.subplots(len(panels), 1, sharex=True)
+        lines = -(-len(panels) // 2)
+        figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
+        grid = figure.subplots(lines, 2, sharex=True, squeeze=False).ravel()
+        all_axes = grid[: len(panels)]
+        for unused in grid[len(panels) :]:
+            unused.remove()
         for axes, (name, values) in zip(all_axes, panels.items(), strict=True):
             known = np.isfinite(values)
             if name == SCHEDULED:
@@ -192,7 +196,9 @@ def plot_progress(rows: Sequence[TrainRow], path: Path, source: str) -> Path:
                 mean = recent_mean(values[known])
                 axes.plot(games[known], mean, color=style.BLUE, label=f"mean of the last {RECENT}")
             axes.set_ylabel(name)
-        all_axes[-1].set_xlabel("games")
+        for axes in all_axes[-2:]:  # the lowest of each column
+            axes.set_xlabel("games")
+            axes.tick_params(labelbottom=True)
         figure.align_ylabels()
         figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return style.save(figure, path)
