@@ -112,7 +112,6 @@ class LanesOnCores:
         options = [{"lane": lane} for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
-        self._paths_m: list[list[list[float]]] = [[] for _ in lanes]
 
     def decide_and_fly(self, going: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[Ended]]:
         for place in going.tolist():
@@ -123,9 +122,8 @@ class LanesOnCores:
         self._seen[going] = seen
         for place, info in zip(going.tolist(), infos, strict=True):
             self._infos[place] = info
-            self._paths_m[place].append(list(info["position_m"][:2]))
         over = going[terminated | truncated].tolist()
-        return actions, [(place, self._infos[place] | {"path_m": self._paths_m[place]}) for place in over]
+        return actions, [(place, self._infos[place]) for place in over]
 
     def _decide(self, going: NDArray[np.int64]) -> NDArray[np.int64]:
         if not isinstance(self._agent, PolicyAgent):

@@ -46,7 +46,7 @@ def lost_table(rows: Sequence[EvaluateRow]) -> Table:
 def plot_lost(config: EvaluateConfig, rows: Sequence[EvaluateRow], path: Path, source: str) -> Picture | None:
     """Plot the paths of the lost lanes, a panel for each of at most nine, the shortest flight on top.
 
-    None where no path can be drawn: a GPU records none, and where the lane is drawn anew with the conditions of each
+    None where no path can be drawn: the kernels record none, and where the lane is drawn anew with the conditions of each
     game its obstacles are not known afterwards.
     """
     drawn = [row for row in lost_rows(rows) if row.get("path_m")]
