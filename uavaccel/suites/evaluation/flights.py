@@ -30,7 +30,7 @@ class EvaluateRow(LaneRow):
     wall_s: float
     actions: list[int]
     path_m: NotRequired[list[list[float]]]
-    """Of a lost lane in the exact simulator: the positions north and east at the ends of the commands, the last where it ended."""
+    """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
 
 
 def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> EvaluateRow:

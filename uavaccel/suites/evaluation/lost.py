@@ -46,8 +46,8 @@ def lost_table(rows: Sequence[EvaluateRow]) -> Table:
 def plot_lost(config: EvaluateConfig, rows: Sequence[EvaluateRow], path: Path, source: str) -> Picture | None:
     """Plot the paths of the lost lanes, a panel for each of at most nine, the shortest flight on top.
 
-    None where no path can be drawn: the kernels record none, and where the lane is drawn anew with the conditions of each
-    game its obstacles are not known afterwards.
+    None where no path can be drawn: the kernels record none, and where a lane is drawn anew with the conditions of each
+    game, its obstacles are not known afterwards.
     """
     drawn = [row for row in lost_rows(rows) if row.get("path_m")]
     if not drawn or config.task.randomise is not None:
